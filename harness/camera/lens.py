@@ -1,0 +1,52 @@
+"""Brown-Conrady lens distortion of normalised image coordinates, and the radius up to which it can be undone."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from harness.camera.angles import Array
+from harness.spec import Finite, Spec
+
+
+class Lens(Spec):
+    """Radial (k1, k2, k3) and tangential (p1, p2) coefficients, in OpenCV's order and meaning; all 0 for a pinhole."""
+
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    p1: Finite = 0.0
+    p2: Finite = 0.0
+    k3: Finite = 0.0
+
+    @property
+    def is_pinhole(self) -> bool:
+        """True when nothing is distorted."""
+        return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
+
+
+def distort(lens: Lens, points: ArrayLike) -> Array:
+    """Distorted normalised image coordinates `[..., 2]` of undistorted ones.
+
+    `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`, and y' with p1 and p2 exchanged.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    x, y = points[..., 0], points[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    return np.stack(
+        [
+            x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x),
+            y * radial + 2 * lens.p2 * x * y + lens.p1 * (r2 + 2 * y * y),
+        ],
+        axis=-1,
+    )
+
+
+def fold_radius(lens: Lens) -> float:
+    """The undistorted radius at which the distortion stops growing outwards, beyond which it has no inverse.
+
+    The first zero of `d/dr [r + k1 r³ + k2 r⁵ + k3 r⁷]` less what the tangential part can take away
+    (its slope is at most 6 hypot(p1, p2) r); infinite when there is none.
+    """
+    slope = [7 * lens.k3, 0.0, 5 * lens.k2, 0.0, 3 * lens.k1, -6 * float(np.hypot(lens.p1, lens.p2)), 1.0]
+    roots = np.roots(np.trim_zeros(slope, "f"))
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
+    return float(real.min()) if real.size else float("inf")

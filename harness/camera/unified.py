@@ -1,0 +1,114 @@
+"""The unified (Mei) camera model: to cross over to and from OpenCV's `ccalib.omnidir` and Kalibr.
+
+A direction on the unit sphere is seen by a pinhole at distance `xi` from the sphere's centre. A hyperboloid mirror
+is exactly this with `eps = e/a`: `xi = 2 eps/(1 + eps²)` and focal length `gamma = f (eps² - 1)/(1 + eps²)`.
+In this model's frame the camera looks along +Z, which is -z of ours, with Y turned over so that both frames are
+right-handed: (X, Y, Z) = (x, -y, -z) would mirror the image; with v down and our y towards +v, it is (x, y, -z).
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from harness.camera.angles import Array
+from harness.camera.lens import Lens
+from harness.camera.mirror import Mirror
+from harness.camera.sensor import Camera, FieldOfView, Sensor
+from harness.spec import Finite, Positive, Spec
+
+
+class Unified(Spec):
+    """Parameters of the unified model. `gamma_u_px`, `gamma_v_px` are what OpenCV calls K[0, 0] and K[1, 1]."""
+
+    xi: Positive
+    gamma_u_px: Positive
+    gamma_v_px: Positive
+    cx_px: Finite
+    cy_px: Finite
+
+
+def to_unified(sensor: Sensor) -> Unified:
+    """The unified model that projects as the mirror does. Its distortion coefficients are rescaled: see `unified_lens`."""
+    eps = sensor.mirror.e_m / sensor.mirror.a_m
+    scale = (eps * eps - 1) / (eps * eps + 1)
+    camera = sensor.camera
+    return Unified(
+        xi=2 * eps / (1 + eps * eps),
+        gamma_u_px=camera.focal_px * scale,
+        gamma_v_px=camera.focal_px * camera.aspect * scale,
+        cx_px=camera.cx_px,
+        cy_px=camera.cy_px,
+    )
+
+
+def unified_lens(sensor: Sensor) -> Lens:
+    """The lens as the unified model writes it: its normalised plane is larger by f/gamma, so k and p shrink by powers of that.
+
+    With m = s x, s = f/gamma, `x' = x (1 + k1 r²) ` reads `m' = m (1 + (k1/s²) |m|²)`, and tangential terms scale by 1/s.
+    """
+    s = sensor.camera.focal_px / to_unified(sensor).gamma_u_px
+    lens = sensor.lens
+    return Lens(k1=lens.k1 / s**2, k2=lens.k2 / s**4, p1=lens.p1 / s, p2=lens.p2 / s, k3=lens.k3 / s**6)
+
+
+def from_unified(
+    unified: Unified,
+    width_px: int,
+    height_px: int,
+    *,
+    a_m: float = 0.0281,
+    lens: Lens | None = None,
+    field: FieldOfView | None = None,
+) -> Sensor:
+    """The mirror sensor that a unified model describes.
+
+    Parameters
+    ----------
+    a_m
+        The mirror's size, which no image tells: any value gives the same picture.
+    lens
+        As the unified model writes it (rescaled here); none by default.
+
+    Raises
+    ------
+    ValueError
+        Unless 0 < xi < 1: xi = 1 is a paraboloid, above it no mirror.
+    """
+    if not 0 < unified.xi < 1:
+        raise ValueError(f"xi = {unified.xi:g} is no hyperboloid mirror: xi must be above 0 and below 1")
+    eps = (1 + math.sqrt(1 - unified.xi**2)) / unified.xi
+    s = (eps * eps + 1) / (eps * eps - 1)
+    lens = lens or Lens()
+    return Sensor(
+        mirror=Mirror(a_m=a_m, b_m=a_m * math.sqrt(eps * eps - 1)),
+        camera=Camera(
+            width_px=width_px,
+            height_px=height_px,
+            focal_px=unified.gamma_u_px * s,
+            aspect=unified.gamma_v_px / unified.gamma_u_px,
+            cx_px=unified.cx_px,
+            cy_px=unified.cy_px,
+        ),
+        lens=Lens(k1=lens.k1 * s**2, k2=lens.k2 * s**4, p1=lens.p1 * s, p2=lens.p2 * s, k3=lens.k3 * s**6),
+        field=field or FieldOfView(),
+    )
+
+
+def project_unified(unified: Unified, directions: ArrayLike) -> Array:
+    """Pixels `[..., 2]` of directions `[..., 3]`: `rho = gamma sin(theta)/(cos(theta) + xi)`, theta from -z. No lens."""
+    d = np.asarray(directions, dtype=np.float64)
+    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+    m = d[..., :2] / (unified.xi - d[..., 2:])
+    return m * [unified.gamma_u_px, unified.gamma_v_px] + [unified.cx_px, unified.cy_px]
+
+
+def unproject_unified(unified: Unified, pixels: ArrayLike) -> Array:
+    """Unit directions `[..., 3]` of pixels `[..., 2]`: `k = (xi + sqrt(1 + (1 - xi²) r²))/(r² + 1)`, d = (kx, ky, xi - k). No lens."""
+    m = (np.asarray(pixels, dtype=np.float64) - [unified.cx_px, unified.cy_px]) / [
+        unified.gamma_u_px,
+        unified.gamma_v_px,
+    ]
+    r2 = np.sum(m * m, axis=-1)
+    k = (unified.xi + np.sqrt(1 + (1 - unified.xi**2) * r2)) / (r2 + 1)
+    return np.concatenate([k[..., None] * m, (unified.xi - k)[..., None]], axis=-1)

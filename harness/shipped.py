@@ -1,0 +1,47 @@
+"""Where the scenes and experiments that come with the program lie."""
+
+from pathlib import Path
+from typing import Literal
+
+from harness.errors import InputError
+
+Kind = Literal["scenes", "experiments"]
+
+_PACKAGE = Path(__file__).parent
+
+
+def folder(kind: Kind) -> Path:
+    """The folder of shipped scenes or experiments: inside an installed package, beside it in a checkout."""
+    installed = _PACKAGE / "_shipped" / kind
+    return installed if installed.is_dir() else _PACKAGE.parent / kind
+
+
+def names(kind: Kind) -> list[str]:
+    """The names that can be given instead of a path, in alphabetical order."""
+    return sorted(path.stem for path in folder(kind).glob("*.toml"))
+
+
+def find(kind: Kind, name_or_path: str, *, relative_to: Path | None = None) -> Path:
+    """The TOML file that a name or a path means.
+
+    A word without a slash or an ending is a shipped name; anything else is a path, relative to
+    `relative_to` (the folder of the file that names it) or to the working directory.
+
+    Raises
+    ------
+    InputError
+        When there is no such file; the message lists the shipped names.
+    """
+    if "/" not in name_or_path and "\\" not in name_or_path and not name_or_path.endswith(".toml"):
+        path = folder(kind) / f"{name_or_path}.toml"
+    else:
+        path = Path(name_or_path).expanduser()
+        if not path.is_absolute() and relative_to is not None:
+            path = relative_to / path
+    if not path.is_file():
+        known = ", ".join(names(kind))
+        raise InputError(
+            f"no such {kind[:-1]}; give the path of a TOML file or one of the shipped names: {known}",
+            file=name_or_path,
+        )
+    return path
