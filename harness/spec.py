@@ -1,19 +1,25 @@
 """Specifications: small, frozen, hashable, JSON-able records read from TOML, and what is said when one is wrong."""
 
 import difflib
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from harness.errors import InputError
 
-Vector3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+
+Place = tuple[int | str, ...]
+"""Keys and list indices that lead to a value."""
 
 
 class Spec(BaseModel):
@@ -57,13 +63,15 @@ def parse(model: type[S], table: Mapping[str, Any], *, file: str | Path | None =
     InputError
         One line that names the file, the key and what would be right; the first problem only.
     """
+    given = dict(table) if isinstance(table, Mapping) else table
     try:
-        return model.model_validate(dict(table))
+        spec = model.model_validate(given)
     except ValidationError as error:
-        first = error.errors()[0]
-        location = _location(first["loc"])
-        dotted = ".".join(str(part) for part in ([key] if key else []) + location)
-        raise InputError(_explain(model, first, location), file=file, key=dotted or None) from error
+        place, text = _explain([_locate(model, each) for each in error.errors()])
+        raise InputError(text, file=file, key=_dotted(place, key)) from error
+    for place, text in _coerced(given, spec.model_dump()):
+        raise InputError(text, file=file, key=_dotted(place, key))
+    return spec
 
 
 def load(model: type[S], path: Path) -> S:
@@ -72,8 +80,17 @@ def load(model: type[S], path: Path) -> S:
 
 
 def dump_toml(spec: Spec) -> str:
-    """The TOML text of a specification, every default written out; `parse` reads it back to an equal one."""
+    """The TOML text of a specification, every default written out; `parse` reads it back to an equal one.
+
+    TOML has no null: a None is left out, so only a key that is None by default may hold it.
+    """
     return tomli_w.dumps(_without_none(spec.model_dump(mode="json")))
+
+
+def nearest(word: str, choices: Sequence[str]) -> str:
+    """A hint that ends a message: the nearest valid word, or all of them."""
+    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.5)
+    return f"did you mean '{close[0]}'?" if close else f"valid: {', '.join(choices) or 'none'}"
 
 
 def _without_none(value: Any) -> Any:
@@ -84,61 +101,189 @@ def _without_none(value: Any) -> Any:
     return value
 
 
-def _location(loc: Sequence[int | str]) -> list[int | str]:
-    # pydantic puts the names of validators and union members ("function-after[...]", "box") into the location.
-    return [part for part in loc if not (isinstance(part, str) and "[" in part)]
+def _dotted(place: Place, start: str = "") -> str | None:
+    """A place as one would write it: `objects[1].texture.kind`, keys that TOML would quote in quotes."""
+    text = start
+    for part in place:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            name = part if re.fullmatch(r"[\w-]+", part) else f'"{part}"'
+            text += f".{name}" if text else name
+    return text or None
 
 
-def nearest(word: str, choices: Sequence[str]) -> str:
-    """A hint that ends a message: the nearest valid word, or all of them."""
-    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.5)
-    return f"did you mean '{close[0]}'?" if close else f"valid: {', '.join(choices)}"
+# --- What pydantic complains of, in the words of someone who writes TOML ------------------------------------------
 
 
-def _explain(model: type[BaseModel], error: Any, location: list[int | str]) -> str:
-    kind, given = error["type"], error.get("input")
+@dataclass(frozen=True)
+class _Problem:
+    error: Any
+    """pydantic's `ErrorDetails`."""
+    place: Place
+    """Where in the file: `loc` without the names of union members."""
+    parents: list[Any]
+    """The annotations that the value around it may have."""
+    members: list[Any]
+    """The annotations that the value itself may have."""
+    fork: int | None
+    """How far into `place` a union without a tag stands, if one was on the way: pydantic tries all its members."""
+
+
+def _locate(model: type[BaseModel], error: Any) -> _Problem:
+    # pydantic's location mixes keys of the file with names of union members ("box", "list[float]"), so it can
+    # only be read with the types beside it.
+    place: list[int | str] = []
+    here: list[Any] = [model]
+    parents = here
+    fork = None
+    member_is_next = False
+    for part in error["loc"]:
+        if member_is_next:
+            tagged = [each for each in here if part in _tags(each)]
+            named = [each for each in here if getattr(each, "__name__", "?") in str(part)]
+            fork = len(place) if not tagged and fork is None else fork
+            here, member_is_next = tagged or named or here, False
+        else:
+            place.append(part)
+            parents, here = here, [each for parent in here for each in _inside(parent, part)]
+            member_is_next = len(here) > 1
+    return _Problem(error, tuple(place), parents, here, fork)
+
+
+def _explain(problems: list[_Problem]) -> tuple[Place, str]:
+    # A misspelt key often leaves another one missing: the misspelling is the thing to say.
+    problem = min(problems, key=lambda each: each.error["type"] != "extra_forbidden")
+    if problem.fork is not None:
+        stem = problem.place[: problem.fork]
+        tried = [each for each in problems if each.fork == problem.fork and each.place[: each.fork] == stem]
+        deepest = max(tried, key=lambda each: len(each.place))
+        if len(deepest.place) > problem.fork:  # the member that got furthest is the one that was meant
+            problem = deepest
+        else:
+            expected = dict.fromkeys(_expected(each) for each in tried)
+            return stem, f"must be {' or '.join(expected)}; found {_shown(problem.error['input'])}"
+    return _describe(problem)
+
+
+def _describe(problem: _Problem) -> tuple[Place, str]:
+    error, place = problem.error, problem.place
+    kind, given, context = error["type"], error.get("input"), error.get("ctx", {})
     if kind == "extra_forbidden":
-        word = str(location[-1])
-        return f"unknown key '{word}'; {nearest(word, _fields_at(model, location[:-1]))}"
+        word = str(place[-1])
+        valid = sorted({name for each in problem.parents for name in getattr(each, "model_fields", ())})
+        return place, f"unknown key '{word}'; {nearest(word, valid)}"
+    if kind == "missing" and isinstance(place[-1], int):
+        wanted = max(len(get_args(each)) for each in problem.parents)
+        return place[:-1], f"must be a list of {wanted}; found a list of {len(given)}"
     if kind == "missing":
-        return "this key is missing"
+        return place, "this key is missing"
     if kind == "union_tag_not_found":
-        return f"the key {error['ctx']['discriminator']} is missing"
+        tag = context["discriminator"].strip("'")
+        valid = sorted({str(word) for each in problem.members for word in _tags(each, tag)})
+        return (*place, tag), f"this key is missing; valid: {', '.join(valid)}"
     if kind == "union_tag_invalid":
-        valid = [tag.strip().strip("'") for tag in error["ctx"]["expected_tags"].split(",")]
-        return f"unknown {error['ctx']['discriminator']} '{error['ctx']['tag']}'; {nearest(str(error['ctx']['tag']), valid)}"
+        tag, word = context["discriminator"].strip("'"), str(context["tag"])
+        return (*place, tag), f"unknown {tag} '{word}'; {nearest(word, _words(context['expected_tags']))}"
     if kind == "literal_error" and isinstance(given, str):
-        valid = [word.strip("' ") for word in error["ctx"]["expected"].replace(" or ", ", ").split(",")]
-        return f"'{given}' is not valid; {nearest(given, valid)}"
-    message = str(error["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
-    message = message[0].lower() + message[1:]
-    if kind == "value_error" or isinstance(given, dict | list | BaseModel):
-        return message
-    return f"{message}; found {given!r}"
+        return place, f"'{given}' is not valid; {nearest(given, _words(context['expected']))}"
+    if kind in ("value_error", "assertion_error"):
+        return place, str(context["error"])
+    return place, f"must be {_expected(problem)}; found {_shown(given)}"
 
 
-def _fields_at(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
-    """Names of the keys allowed at a place in a specification, through lists, options and tagged unions."""
-    candidates: list[type[BaseModel]] = [model]
-    for part in location:
-        found: list[type[BaseModel]] = []
-        for candidate in candidates:
-            if isinstance(part, str) and part in candidate.model_fields:
-                found += _models_in(candidate.model_fields[part].annotation)
-            elif isinstance(part, str) and part in _tags(candidate):
-                found.append(candidate)
-            elif isinstance(part, int):
-                found.append(candidate)
-        candidates = found or candidates
-    return sorted({name for candidate in candidates for name in candidate.model_fields})
+_EXPECTED = {
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "at most {le:g}",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "dict_type": "a table",
+    "literal_error": "{expected}",
+    "too_long": "a list of at most {max_length}",
+    "too_short": "a list of at least {min_length}",
+}
 
 
-def _tags(model: type[BaseModel]) -> set[str]:
-    field = model.model_fields.get("kind")
-    return set(get_args(field.annotation)) if field is not None else set()
+def _expected(problem: _Problem) -> str:
+    error = problem.error
+    if error["type"] in _EXPECTED:
+        return _EXPECTED[error["type"]].format(**error.get("ctx", {}))
+    return str(error["msg"]).removeprefix("Input should be ")
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    return repr(value)
+
+
+def _coerced(given: Any, taken: Any, place: Place = ()) -> Iterator[tuple[Place, str]]:
+    """Values that pydantic would let pass for another type: `"3"` for a number, `true` for 1, 1 for `true`.
+
+    Its own strict mode would refuse lists too, which are the only way to write a tuple in TOML.
+    """
+    if isinstance(given, Mapping) and isinstance(taken, Mapping):
+        for name in given:
+            if name in taken:
+                yield from _coerced(given[name], taken[name], (*place, name))
+    elif isinstance(given, list | tuple) and isinstance(taken, list | tuple):
+        for i, (one, other) in enumerate(zip(given, taken, strict=False)):
+            yield from _coerced(one, other, (*place, i))
+    elif isinstance(taken, bool | int | float) and (
+        isinstance(given, str) or isinstance(given, bool) != isinstance(taken, bool)
+    ):
+        word = {bool: "true or false", int: "a whole number", float: "a number"}[type(taken)]
+        yield place, f"must be {word}; found {_shown(given)}"
+
+
+def _words(quoted: str) -> list[str]:
+    """The words in pydantic's "'one', 'two' or 'three'"."""
+    return re.findall(r"'([^']*)'", quoted)
+
+
+def _inside(annotation: Any, part: int | str) -> list[Any]:
+    """What may stand at a key or an index of a value of this type, the members of a union one by one."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for argument in get_args(annotation) for model in _models_in(argument)]
+        field = annotation.model_fields.get(str(part))
+        return [] if field is None else _members(field.annotation)
+    arguments = get_args(annotation)
+    if not arguments:
+        return []
+    if get_origin(annotation) is tuple and isinstance(part, int) and arguments[-1] is not ...:
+        return _members(arguments[part]) if part < len(arguments) else []
+    is_table = isinstance(get_origin(annotation), type) and issubclass(get_origin(annotation), Mapping)
+    return _members(arguments[1] if is_table else arguments[0])
+
+
+def _members(annotation: Any) -> list[Any]:
+    if get_origin(annotation) is Annotated:
+        return _members(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [each for member in get_args(annotation) for each in _members(member) if each is not type(None)]
+    return [annotation]
+
+
+def _tags(annotation: Any, name: str | None = None) -> set[Any]:
+    """The values of the literal keys of a specification, or of one of them: one is the tag that pydantic sees."""
+    fields = getattr(annotation, "model_fields", {})
+    literals = [
+        f.annotation for key, f in fields.items() if name in (None, key) and get_origin(f.annotation) is Literal
+    ]
+    return {tag for literal in literals for tag in get_args(literal)}
