@@ -1,0 +1,117 @@
+"""What rays from one viewpoint hit, exactly.
+
+Embree finds the triangle in float32; the point is then computed, and the triangle confirmed, in float64. What remains
+of float32 is which surface a ray within about 1e-7 of an occluder's outline meets.
+"""
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from harness.camera.angles import Array
+from harness.errors import InputError
+from harness.simulation._kernels import verify_hits
+from harness.simulation.geometry import Geometry, Ints
+
+_CHUNK = 1 << 15
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The first surface along each ray."""
+
+    triangle: Ints
+    """`[...]`: index into the geometry's triangles, -1 where the ray meets nothing (open scenes only)."""
+    range_m: Array
+    """`[...]`: metres along the ray; NaN where it meets nothing."""
+
+
+def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, threads: int | None = None) -> Hits:
+    """The first surface along each ray from a viewpoint.
+
+    Parameters
+    ----------
+    viewpoint
+        `[3]`, metres, in the world.
+    directions
+        `[..., 3]`, unit length, in the world.
+    threads
+        All available CPUs when not given. The result does not depend on it.
+
+    Raises
+    ------
+    InputError
+        When a ray escapes from a scene that is declared closed.
+    ValueError
+        When a direction is not of unit length.
+    """
+    directions = np.asarray(directions, dtype=np.float64)
+    flat = np.ascontiguousarray(directions.reshape(-1, 3))
+    if not np.allclose(np.einsum("ij,ij->i", flat, flat), 1.0, rtol=0, atol=1e-9):
+        raise ValueError("directions must be of unit length: a range is measured along them")
+    origin = np.asarray(viewpoint, dtype=np.float64)
+    triangle = np.empty(len(flat), dtype=np.int32)
+    range_m = np.empty(len(flat))
+
+    def work(start: int) -> None:
+        part = slice(start, start + _CHUNK)
+        triangle[part] = nearest_triangles(geometry, origin, flat[part].astype(np.float32))
+        # In a closed scene a miss is Embree's slip through a crack; many misses are a hole, not worth a search.
+        few_misses = np.count_nonzero(triangle[part] < 0) <= 100
+        verify_hits(
+            geometry.corners,
+            geometry.normals,
+            geometry.offsets,
+            geometry.face_of_triangle,
+            origin,
+            flat[part],
+            geometry.closed and few_misses,
+            triangle[part],
+            range_m[part],
+        )
+
+    in_threads(work, range(0, len(flat), _CHUNK), threads)
+    refuse_escapes(geometry, origin, flat, triangle)
+    return Hits(triangle.reshape(directions.shape[:-1]), range_m.reshape(directions.shape[:-1]))
+
+
+def nearest_triangles(geometry: Geometry, origin: Array, directions: NDArray[np.float32]) -> Ints:
+    """Embree's answer `[n]` for directions `[n, 3]` of any length, unverified; -1 for a miss."""
+    origins = np.broadcast_to(origin.astype(np.float32), directions.shape)
+    return np.asarray(geometry.embree.run(origins, directions), dtype=np.int32)
+
+
+def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, triangle: Ints) -> None:
+    """Raise InputError when the scene is closed and any ray has no triangle."""
+    escaped = np.flatnonzero(triangle < 0)
+    if geometry.closed and escaped.size:
+        d = np.asarray(directions)[escaped[0]]
+        raise InputError(
+            f"{escaped.size} of {triangle.size} rays escape, one from ({origin[0]:g}, {origin[1]:g}, {origin[2]:g}) m "
+            f"in direction ({d[0]:.4f}, {d[1]:.4f}, {d[2]:.4f}): close the scene or set closed = false",
+            file=geometry.name,
+        )
+
+
+def available_cpus() -> int:
+    """CPUs that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def in_threads(work: Callable[[int], None], items: Iterable[int], threads: int | None) -> None:
+    """Do independent pieces of work, which release the GIL, on some threads; all available CPUs when None."""
+    count = threads or available_cpus()
+    items = list(items)
+    if count == 1 or len(items) <= 1:
+        for item in items:
+            work(item)
+        return
+    with ThreadPoolExecutor(count) as pool:
+        for future in [pool.submit(work, item) for item in items]:
+            future.result()

@@ -1,0 +1,317 @@
+"""A scene as arrays: triangles for Embree, and the planar faces that they belong to.
+
+A *face* is a connected coplanar group of triangles with one affine texture map: a side of a box, a rectangle, or a
+single triangle of a mesh. From a given viewpoint a face's texture coordinates are a homography of the direction,
+which is what lets the renderer shade a ray without tracing it (see `homographies`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import ArrayLike, NDArray
+
+from harness.camera.angles import Array
+from harness.camera.pose import Pose
+from harness.errors import InputError
+from harness.simulation.mesh_file import read_mesh
+from harness.simulation.scene import BOX_SIDES, Box, Mesh, Plane, Scene
+from harness.simulation.texture import Texels, texels_of
+
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Solid:
+    """The watertight surface of an object that no view may be inside."""
+
+    name: str
+    corners: Array
+    """`[triangles, 3, 3]`, metres."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What is traced and shaded; all arrays are read-only, lengths in metres, in the world's frame."""
+
+    name: str
+    closed: bool
+    background_grey: float
+    corners: Array
+    """Triangles `[triangles, 3, 3]`."""
+    face_of_triangle: Ints
+    """`[triangles]`."""
+    normals: Array
+    """Unit normal `[faces, 3]` of each face's plane, on either side."""
+    offsets: Array
+    """`[faces]`: the plane is `normal · p = offset`."""
+    uv_maps: Array
+    """`[faces, 2, 4]`: texture coordinates `(u, v) = uv_map @ (x, y, z, 1)`, in repetitions."""
+    texture_of_face: Ints
+    """`[faces]`."""
+    object_of_face: Ints
+    """`[faces]`: index into the scene's objects."""
+    textures: tuple[Texels, ...]
+    textureless: np.ndarray
+    """`[textures]`, bool: the texture is one grey everywhere."""
+    edges: Array
+    """`[edges, 2, 3]`: end points of the edges at which a face ends."""
+    bounds: Array
+    """`[2, 3]`: lowest and highest corner."""
+    solids: tuple[Solid, ...]
+    embree: Any
+    """The triangles as an Embree scene, float32; hits are triangle indices."""
+
+
+@dataclass(frozen=True)
+class _Patch:
+    """Faces that share a texture."""
+
+    corners: Array
+    uv: Array
+    face: NDArray[np.int64]
+    texels: Texels
+
+
+@lru_cache(maxsize=8)
+def geometry_of(scene: Scene) -> Geometry:
+    """The triangles, faces and edges of a scene; kept, so that views of one scene share the build.
+
+    Raises
+    ------
+    InputError
+        When a mesh or texture file is wrong.
+    """
+    patches: list[_Patch] = []
+    object_of_patch: list[int] = []
+    solids: list[Solid] = []
+    for index, thing in enumerate(scene.objects):
+        own = [_placed(patch, thing.pose, scene.scale) for patch in _patches(thing)]
+        patches += own
+        object_of_patch += [index] * len(own)
+        corners = np.concatenate([patch.corners for patch in own])
+        if not isinstance(thing, Plane) and not thing.inward and _is_watertight(corners):
+            solids.append(Solid(name=thing.name or f"object {index} ({thing.kind})", corners=corners))
+    return _assemble(scene, patches, object_of_patch, tuple(solids))
+
+
+def _assemble(scene: Scene, patches: list[_Patch], object_of_patch: list[int], solids: tuple[Solid, ...]) -> Geometry:
+    corners = np.concatenate([patch.corners for patch in patches])
+    uv = np.concatenate([patch.uv for patch in patches])
+    faces_before = np.cumsum([0] + [patch.face.max() + 1 for patch in patches])
+    face = np.concatenate([patch.face + n for patch, n in zip(patches, faces_before, strict=False)])
+    patch_of_face = np.repeat(np.arange(len(patches)), np.diff(faces_before))
+
+    _, first = np.unique(face, return_index=True)
+    normals, offsets, uv_maps = _planes(corners[first], uv[first])
+    textures = tuple(patch.texels for patch in patches)
+    triangles = _indexed(corners)
+    edges = _face_edges(triangles, face)
+    vertices = np.empty((triangles.max() + 1, 3))
+    vertices[triangles] = corners
+    arrays = {
+        "corners": corners,
+        "face_of_triangle": face.astype(np.int32),
+        "normals": normals,
+        "offsets": offsets,
+        "uv_maps": uv_maps,
+        "texture_of_face": patch_of_face.astype(np.int32),
+        "object_of_face": np.asarray(object_of_patch, dtype=np.int32)[patch_of_face],
+        "textureless": np.array([np.ptp(texels) == 0 for texels in textures]),
+        "edges": vertices[edges],
+        "bounds": np.stack([vertices.min(axis=0), vertices.max(axis=0)]),
+    }
+    for array in arrays.values():
+        array.flags.writeable = False
+    embree = EmbreeScene(robust=True)
+    TriangleMesh(embree, vertices.astype(np.float32), triangles)
+    return Geometry(
+        name=scene.name,
+        closed=scene.closed,
+        background_grey=scene.background_grey,
+        textures=textures,
+        solids=solids,
+        embree=embree,
+        **arrays,
+    )
+
+
+def homographies(geometry: Geometry, viewpoint: ArrayLike) -> Array:
+    """For each face the matrix H `[faces, 3, 3]` with `(u w, v w, w) = H @ direction`, seen from a viewpoint.
+
+    With the plane n · p = h, a ray c + s d meets it at s = (h - n · c)/(n · d); the texture coordinate a · p + b
+    there is ((a · c + b) n + (h - n · c) a) · d / (n · d). The direction, in the world's frame, need not be of
+    unit length.
+    """
+    c = np.asarray(viewpoint, dtype=np.float64)
+    n, h = geometry.normals, geometry.offsets
+    a, b = geometry.uv_maps[..., :3], geometry.uv_maps[..., 3]
+    at_viewpoint = a @ c + b
+    distance = h - n @ c
+    uv_rows = at_viewpoint[..., None] * n[:, None, :] + distance[:, None, None] * a
+    return np.concatenate([uv_rows, n[:, None, :]], axis=1)
+
+
+def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
+    """Refuse a viewpoint from which there is nothing sensible to see.
+
+    Raises
+    ------
+    InputError
+        When it is outside the bounds of a closed scene, or inside a solid object.
+    """
+    p = np.asarray(viewpoint, dtype=np.float64)
+    where = f"({p[0]:g}, {p[1]:g}, {p[2]:g}) m"
+    low, high = geometry.bounds
+    if geometry.closed and not ((p > low) & (p < high)).all():
+        box = ", ".join(f"{axis} {a:g} .. {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
+        raise InputError(f"the view at {where} is outside the scene; place it within {box} m", file=geometry.name)
+    for solid in geometry.solids:
+        if _encloses(solid.corners, p):
+            raise InputError(
+                f"the view at {where} is inside '{solid.name}'; place it outside, or set inward = true for a room",
+                file=geometry.name,
+            )
+
+
+def _patches(thing: Box | Plane | Mesh) -> list[_Patch]:
+    if isinstance(thing, Box):
+        return list(_box_patches(thing))
+    if isinstance(thing, Plane):
+        width, height = thing.size_m
+        corner = np.array([-width / 2, -height / 2, 0.0])
+        return [_rectangle(corner, np.array([width, 0, 0]), np.array([0, height, 0]), thing.texture)]
+    return list(_mesh_patches(thing))
+
+
+def _box_patches(box: Box) -> Iterator[_Patch]:
+    """Six rectangles. On an upright side u runs level and v up; on bottom and top u runs along x and v along y."""
+    a, b, c = box.size_m
+    x, y, z = np.diag([a, b, c]).astype(np.float64)
+    origin = np.array([-a / 2, -b / 2, 0.0])
+    spans = {
+        "x_min": (origin, y, z),
+        "x_max": (origin + x, y, z),
+        "y_min": (origin, x, z),
+        "y_max": (origin + y, x, z),
+        "bottom": (origin, x, y),
+        "top": (origin + z, x, y),
+    }
+    for side in BOX_SIDES:
+        yield _rectangle(*spans[side], box.texture_of(side))
+
+
+def _rectangle(corner: Array, along_u: Array, along_v: Array, texture: Any) -> _Patch:
+    texels = texels_of(texture)
+    height, width = texels.shape
+    reach = np.array([np.linalg.norm(along_u), np.linalg.norm(along_v) * width / height]) / texture.tile_m
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+    points = corner + square[:, :1] * along_u + square[:, 1:] * along_v
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    return _Patch(corners=points[halves], uv=(square * reach)[halves], face=np.zeros(2, np.int64), texels=texels)
+
+
+def _mesh_patches(mesh: Mesh) -> Iterator[_Patch]:
+    for part in read_mesh(Path(mesh.file)):
+        # Triangles without area are never hit and have no plane.
+        area = np.linalg.norm(_cross_of_edges(part.corners), axis=-1)
+        solid = area > 1e-14 * np.ptp(part.corners.reshape(-1, 3), axis=0).max() ** 2
+        if not solid.any():
+            raise InputError("has no triangle with an area; repair the mesh", file=mesh.file)
+        corners = part.corners[solid] * mesh.scale
+        face = np.arange(len(corners))
+        if mesh.texture is not None:
+            texels = texels_of(mesh.texture)
+            yield _Patch(corners, _projected_uv(corners, texels, mesh.texture.tile_m), face, texels)
+        elif part.uv is None or part.texels is None:
+            missing = "texture coordinates" if part.uv is None else "texture image"
+            raise InputError(f"has no {missing}; give the object a texture in the scene", file=mesh.file)
+        else:
+            yield _Patch(corners, part.uv[solid], face, part.texels)
+
+
+def _projected_uv(corners: Array, texels: Texels, tile_m: float) -> Array:
+    """Texture coordinates by projection along the axis nearest to each triangle's normal; v is up on upright ones."""
+    axis = np.argmax(np.abs(_cross_of_edges(corners)), axis=-1)
+    u_and_v = np.array([[1, 2], [0, 2], [0, 1]])[axis]
+    height, width = texels.shape
+    flat = np.take_along_axis(corners, u_and_v[:, None, :], axis=2)
+    return np.asarray(flat * [1.0, width / height] / tile_m)
+
+
+def _placed(patch: _Patch, pose: Pose, scale: float) -> _Patch:
+    corners = (patch.corners @ pose.R_world_from_view.T + pose.position_m) * scale
+    return _Patch(corners=corners, uv=patch.uv, face=patch.face, texels=patch.texels)
+
+
+def _cross_of_edges(corners: Array) -> Array:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def _planes(corners: Array, uv: Array) -> tuple[Array, Array, Array]:
+    """Unit normals, offsets and affine texture maps of the planes of triangles."""
+    p, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    cross = np.cross(e1, e2)
+    area2 = np.linalg.norm(cross, axis=-1, keepdims=True)
+    normals = cross / area2
+    # The basis dual to (e1, e2) in the plane: gradient of u = du_1 e1' + du_2 e2'.
+    dual_1, dual_2 = np.cross(e2, normals) / area2, np.cross(normals, e1) / area2
+    du = uv[:, 1:] - uv[:, :1]
+    gradient = du[:, 0, :, None] * dual_1[:, None, :] + du[:, 1, :, None] * dual_2[:, None, :]
+    constant = uv[:, 0] - np.einsum("fij,fj->fi", gradient, p)
+    return (
+        normals,
+        np.sum(normals * p, axis=-1),
+        np.concatenate([gradient, constant[..., None]], axis=-1),
+    )
+
+
+def _indexed(corners: Array) -> Ints:
+    """Vertex index `[triangles, 3]`: corners at the same place are one vertex, so that Embree sees no cracks."""
+    _, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return index.reshape(-1, 3).astype(np.int32)
+
+
+def _sides(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Sides of triangles as sorted vertex pairs: the distinct ones `[n, 2]`, the index of each, and how often
+    each occurs.
+    """
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
+    key = pairs[:, 0] * (int(triangles.max()) + 1) + pairs[:, 1]
+    _, first, index, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    return pairs[first], index, count
+
+
+def _face_edges(triangles: Ints, face: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Vertex pairs `[edges, 2]` of the sides that are not shared by two triangles of one face."""
+    pairs, index, count = _sides(triangles)
+    face_of_side = np.repeat(face, 3)
+    lowest = np.full(len(pairs), np.iinfo(np.int64).max)
+    highest = np.full(len(pairs), -1)
+    np.minimum.at(lowest, index, face_of_side)
+    np.maximum.at(highest, index, face_of_side)
+    return pairs[(lowest != highest) | (count != 2)]
+
+
+def _is_watertight(corners: Array) -> bool:
+    return bool((_sides(_indexed(corners))[2] == 2).all())
+
+
+def _encloses(corners: Array, p: Array) -> bool:
+    """Whether a watertight surface goes round a point: its signed solid angle is then ±4 pi, otherwise 0.
+
+    Solid angle of a triangle: A. van Oosterom and J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125.
+    """
+    vertices = corners.reshape(-1, 3)
+    if not ((p > vertices.min(axis=0)) & (p < vertices.max(axis=0))).all():
+        return False
+    a, b, c = np.moveaxis(corners - p, 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    triple = np.sum(a * np.cross(b, c), axis=-1)
+    dots = np.sum(a * b, axis=-1) * lc + np.sum(b * c, axis=-1) * la + np.sum(c * a, axis=-1) * lb
+    return bool(abs(2 * np.arctan2(triple, la * lb * lc + dots).sum()) > 2 * np.pi)

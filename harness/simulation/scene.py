@@ -1,0 +1,168 @@
+"""A scene: objects, their textures and where they stand, read from TOML.
+
+Lengths are metres; the world is right-handed with z up. Everything is frozen and hashable, and round-trips
+through TOML.
+"""
+
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from harness import shipped
+from harness.camera.pose import Pose
+from harness.errors import InputError
+from harness.simulation.texture import Grey, ImageTexture, Texture
+from harness.spec import Finite, Positive, Spec, parse, read_toml
+
+Point = tuple[Finite, Finite, Finite]
+BOX_SIDES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
+
+
+class _Placed(Spec):
+    """An object's own frame in the world: rotated by yaw about z, then pitch about y, then roll about x, then
+    moved.
+    """
+
+    name: str = ""
+    position_m: Point = (0.0, 0.0, 0.0)
+    yaw_deg: Finite = 0.0
+    pitch_deg: Finite = 0.0
+    roll_deg: Finite = 0.0
+
+    @property
+    def pose(self) -> Pose:
+        """The object's frame as a pose."""
+        return Pose(
+            position_m=self.position_m,
+            yaw_deg=self.yaw_deg,
+            pitch_deg=self.pitch_deg,
+            roll_deg=self.roll_deg,
+        )
+
+
+class Box(_Placed):
+    """A cuboid; `position_m` is the middle of its bottom.
+
+    A solid thing, which no view may be inside, unless `inward`: then it is a room, seen from within.
+    A side's texture is the first given of: its own (`x_min` ... `top`), `sides` for the four upright ones, `texture`.
+    """
+
+    kind: Literal["box"]
+    size_m: tuple[Positive, Positive, Positive]
+    inward: bool = False
+    texture: Texture | None = None
+    sides: Texture | None = None
+    x_min: Texture | None = None
+    x_max: Texture | None = None
+    y_min: Texture | None = None
+    y_max: Texture | None = None
+    bottom: Texture | None = None
+    top: Texture | None = None
+
+    def texture_of(self, side: str) -> Texture | None:
+        """The texture of one of `BOX_SIDES`."""
+        upright = None if side in {"bottom", "top"} else self.sides
+        own: Texture | None = getattr(self, side)
+        return own or upright or self.texture
+
+    @model_validator(mode="after")
+    def _covered(self) -> "Box":
+        for side in BOX_SIDES:
+            if self.texture_of(side) is None:
+                raise ValueError(f"the box's {side} has no texture; give {side}, or texture for all sides")
+        return self
+
+
+class Plane(_Placed):
+    """A rectangle in its own x-y plane about `position_m`, seen from both sides."""
+
+    kind: Literal["plane"]
+    size_m: tuple[Positive, Positive]
+    texture: Texture
+
+
+class Mesh(_Placed):
+    """Triangles of a GLB, OBJ or PLY file with its own UV texture.
+
+    glTF has y up and is turned so that z is; other formats are taken as z up. A `texture` replaces the file's and is
+    laid on by projection along the axis nearest to each triangle's normal, in the mesh's own frame and size: it
+    needs no UV. A watertight mesh is a solid thing, which no view may be inside, unless `inward`.
+    """
+
+    kind: Literal["mesh"]
+    file: str
+    scale: Positive = 1.0
+    inward: bool = False
+    texture: Texture | None = None
+
+
+SceneObject = Annotated[Box | Plane | Mesh, Field(discriminator="kind")]
+
+
+class Scene(Spec):
+    """A world to look at.
+
+    In a `closed` scene every ray hits something, and one that escapes is an error; an open scene shows
+    `background_grey` there. `scale` enlarges everything about the origin, textures too.
+    """
+
+    name: str
+    description: str = ""
+    closed: bool = True
+    background_grey: Grey = 0.0
+    scale: Positive = 1.0
+    objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
+
+
+def load_scene(name_or_path: str) -> Scene:
+    """Read a scene: a shipped name or the path of a TOML file.
+
+    Paths of meshes and images are relative to the scene's file, and absolute in what is returned.
+
+    Raises
+    ------
+    InputError
+        Names the file, the key and what would be right.
+    """
+    path = shipped.find("scenes", name_or_path)
+    table = _with_absolute_files(read_toml(path), path, "")
+    return parse(Scene, table, file=path)
+
+
+def assets(scene: Scene) -> tuple[Path, ...]:
+    """The files of meshes and images that the scene is made of, sorted."""
+    return tuple(sorted(set(_files(scene))))
+
+
+def _files(spec: Any) -> Iterator[Path]:
+    if isinstance(spec, Mesh | ImageTexture):
+        yield Path(spec.file)
+    if isinstance(spec, Spec):
+        for field in type(spec).model_fields:
+            yield from _files(getattr(spec, field))
+    elif isinstance(spec, tuple):
+        for item in spec:
+            yield from _files(item)
+
+
+def _with_absolute_files(value: Any, scene_path: Path, key: str) -> Any:
+    if isinstance(value, dict):
+        return {k: _with_absolute_files(v, scene_path, f"{key}.{k}" if key else k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_with_absolute_files(v, scene_path, f"{key}.{i}") for i, v in enumerate(value)]
+    if isinstance(value, str) and key.rpartition(".")[2] == "file":
+        return str(_existing(value, scene_path, key))
+    return value
+
+
+def _existing(file: str, scene_path: Path, key: str) -> Path:
+    path = (scene_path.parent / Path(file).expanduser()).resolve()
+    if not path.is_file():
+        siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+        close = difflib.get_close_matches(path.name, siblings, n=1, cutoff=0.5)
+        hint = f"did you mean '{Path(file).with_name(close[0])}'?" if close else f"looked for {path}"
+        raise InputError(f"no such file '{file}'; {hint}", file=scene_path, key=key)
+    return path

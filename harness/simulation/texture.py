@@ -1,0 +1,164 @@
+"""Textures: what a surface looks like, in grey levels 0 .. 255.
+
+A texture is a tile that repeats; its texture coordinates (u, v) count repetitions, v upwards, and (0, 0) is the
+lower left corner of the lower left texel. Between the texels' centres, at (i + 0.5)/n, the grey is bilinear.
+Colours become luma (ITU-R BT.601, 0.299 R + 0.587 G + 0.114 B): matching is grey.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from harness.errors import InputError
+from harness.spec import Positive, Spec
+
+Texels = NDArray[np.float32]
+Grey = Annotated[float, Field(ge=0, le=255)]
+
+
+class ImageTexture(Spec):
+    """An image file, `tile_m` wide; its height follows from its shape."""
+
+    kind: Literal["image"]
+    file: str
+    tile_m: Positive
+
+    def texels(self) -> Texels:
+        """Grey `[height, width]`, row 0 at the top."""
+        return read_image(Path(self.file))
+
+
+class BundledTexture(Spec):
+    """One of the photographs that come with scikit-image (public domain, 512 x 512), `tile_m` wide."""
+
+    kind: Literal["bundled"]
+    name: Literal["brick", "grass", "gravel"]
+    tile_m: Positive
+
+    def texels(self) -> Texels:
+        """Grey `[height, width]`, row 0 at the top."""
+        from skimage import data
+
+        return np.asarray(getattr(data, self.name)(), dtype=np.float32)
+
+
+class NoiseTexture(Spec):
+    """Seeded noise whose spectrum is flat between two wavelengths and zero elsewhere; it tiles without a seam.
+
+    `contrast` is the standard deviation in grey levels before the few values outside 0 .. 255 are cut off.
+    """
+
+    kind: Literal["noise"]
+    seed: Annotated[int, Field(ge=0)]
+    tile_m: Positive
+    shortest_m: Positive
+    longest_m: Positive
+    mean: Grey = 128.0
+    contrast: Annotated[float, Field(gt=0, le=128)] = 40.0
+    size_px: Annotated[int, Field(ge=8, le=4096)] = 512
+
+    @model_validator(mode="after")
+    def _band_fits(self) -> "NoiseTexture":
+        nyquist = 2 * self.tile_m / self.size_px
+        if not nyquist <= self.shortest_m < self.longest_m <= self.tile_m:
+            raise ValueError(
+                f"the wavelengths must satisfy {nyquist:g} (two texels) <= shortest_m < longest_m "
+                f"<= {self.tile_m:g} (tile_m)"
+            )
+        return self
+
+    def texels(self) -> Texels:
+        """Grey `[size_px, size_px]`."""
+        white = np.random.default_rng(self.seed).standard_normal((self.size_px, self.size_px))
+        cycles = np.fft.fftfreq(self.size_px, 1 / self.size_px)
+        per_metre = np.hypot(cycles[:, None], cycles[None, :]) / self.tile_m
+        band = (per_metre >= 1 / self.longest_m) & (per_metre <= 1 / self.shortest_m)
+        noise = np.fft.ifft2(np.fft.fft2(white) * band).real
+        return np.clip(self.mean + self.contrast * noise / noise.std(), 0, 255).astype(np.float32)
+
+
+class GreyTexture(Spec):
+    """One grey everywhere: a surface on which nothing can be matched."""
+
+    kind: Literal["grey"]
+    value: Grey
+
+    @property
+    def tile_m(self) -> float:
+        """Any size will do."""
+        return 1.0
+
+    def texels(self) -> Texels:
+        """Grey `[1, 1]`."""
+        return np.full((1, 1), self.value, dtype=np.float32)
+
+
+Texture = Annotated[
+    ImageTexture | BundledTexture | NoiseTexture | GreyTexture,
+    Field(discriminator="kind"),
+]
+
+
+@lru_cache(maxsize=64)
+def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture) -> Texels:
+    """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, kept.
+
+    Raises
+    ------
+    InputError
+        When an image file cannot be read.
+    """
+    texels = texture.texels()
+    texels.flags.writeable = False
+    return texels
+
+
+def read_image(path: Path) -> Texels:
+    """Luma `[height, width]` in 0 .. 255 of an image file.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or is not an image.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return luma(image)
+    except FileNotFoundError:
+        raise InputError("no such image", file=path) from None
+    except (OSError, ValueError, SyntaxError) as error:
+        raise InputError("cannot be read as an image; give a PNG or JPEG file", file=path) from error
+
+
+def luma(image: "Image.Image") -> Texels:  # type: ignore[name-defined]  # noqa: F821
+    """Luma `[height, width]` in 0 .. 255 of a Pillow image; 16-bit greys are scaled, transparency is ignored."""
+    if image.mode.startswith("I;16"):
+        return np.asarray(image, dtype=np.float32) / np.float32(257)
+    if image.mode in {"L", "F"}:
+        return np.array(image, dtype=np.float32)
+    rgb = np.asarray(image.convert("RGB"), dtype=np.float32)
+    return np.asarray(rgb @ np.array([0.299, 0.587, 0.114], dtype=np.float32), dtype=np.float32)
+
+
+def lookup(texels: Texels, uv: ArrayLike) -> NDArray[np.float64]:
+    """Bilinear grey at texture coordinates `[..., 2]`, which wrap around.
+
+    This is the plain form of what the renderer's kernels do, kept as their reference.
+    """
+    height, width = texels.shape
+    uv = np.asarray(uv, dtype=np.float64)
+    column = uv[..., 0] * width - 0.5
+    row = (1 - uv[..., 1]) * height - 0.5
+    left, above = np.floor(column), np.floor(row)
+    right_weight, below_weight = column - left, row - above
+    i, j = left.astype(np.int64) % width, above.astype(np.int64) % height
+    i_next, j_next = (i + 1) % width, (j + 1) % height
+    upper = texels[j, i] * (1 - right_weight) + texels[j, i_next] * right_weight
+    lower = texels[j_next, i] * (1 - right_weight) + texels[j_next, i_next] * right_weight
+    return np.asarray(upper * (1 - below_weight) + lower * below_weight)
