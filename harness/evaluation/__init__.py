@@ -1,0 +1,1 @@
+"""Estimates against the truth: errors per pixel, and the figures that sum them up."""

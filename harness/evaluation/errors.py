@@ -1,0 +1,75 @@
+"""Errors per pixel, and the pixels on which they count."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.simulation.truth import Truth
+from harness.stereo.epipolar import Curves, angular_step
+from harness.stereo.ranging import exact_alpha_2, sensitivity_to_alpha_2
+
+MIN_SINE_ALPHA_1 = 0.5
+"""Directions nearer than 30° to the baseline are left out: there range answers to angle more than twice as strongly."""
+
+_WALL = 0.5
+"""A surface is a wall when its normal is more than 60° from the vertical."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The truth in the matcher's terms, on view 1's panorama `[height, width]`."""
+
+    domain: NDArray[np.bool_]
+    """Pixels that every figure is about: the truth is visible in both views and sin(alpha_1) >= 0.5."""
+    wall: NDArray[np.bool_]
+    """Pixels on steep surfaces; the rest of the domain is floor or ceiling."""
+    range_m: Array
+    alpha_1: Array
+    alpha_2: Array
+    """True angles to t in the epipolar plane, radians."""
+    law: Array
+    """|∂d_1/∂alpha_2| at the true angles, metres per radian."""
+    half_step: Array
+    """Half the distance in alpha_2 between neighbouring samples of the pixel's curve at the true match, radians."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Estimate minus truth on view 1's panorama; NaN where there is no estimate or no truth."""
+
+    alpha_2: Array
+    """Radians."""
+    disparity_px: Array
+    """The same in pixels of `2 pi / width`."""
+    range_m: Array
+
+
+def reference(truth: Truth, directions_v1: Array, curves: Curves) -> Reference:
+    """What the matches are compared with.
+
+    Parameters
+    ----------
+    truth
+        On view 1's panorama.
+    directions_v1
+        `[height, width, 3]`, unit vectors of the same pixels.
+    """
+    baseline = float(np.linalg.norm(curves.t))
+    alpha_2 = exact_alpha_2(truth.range_m[..., None] * directions_v1, curves.t)
+    return Reference(
+        domain=truth.visible & (np.sin(curves.alpha_1) >= MIN_SINE_ALPHA_1),
+        wall=np.abs(np.nan_to_num(truth.normal[..., 2], nan=1.0)) < _WALL,
+        range_m=truth.range_m,
+        alpha_1=curves.alpha_1,
+        alpha_2=alpha_2,
+        law=np.abs(sensitivity_to_alpha_2(curves.alpha_1, alpha_2, baseline)),
+        half_step=angular_step(curves, alpha_2) / 2,
+    )
+
+
+def errors(alpha_2: Array, range_m: Array, truth: Reference, phi_pitch: float) -> Errors:
+    """Errors of estimated angles and ranges; `phi_pitch` is one pixel of disparity in radians."""
+    angle = alpha_2 - truth.alpha_2
+    return Errors(alpha_2=angle, disparity_px=angle / phi_pitch, range_m=range_m - truth.range_m)

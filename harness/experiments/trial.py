@@ -1,0 +1,194 @@
+"""One trial: the pipeline on one screen, from the scene to the error.
+
+What trials share is computed once: the results of the stages are kept by the settings that they depend on.
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array, normalise
+from harness.camera.pose import Pose
+from harness.camera.sensor import in_field
+from harness.evaluation.errors import Errors, Reference, errors, reference
+from harness.evaluation.metrics import Measures, measure
+from harness.experiments.spec import Trial
+from harness.simulation.render import render
+from harness.simulation.truth import Truth, truth
+from harness.stereo.filter import laplacian_of_gaussian
+from harness.stereo.matching.window import Matches, Reason, WholePixelMatches, match, match_whole_pixels
+from harness.stereo.panorama import Panorama, cylinder, unwrap
+from harness.stereo.ranging import triangulate
+
+Observer = Callable[[str], None]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All that a trial made. Arrays are on view 1's panorama unless they are said to be images."""
+
+    trial: Trial
+    images: tuple[NDArray[np.float32], NDArray[np.float32]]
+    """The mirror images of both views."""
+    panoramas: tuple[Panorama, Panorama]
+    """Both in v1's orientation."""
+    filtered: tuple[Panorama, Panorama]
+    truth: Truth
+    whole: WholePixelMatches
+    matches: Matches
+    range_m: Array
+    """Estimated range from view 1; NaN where `reason` is not `Reason.MATCHED`."""
+    reason: NDArray[np.uint8]
+    """`Reason`: why there is no range."""
+    reference: Reference
+    errors: Errors
+    seconds: dict[str, float]
+    """Wall time of each stage, in the order of the pipeline."""
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Pixels with an estimate of the range."""
+        return np.isfinite(self.range_m)
+
+    def measures(self, domain: NDArray[np.bool_]) -> Measures:
+        """The figures of this trial over some pixels."""
+        return measure(domain, self.valid, self.errors)
+
+
+def run_trial(trial: Trial, kept: "Kept | None" = None, observe: Observer = lambda stage: None) -> Outcome:
+    """Run the whole pipeline with one set of settings.
+
+    Parameters
+    ----------
+    kept
+        Results of stages to share with other trials; the outcome does not depend on it.
+    observe
+        Called with the name of each stage as it begins.
+
+    Raises
+    ------
+    InputError
+        When the scene cannot be seen from where the views stand.
+    """
+    kept = kept or Kept()
+    clock = _Clock(observe)
+    motion, grid = trial.motion, trial.panorama
+    poses = (trial.view_1, trial.pose_2)
+    # A stage's key: the settings that its result depends on, which are those of the stages before it and its own.
+    pictured = [(trial.scene, trial.sensor, pose, trial.render) for pose in poses]
+    unwrapped = [(key, grid, trial.unwrap, turned) for key, turned in zip(pictured, _turns(poses), strict=True)]
+    filtered = [(key, trial.filter) for key in unwrapped]
+    searched = (*filtered, poses, trial.matching.model_copy(update={"subpixel": "none"}))
+
+    with clock("render"):
+        images = [
+            kept.get("render", key, lambda pose=pose: render(trial.scene, trial.sensor, pose, trial.render.samples))
+            for key, pose in zip(pictured, poses, strict=True)
+        ]
+    with clock("truth"):
+        directions = normalise(cylinder(grid))
+        seen = kept.get(
+            "truth",
+            (trial.scene, trial.sensor, poses, grid),
+            lambda: truth(
+                trial.scene,
+                trial.view_1,
+                directions,
+                in_field(trial.sensor, directions),
+                pose_2=trial.pose_2,
+                sensor_2=trial.sensor,
+            ),
+        )
+    with clock("unwrap"):
+        rotations = (np.eye(3), motion.R_v2_from_v1)
+        panoramas = [
+            kept.get(
+                "unwrap",
+                key,
+                lambda image=image, R=R: unwrap(
+                    image, trial.sensor, grid, R_sensor_from_panorama=R, interpolation=trial.unwrap.interpolation
+                ),
+            )
+            for key, image, R in zip(unwrapped, images, rotations, strict=True)
+        ]
+    with clock("filter"):
+        answers = [
+            kept.get("filter", key, lambda image=image: laplacian_of_gaussian(image, trial.filter.log_sigma_px))
+            for key, image in zip(filtered, panoramas, strict=True)
+        ]
+    with clock("match"):
+        whole = kept.get(
+            "match", searched, lambda: match_whole_pixels(answers[0], answers[1], motion.t_v1, trial.matching)
+        )
+    with clock("sub-pixel"):
+        matches = match(whole, trial.matching)
+    with clock("range"):
+        range_m, _ = triangulate(whole.curves.alpha_1, matches.alpha_2, motion.baseline_m)
+        lost = np.isnan(range_m) & (matches.reason == Reason.MATCHED)
+        reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reason)
+    with clock("score"):
+        expected = reference(seen, directions, whole.curves)
+        found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
+    return Outcome(
+        trial=trial,
+        images=(images[0], images[1]),
+        panoramas=(panoramas[0], panoramas[1]),
+        filtered=(answers[0], answers[1]),
+        truth=seen,
+        whole=whole,
+        matches=matches,
+        range_m=range_m,
+        reason=reason,
+        reference=expected,
+        errors=found,
+        seconds=clock.seconds,
+    )
+
+
+class Kept:
+    """The latest results of the stages, by the settings that each depends on.
+
+    Parameters
+    ----------
+    most
+        How many results of one stage are kept; the one not used for longest goes first.
+    """
+
+    def __init__(self, most: int = 8) -> None:
+        self._most = most
+        self._results: dict[str, OrderedDict[Hashable, Any]] = {}
+
+    def get(self, stage: str, key: Hashable, make: Callable[[], T]) -> T:
+        """The result of a stage with these settings, made if it is not there."""
+        results = self._results.setdefault(stage, OrderedDict())
+        if key not in results:
+            results[key] = make()
+            if len(results) > self._most:
+                results.popitem(last=False)
+        results.move_to_end(key)
+        return cast("T", results[key])
+
+
+class _Clock:
+    def __init__(self, observe: Observer) -> None:
+        self._observe = observe
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        self._observe(stage)
+        begin = time.perf_counter()
+        yield
+        self.seconds[stage] = time.perf_counter() - begin
+
+
+def _turns(poses: tuple[Pose, Pose]) -> tuple[Hashable, Hashable]:
+    """What the panoramas' orientations depend on: the first has its own, the second is turned back into the first's."""
+    return (), poses

@@ -1,0 +1,148 @@
+"""The virtual panoramic camera: mirror images re-projected onto the unit cylinder (section 2 of the paper)."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy import ndimage
+
+from harness.camera.angles import Array, cylinder_point
+from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.spec import Finite, Spec
+
+Interpolation = Literal["bilinear", "cubic"]
+
+
+class Grid(Spec):
+    """The cylinder's pixels, `[row = z, column = phi]`.
+
+    720x200 as in the paper, which leaves the z range open. By default the pixels are square at the horizon
+    ((z_max - z_min)/200 = 2 pi/720) and the top row, 18.6°, is the highest whose cubic taps all lie inside the
+    default sensor's rim at 20°.
+    """
+
+    width_px: Annotated[int, Field(ge=16, le=16384)] = 720
+    height_px: Annotated[int, Field(ge=3, le=16384)] = 200
+    z_max: Finite = 0.34
+    z_min: Finite = -1.4053
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Grid":
+        if self.z_min >= self.z_max:
+            raise ValueError("z_min must be below z_max")
+        return self
+
+    @property
+    def phi_pitch(self) -> float:
+        """Width of a column in radians: one pixel of disparity."""
+        return 2 * np.pi / self.width_px
+
+    @property
+    def z_pitch(self) -> float:
+        """Height of a row on the unit cylinder, no unit."""
+        return (self.z_max - self.z_min) / self.height_px
+
+    @property
+    def phi(self) -> Array:
+        """Azimuth of the column centres `[width]`, radians, ascending from -pi."""
+        return -np.pi + (np.arange(self.width_px) + 0.5) * self.phi_pitch
+
+    @property
+    def z(self) -> Array:
+        """Height of the row centres `[height]` on the unit cylinder, row 0 at the top."""
+        return self.z_max - (np.arange(self.height_px) + 0.5) * self.z_pitch
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.height_px, self.width_px
+
+
+@lru_cache(maxsize=8)
+def cylinder(grid: Grid) -> Array:
+    """Points `x = [cos phi, sin phi, z]` at the pixel centres `[height, width, 3]`; read-only, kept."""
+    points = cylinder_point(grid.phi[None, :], grid.z[:, None])
+    points.flags.writeable = False
+    return points
+
+
+@dataclass(frozen=True)
+class Panorama:
+    """An image on the cylinder."""
+
+    grid: Grid
+    values: NDArray[np.float32]
+    """`[height, width]`; grey levels, or a filter's answer. Finite everywhere, but meant only where `valid`."""
+    valid: NDArray[np.bool_]
+    """`[height, width]`: made only of pixels that the sensor sees."""
+
+
+def unwrap(
+    image: NDArray[np.float32],
+    sensor: Sensor,
+    grid: Grid,
+    *,
+    R_sensor_from_panorama: Array | None = None,
+    interpolation: Interpolation = "bilinear",
+) -> Panorama:
+    """Sample a mirror image on the unit cylinder.
+
+    Parameters
+    ----------
+    image
+        `[sensor height, sensor width]`, grey levels.
+    R_sensor_from_panorama
+        `[3, 3]`; turns a direction of the cylinder's frame into the sensor's. Given the rotation between the views, the
+        second panorama is made in the first one's orientation, and what is left between them is a pure translation.
+    interpolation
+        `bilinear`, or `cubic`: the interpolating cubic B-spline.
+
+    Raises
+    ------
+    ValueError
+        When the image has not the sensor's size.
+    """
+    camera = sensor.camera
+    if image.shape != (camera.height_px, camera.width_px):
+        raise ValueError(f"the image is {image.shape}, the sensor {(camera.height_px, camera.width_px)} (rows, columns)")
+    rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
+    pixels, in_view = _sampling_table(sensor, grid, rotation.tobytes())
+    seen = pixel_directions(sensor)[1]
+    order = {"bilinear": 1, "cubic": 3}[interpolation]
+    # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
+    source = image if order == 1 else _extend(image, seen)
+    coordinates = np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1)
+    values = ndimage.map_coordinates(source, coordinates, order=order, mode="nearest", output=np.float32)
+    valid = in_view & _all_taps_seen(seen, coordinates, order)
+    values.flags.writeable = False
+    valid.flags.writeable = False
+    return Panorama(grid, values, valid)
+
+
+@lru_cache(maxsize=16)
+def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
+    R = np.frombuffer(rotation).reshape(3, 3)
+    return project(sensor, cylinder(grid) @ R.T)
+
+
+def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
+    """Whether every pixel that an interpolation at `coordinates` (rows, columns) touches is seen by the sensor."""
+    first = np.floor(coordinates).astype(np.intp) - (order // 2)
+    result = np.ones(coordinates.shape[1:], dtype=bool)
+    for row in range(order + 1):
+        for column in range(order + 1):
+            v, u = first[0] + row, first[1] + column
+            inside = (v >= 0) & (v < seen.shape[0]) & (u >= 0) & (u < seen.shape[1])
+            # A tap with weight zero may lie outside: the last row and column of a bilinear sample at an integer.
+            weightless = ((coordinates[0] == v - 1) & (row == order == 1)) | ((coordinates[1] == u - 1) & (column == order == 1))
+            result &= weightless | (inside & seen[np.clip(v, 0, seen.shape[0] - 1), np.clip(u, 0, seen.shape[1] - 1)])
+    return result
+
+
+def _extend(image: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The image with every unseen pixel set to the nearest seen one."""
+    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    return np.asarray(image[rows, columns])
