@@ -162,8 +162,9 @@ def test_parabola_is_that_of_polyfit(costs, missing):
         a, b, _ = np.polyfit(x[given_], row[given_], 2)
         if abs(a) < 1e-3:
             continue  # a straight line to rounding: either answer is right
-        inside = a > 0 and x[given_].min() <= -b / (2 * a) <= x[given_].max()
-        edge = min(abs(-b / (2 * a) - x[given_].min()), abs(-b / (2 * a) - x[given_].max())) < 1e-6
+        least = -b / (2 * a)
+        inside = a > 0 and x[given_].min() <= least <= x[given_].max()
+        edge = min(abs(least - end) for end in (x[given_].min(), x[given_].max())) < 1e-6
         assert r == inside or edge
         if r and inside:
             assert o == pytest.approx(-b / (2 * a), abs=1e-6)  # polyfit's own rounding at curvatures of 1e-3

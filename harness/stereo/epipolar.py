@@ -40,9 +40,12 @@ class Curves:
     """`[height, width, 3]`, the unit vector in the epipolar plane at right angles to t, on x_1's side."""
     n: Array
     """`[height, width, 3]`, the epipolar plane's unit normal, `t × x_1` scaled."""
+    k_far: Array
+    k_near: Array
+    """`[height, width]`, samples, fractions: where a point at d_max and one at d_min would be."""
     k_first: NDArray[np.int32]
     k_last: NDArray[np.int32]
-    """`[height, width]`: the samples of the search interval, d_max to d_min; empty where k_last < k_first."""
+    """`[height, width]`: the whole samples between them; none where k_last < k_first."""
     defined: NDArray[np.bool_]
     """`[height, width]`: x_1 and t span a plane and the sampling can follow its curve."""
 
@@ -92,11 +95,10 @@ def epipolar_curves(
         step = sign * pitch
         near, far = sign * near_signed, sign * far_signed
     # The tolerance keeps a sample that lies on the end of the interval but for rounding.
-    with np.errstate(invalid="ignore"):
-        k_first = np.ceil(np.nan_to_num(far / pitch) - 1e-6).astype(np.int32)
-        k_last = np.floor(np.nan_to_num(near / pitch) + 1e-6).astype(np.int32)
-    k_last = np.where(defined, k_last, k_first - 1).astype(np.int32)
-    return Curves(grid, sampling, t, step, a_1, m, n, k_first, k_last, defined)
+    k_far, k_near = np.nan_to_num(far / pitch) - 1e-6, np.nan_to_num(near / pitch) + 1e-6
+    k_first = np.ceil(k_far).astype(np.int32)
+    k_last = np.where(defined, np.floor(k_near), k_first - 1).astype(np.int32)
+    return Curves(grid, sampling, t, step, a_1, m, n, k_far, k_near, k_first, k_last, defined)
 
 
 def alpha_2_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> Array:

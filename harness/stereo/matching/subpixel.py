@@ -9,7 +9,6 @@ from harness.camera.angles import Array
 
 Subpixel = Literal["none", "parabola"]
 
-
 def refine(costs: Array, method: Subpixel) -> tuple[Array, NDArray[np.bool_]]:
     """Offset of the minimum from the middle sample.
 
@@ -25,8 +24,8 @@ def refine(costs: Array, method: Subpixel) -> tuple[Array, NDArray[np.bool_]]:
     offset
         `[...]`, in samples; 0 where not refined.
     refined
-        `[...]`, bool: the fit has a minimum among the samples it was made from. A curve that opens downwards, or whose
-        minimum lies farther out, says nothing about the minimum; the whole sample then stands.
+        `[...]`, bool: the fit has a minimum among the samples it was made from. A parabola that opens downwards, or
+        whose minimum lies farther out, says nothing about where the cost is least; the whole sample then stands.
     """
     if method == "none":
         return np.zeros(costs.shape[:-1]), np.zeros(costs.shape[:-1], dtype=bool)

@@ -165,12 +165,15 @@ def match_whole_pixels(
 
 def match(whole: WholePixelMatches, matcher: WindowMatcher) -> Matches:
     """Apply the sub-pixel step and turn samples into angles."""
-    matched = whole.reason == Reason.MATCHED
+    curves, matched = whole.curves, whole.reason == Reason.MATCHED
     offset, refined = refine(whole.costs, matcher.subpixel)
-    k = np.where(matched, whole.k + offset, np.nan)
+    # Between d_max and d_min, as the search itself: finite limits keep every range finite.
+    k = whole.k + offset
+    refined &= matched & (k >= curves.k_far) & (k <= curves.k_near)
+    k = np.where(matched, np.where(refined, k, whole.k), np.nan)
     alpha_2 = np.full(k.shape, np.nan)
-    alpha_2[matched] = alpha_2_at(whole.curves, k[matched], (matched,))
-    return Matches(alpha_2=alpha_2, reason=whole.reason, refined=refined & matched, k=k)
+    alpha_2[matched] = alpha_2_at(curves, k[matched], (matched,))
+    return Matches(alpha_2=alpha_2, reason=whole.reason, refined=refined, k=k)
 
 
 def costs_along_curve(
