@@ -67,7 +67,10 @@ class Unwrapping(Spec):
 
 
 class Filter(Spec):
-    """The Laplacian of Gaussian. `log_sigma_px` 1.5 halves the errors of 1, whose answers the unwrapping interpolation disturbs; 0 for none."""
+    """The Laplacian of Gaussian; 0 for none.
+
+    At 1 px the noise of the unwrapping's interpolation makes the sub-pixel error on walls a fifth larger than at 1.5.
+    """
 
     log_sigma_px: Annotated[float, Field(ge=0, le=50)] = 1.5
 
