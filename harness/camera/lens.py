@@ -1,5 +1,7 @@
 """Brown-Conrady lens distortion of normalised image coordinates, and the radius up to which it can be undone."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -40,13 +42,15 @@ def distort(lens: Lens, points: ArrayLike) -> Array:
     )
 
 
+@lru_cache(maxsize=64)
 def fold_radius(lens: Lens) -> float:
     """The undistorted radius at which the distortion stops growing outwards, beyond which it has no inverse.
 
     The first zero of `d/dr [r + k1 r³ + k2 r⁵ + k3 r⁷]` less what the tangential part can take away
     (its slope is at most 6 hypot(p1, p2) r); infinite when there is none.
     """
-    slope = [7 * lens.k3, 0.0, 5 * lens.k2, 0.0, 3 * lens.k1, -6 * float(np.hypot(lens.p1, lens.p2)), 1.0]
-    roots = np.roots(np.trim_zeros(slope, "f"))
+    # In w = 1/r the polynomial is monic, so that coefficients next to nothing do no harm.
+    slope = [1.0, -6 * float(np.hypot(lens.p1, lens.p2)), 3 * lens.k1, 0.0, 5 * lens.k2, 0.0, 7 * lens.k3]
+    roots = np.roots(slope)
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
-    return float(real.min()) if real.size else float("inf")
+    return 1 / float(real.max()) if real.size else float("inf")
