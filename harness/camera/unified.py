@@ -2,8 +2,12 @@
 
 A direction on the unit sphere is seen by a pinhole at distance `xi` from the sphere's centre. A hyperboloid mirror
 is exactly this with `eps = e/a`: `xi = 2 eps/(1 + eps²)` and focal length `gamma = f (eps² - 1)/(1 + eps²)`.
-In this model's frame the camera looks along +Z, which is -z of ours, with Y turned over so that both frames are
-right-handed: (X, Y, Z) = (x, -y, -z) would mirror the image; with v down and our y towards +v, it is (x, y, -z).
+
+Frames. The functions here take directions in our frame. In OpenCV's and Kalibr's the sphere is seen along +Z, which is
+our -z, with X along u and Y along v as ours are: (X, Y, Z) = (x, y, -z). That turns one axis over, so it is no
+rotation but a mirroring: they treat as right-handed what is left-handed, because a picture in a mirror is itself
+reversed. `mirrored_frame` crosses over, both ways. A pose crosses as `R' = S R S`, `t' = S t` with S = diag(1, 1, -1),
+and R' is again a proper rotation; ranges, angles and baselines are the same on both sides.
 """
 
 import math
@@ -29,7 +33,7 @@ class Unified(Spec):
 
 
 def to_unified(sensor: Sensor) -> Unified:
-    """The unified model that projects as the mirror does. Its distortion coefficients are rescaled: see `unified_lens`."""
+    """The unified model that projects as the mirror does; its lens is written otherwise: see `unified_lens`."""
     eps = sensor.mirror.e_m / sensor.mirror.a_m
     scale = (eps * eps - 1) / (eps * eps + 1)
     camera = sensor.camera
@@ -43,9 +47,10 @@ def to_unified(sensor: Sensor) -> Unified:
 
 
 def unified_lens(sensor: Sensor) -> Lens:
-    """The lens as the unified model writes it: its normalised plane is larger by f/gamma, so k and p shrink by powers of that.
+    """The lens as the unified model writes it, whose normalised plane is larger by f/gamma.
 
-    With m = s x, s = f/gamma, `x' = x (1 + k1 r²) ` reads `m' = m (1 + (k1/s²) |m|²)`, and tangential terms scale by 1/s.
+    With m = s x, s = f/gamma, `x' = x (1 + k1 r²)` reads `m' = m (1 + (k1/s²) |m|²)`; a tangential term shrinks by 1/s.
+    OpenCV's omnidir has no k3.
     """
     s = sensor.camera.focal_px / to_unified(sensor).gamma_u_px
     lens = sensor.lens
@@ -95,20 +100,33 @@ def from_unified(
     )
 
 
+def mirrored_frame(vectors: ArrayLike) -> Array:
+    """Vectors `[..., 3]` of our frame in OpenCV's, or the other way: `(x, y, -z)`."""
+    return np.asarray(vectors, dtype=np.float64) * [1.0, 1.0, -1.0]
+
+
 def project_unified(unified: Unified, directions: ArrayLike) -> Array:
-    """Pixels `[..., 2]` of directions `[..., 3]`: `rho = gamma sin(theta)/(cos(theta) + xi)`, theta from -z. No lens."""
+    """Pixels `[..., 2]` of directions `[..., 3]` of our frame, no lens.
+
+    `rho = gamma sin(theta)/(cos(theta) + xi)`, theta measured from -z. NaN where two directions would share a pixel, or none would have it: `cos(theta) <= -min(xi, 1/xi)`.
+    """
     d = np.asarray(directions, dtype=np.float64)
     d = d / np.linalg.norm(d, axis=-1, keepdims=True)
-    m = d[..., :2] / (unified.xi - d[..., 2:])
+    seen = d[..., 2:] < min(unified.xi, 1 / unified.xi)
+    m = d[..., :2] / np.where(seen, unified.xi - d[..., 2:], np.nan)
     return m * [unified.gamma_u_px, unified.gamma_v_px] + [unified.cx_px, unified.cy_px]
 
 
 def unproject_unified(unified: Unified, pixels: ArrayLike) -> Array:
-    """Unit directions `[..., 3]` of pixels `[..., 2]`: `k = (xi + sqrt(1 + (1 - xi²) r²))/(r² + 1)`, d = (kx, ky, xi - k). No lens."""
+    """Unit directions `[..., 3]` in our frame of pixels `[..., 2]`, no lens: d = (k x, k y, xi - k).
+
+    `k = (xi + sqrt(1 + (1 - xi²) r²))/(r² + 1)`; NaN where xi > 1 leaves a pixel without a direction.
+    """
     m = (np.asarray(pixels, dtype=np.float64) - [unified.cx_px, unified.cy_px]) / [
         unified.gamma_u_px,
         unified.gamma_v_px,
     ]
     r2 = np.sum(m * m, axis=-1)
-    k = (unified.xi + np.sqrt(1 + (1 - unified.xi**2) * r2)) / (r2 + 1)
+    with np.errstate(invalid="ignore"):
+        k = (unified.xi + np.sqrt(1 + (1 - unified.xi**2) * r2)) / (r2 + 1)
     return np.concatenate([k[..., None] * m, (unified.xi - k)[..., None]], axis=-1)
