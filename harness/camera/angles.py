@@ -7,8 +7,12 @@ Array = NDArray[np.float64]
 
 
 def wrap_angle(angle: ArrayLike) -> Array:
-    """The same angle in [-pi, pi), in radians."""
-    return np.mod(np.asarray(angle, dtype=np.float64) + np.pi, 2 * np.pi) - np.pi
+    """The same angle in [-pi, pi), in radians; one that lies there already comes back to the last bit."""
+    angle = np.asarray(angle, dtype=np.float64)
+    wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
+    # Just below -pi the remainder rounds up to 2 pi itself.
+    wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
+    return np.where((angle >= -np.pi) & (angle < np.pi), angle, wrapped)
 
 
 def normalise(vectors: ArrayLike) -> Array:

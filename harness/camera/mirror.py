@@ -61,7 +61,7 @@ def point_on_mirror(mirror: Mirror, directions: ArrayLike) -> Array:
     """
     d = np.asarray(directions, dtype=np.float64)
     length = np.linalg.norm(d, axis=-1)
-    reach = mirror.a_m * length - mirror.e_m * d[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
+        reach = mirror.a_m * length - mirror.e_m * d[..., 2]
         scale = np.where(reach > 0, mirror.b_m**2 / reach, np.nan)
-    return scale[..., None] * d
+        return scale[..., None] * d

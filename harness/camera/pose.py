@@ -13,7 +13,7 @@ from harness.spec import Finite, Spec, Vector3
 class Pose(Spec):
     """A view in the world: right-handed, z up. The rotation is yaw about z, then pitch about y, then roll about x."""
 
-    position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    position_m: Vector3 = (0.0, 0.0, 0.0)
     yaw_deg: Finite = 0.0
     pitch_deg: Finite = 0.0
     roll_deg: Finite = 0.0

@@ -41,7 +41,7 @@ class FieldOfView(Spec):
     """The cone of directions that the sensor sees.
 
     Above `elevation_max_deg` the mirror ends: +20° puts its rim 238 px from the centre, just inside 480 rows. Below
-    `elevation_min_deg` the camera sees itself: a camera of 20 mm radius at F1, 73 mm below F0, hides what is lower than -75°.
+    `elevation_min_deg` the camera sees itself: one of 20 mm radius at F1, 73 mm below F0, hides what is under -75°.
     """
 
     elevation_min_deg: Finite = -75.0
@@ -129,7 +129,7 @@ def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
 def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
     """Direction from the effective viewpoint that a pixel sees.
 
-    Closed form but for the lens, which Newton's method undoes on its monotonic domain (see `_kernels`).
+    Closed form but for the lens, which Newton's method undoes within its fold (see `_kernels`).
 
     Parameters
     ----------
@@ -139,14 +139,16 @@ def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
     Returns
     -------
     directions
-        `[..., 3]`, unit length; NaN where the lens has no inverse.
+        `[..., 3]`, unit length; NaN where the lens has no inverse. Outside the field they go on smoothly, even where
+        the mirror does not.
     valid
         `[...]`, bool: inside the cone of the field (so neither beyond the rim nor in the blind disc), and on the image.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     flat = pixels.reshape(-1, 2)
     rays = rays_of(sensor, np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1]))
-    directions = (rays / np.sqrt(np.sum(rays * rays, axis=0))).T.reshape(*pixels.shape[:-1], 3)
+    with np.errstate(invalid="ignore"):
+        directions = (rays / np.sqrt(np.sum(rays * rays, axis=0))).T.reshape(*pixels.shape[:-1], 3)
     return directions, in_field(sensor, directions) & on_image(sensor, pixels)
 
 
@@ -176,18 +178,14 @@ def on_image(sensor: Sensor, pixels: ArrayLike) -> np.ndarray:
     """Whether pixel coordinates `[..., 2]` lie on the image, which spans -0.5 .. width - 0.5."""
     pixels = np.asarray(pixels, dtype=np.float64)
     u, v = pixels[..., 0], pixels[..., 1]
-    return (
-        (u >= -0.5) & (u <= sensor.camera.width_px - 0.5) & (v >= -0.5) & (v <= sensor.camera.height_px - 0.5)
-    )
+    return (u >= -0.5) & (u <= sensor.camera.width_px - 0.5) & (v >= -0.5) & (v <= sensor.camera.height_px - 0.5)
 
 
 @lru_cache(maxsize=8)
 def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
     """Unit direction `[height, width, 3]` and validity `[height, width]` of every pixel centre; read-only, kept."""
     camera = sensor.camera
-    u, v = np.meshgrid(
-        np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64)
-    )
+    u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
     directions, valid = unproject(sensor, np.stack([u, v], axis=-1))
     directions.flags.writeable = False
     valid.flags.writeable = False
