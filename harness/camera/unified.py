@@ -108,7 +108,8 @@ def mirrored_frame(vectors: ArrayLike) -> Array:
 def project_unified(unified: Unified, directions: ArrayLike) -> Array:
     """Pixels `[..., 2]` of directions `[..., 3]` of our frame, no lens.
 
-    `rho = gamma sin(theta)/(cos(theta) + xi)`, theta measured from -z. NaN where two directions would share a pixel, or none would have it: `cos(theta) <= -min(xi, 1/xi)`.
+    `rho = gamma sin(theta)/(cos(theta) + xi)`, theta measured from -z. NaN where two directions would share a pixel, or
+    none would have it: `cos(theta) <= -min(xi, 1/xi)`.
     """
     d = np.asarray(directions, dtype=np.float64)
     d = d / np.linalg.norm(d, axis=-1, keepdims=True)
