@@ -179,11 +179,12 @@ class _Progress:
 def _comparison(summary: dict[str, Any]) -> "Table":
     from rich.table import Table
 
-    table = Table(title=f"{summary['experiment']}: median absolute errors", title_justify="left")
-    table.add_column("pixels")
-    table.add_column("method")
-    for heading in ("density", "disparity [px]", "bad > 1 px", "range [mm]", "range RMSE [mm]", "range bias [mm]"):
-        table.add_column(heading, justify="right")
+    table = Table(title=f"{summary['experiment']}: errors over the pixels that both methods matched", title_justify="left")
+    table.add_column("pixels", no_wrap=True)
+    table.add_column("method", no_wrap=True)
+    headings = ("density", "disparity\nmedian px", "bad\n> 1 px", "range\nmedian mm", "range\nRMSE mm", "range\nbias mm")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
     for key, where in (("comparison_wall", "walls"), ("comparison", "all")):
         for method, m in summary[key].items():
             table.add_row(

@@ -128,7 +128,7 @@ def flipped_translation(monkeypatch):
     """The baseline points the wrong way: the paper's eq. 1 taken literally."""
     true_match = chain.match_whole_pixels
     monkeypatch.setattr(
-        chain, "match_whole_pixels", lambda first, second, t, matcher: true_match(first, second, -t, matcher)
+        chain, "match_whole_pixels", lambda first, second, t, matcher, **kw: true_match(first, second, -t, matcher, **kw)
     )
 
 

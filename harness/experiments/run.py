@@ -19,7 +19,7 @@ from harness.evaluation.metrics import Measures, measure
 from harness.experiments.files import make_folder, write
 from harness.experiments.spec import Experiment
 from harness.experiments.trial import Kept, Outcome, run_trial
-from harness.simulation.scene import assets
+from harness.simulation.fingerprint import fingerprint
 from harness.spec import dump_toml
 
 SCHEMA = 1
@@ -132,7 +132,7 @@ def _environment(experiment: Experiment) -> dict[str, Any]:
     return {
         "omnirange": harness.__version__,
         "source_sha256": source_hash(),
-        "scene_sha256": _scene_hash(experiment),
+        "scene_sha256": fingerprint(experiment.trial.scene),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -148,13 +148,6 @@ def source_hash() -> str:
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
-
-
-def _scene_hash(experiment: Experiment) -> str:
-    digest = hashlib.sha256(experiment.trial.scene.model_dump_json().encode())
-    for path in assets(experiment.trial.scene):
-        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

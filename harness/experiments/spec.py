@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,8 @@ from harness import shipped
 from harness.camera.pose import Motion, Pose, relative_motion, translated
 from harness.camera.sensor import Sensor, load_sensor
 from harness.errors import InputError
+from harness.simulation.fingerprint import fingerprint
+from harness.simulation.noise import generator
 from harness.simulation.scene import Scene, load_scene
 from harness.spec import Finite, Positive, Spec, parse, read_toml
 from harness.stereo.matching.window import WindowMatcher
@@ -60,6 +63,23 @@ class Rendering(Spec):
         return self
 
 
+class Noise(Spec):
+    """White Gaussian noise on the mirror images, in grey levels of 0 .. 255."""
+
+    sigma_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
+
+
+class Placement(Spec):
+    """What the seed draws of where the rig stands, so that a trial is not about one lucky place.
+
+    `offset_m`: both views are moved alike by up to this much along x, y and z, evenly. `random_yaw`: both views are
+    turned alike by any angle; the baseline keeps its direction in the world, and so takes any in the panorama.
+    """
+
+    offset_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    random_yaw: bool = False
+
+
 class Unwrapping(Spec):
     """How the mirror image becomes a panorama."""
 
@@ -82,26 +102,42 @@ class Trial(Spec):
     sensor: Sensor = Sensor()
     view_1: Pose = Pose(position_m=(0.0, 0.0, 1.0))
     view_2: SecondView = SecondView()
+    placement: Placement = Placement()
     render: Rendering = Rendering()
+    noise: Noise = Noise()
     panorama: Grid = Grid()
     unwrap: Unwrapping = Unwrapping()
     filter: Filter = Filter()
     matching: WindowMatcher = WindowMatcher()
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of all that is random: placement and noise."""
 
     @property
     def key(self) -> str:
-        """Twelve hexadecimal digits that name these settings."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:12]
+        """Sixteen hexadecimal digits that name these settings, on any machine: a scene counts by its contents."""
+        settings = self.model_dump(mode="json") | {"scene": fingerprint(self.scene)}
+        return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
-    def pose_2(self) -> Pose:
-        """Where the second view stands."""
-        return self.view_2.pose(self.view_1)
+    def poses(self) -> tuple[Pose, Pose]:
+        """Where both views stand, with what the seed draws."""
+        view_2 = self.view_2.pose(self.view_1)
+        place = self.placement
+        if place.offset_m == 0 and not place.random_yaw:
+            return self.view_1, view_2
+        draws = generator(self.seed, "placement", fingerprint(self.scene))
+        x, y, z = (place.offset_m * draws.uniform(-1, 1, 3)).tolist()
+        yaw_deg = float(draws.uniform(0, 360)) if place.random_yaw else 0.0
+        first, second = (
+            translated(view, (x, y, z)).model_copy(update={"yaw_deg": view.yaw_deg + yaw_deg})
+            for view in (self.view_1, view_2)
+        )
+        return first, second
 
     @property
     def motion(self) -> Motion:
         """From view 1 to view 2."""
-        return relative_motion(self.view_1, self.pose_2)
+        return relative_motion(*self.poses)
 
 
 class Experiment(Spec):

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array, normalise
-from harness.camera.pose import Pose
 from harness.camera.sensor import in_field
 from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
 from harness.experiments.spec import Trial
+from harness.simulation.fingerprint import fingerprint
+from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.truth import Truth, truth
 from harness.stereo.filter import laplacian_of_gaussian
@@ -36,7 +37,7 @@ class Outcome:
 
     trial: Trial
     images: tuple[NDArray[np.float32], NDArray[np.float32]]
-    """The mirror images of both views."""
+    """The mirror images of both views, with their noise."""
     panoramas: tuple[Panorama, Panorama]
     """Both in v1's orientation."""
     filtered: tuple[Panorama, Panorama]
@@ -62,7 +63,13 @@ class Outcome:
         return measure(domain, self.valid, self.errors)
 
 
-def run_trial(trial: Trial, kept: "Kept | None" = None, observe: Observer = lambda stage: None) -> Outcome:
+def run_trial(
+    trial: Trial,
+    kept: "Kept | None" = None,
+    observe: Observer = lambda stage: None,
+    *,
+    threads: int | None = None,
+) -> Outcome:
     """Run the whole pipeline with one set of settings.
 
     Parameters
@@ -71,6 +78,8 @@ def run_trial(trial: Trial, kept: "Kept | None" = None, observe: Observer = lamb
         Results of stages to share with other trials; the outcome does not depend on it.
     observe
         Called with the name of each stage as it begins.
+    threads
+        Of one trial; all available CPUs when None. No figure depends on it.
 
     Raises
     ------
@@ -79,31 +88,51 @@ def run_trial(trial: Trial, kept: "Kept | None" = None, observe: Observer = lamb
     """
     kept = kept or Kept()
     clock = _Clock(observe)
-    motion, grid = trial.motion, trial.panorama
-    poses = (trial.view_1, trial.pose_2)
+    motion, grid, poses = trial.motion, trial.panorama, trial.poses
     # A stage's key: the settings that its result depends on, which are those of the stages before it and its own.
-    pictured = [(trial.scene, trial.sensor, pose, trial.render) for pose in poses]
-    unwrapped = [(key, grid, trial.unwrap, turned) for key, turned in zip(pictured, _turns(poses), strict=True)]
+    scene = fingerprint(trial.scene)
+    pictured = [(scene, trial.sensor, pose, trial.render) for pose in poses]
+    taken = [(key, trial.noise, trial.noise.sigma_grey and (trial.seed, view)) for view, key in enumerate(pictured)]
+    unwrapped = [(key, grid, trial.unwrap, turned) for key, turned in zip(taken, ((), poses), strict=True)]
     filtered = [(key, trial.filter) for key in unwrapped]
     searched = (*filtered, poses, trial.matching.model_copy(update={"subpixel": "none"}))
 
     with clock("render"):
-        images = [
-            kept.get("render", key, lambda pose=pose: render(trial.scene, trial.sensor, pose, trial.render.samples))
+        pictures = [
+            kept.get(
+                "render",
+                key,
+                lambda pose=pose: render(trial.scene, trial.sensor, pose, trial.render.samples, threads),
+            )
             for key, pose in zip(pictured, poses, strict=True)
+        ]
+    with clock("noise"):
+        images = [
+            kept.get(
+                "noise",
+                key,
+                lambda picture=picture, view=view: with_noise(
+                    picture,
+                    trial.sensor,
+                    trial.noise.sigma_grey,
+                    generator(trial.seed, "noise", scene, trial.sensor.model_dump_json(), f"view {view + 1}"),
+                ),
+            )
+            for view, (key, picture) in enumerate(zip(taken, pictures, strict=True))
         ]
     with clock("truth"):
         directions = normalise(cylinder(grid))
         seen = kept.get(
             "truth",
-            (trial.scene, trial.sensor, poses, grid),
+            (scene, trial.sensor, poses, grid),
             lambda: truth(
                 trial.scene,
-                trial.view_1,
+                poses[0],
                 directions,
                 in_field(trial.sensor, directions),
-                pose_2=trial.pose_2,
+                pose_2=poses[1],
                 sensor_2=trial.sensor,
+                threads=threads,
             ),
         )
     with clock("unwrap"):
@@ -125,7 +154,9 @@ def run_trial(trial: Trial, kept: "Kept | None" = None, observe: Observer = lamb
         ]
     with clock("match"):
         whole = kept.get(
-            "match", searched, lambda: match_whole_pixels(answers[0], answers[1], motion.t_v1, trial.matching)
+            "match",
+            searched,
+            lambda: match_whole_pixels(answers[0], answers[1], motion.t_v1, trial.matching, threads=threads),
         )
     with clock("sub-pixel"):
         matches = match(whole, trial.matching)
@@ -188,7 +219,3 @@ class _Clock:
         yield
         self.seconds[stage] = time.perf_counter() - begin
 
-
-def _turns(poses: tuple[Pose, Pose]) -> tuple[Hashable, Hashable]:
-    """What the panoramas' orientations depend on: the first has its own, the second is turned back into the first's."""
-    return (), poses
