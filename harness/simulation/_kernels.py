@@ -2,12 +2,15 @@
 
 import math
 
+import numpy as np
 from numba import njit
 
 TRACE = -2
 """In the map of pixel faces: the pixel must be traced sample by sample. -1 is the background."""
 INVALID = -3
 """In the map of pixel faces: outside the sensor's field."""
+REACH = 0.3
+"""Pixels around an edge's sample that the edge may pass through before the next sample, with a margin."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -55,6 +58,24 @@ def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def face_maps(normals, offsets, uv_maps, viewpoint, rotation, out):
+    """Write the homographies `out [faces, 3, 3]` of `harness.simulation.geometry.homographies`."""
+    cx, cy, cz = viewpoint
+    for f in range(normals.shape[0]):
+        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+        distance = offsets[f] - (nx * cx + ny * cy + nz * cz)
+        for row in range(3):
+            if row < 2:
+                ax, ay, az = uv_maps[f, row, 0], uv_maps[f, row, 1], uv_maps[f, row, 2]
+                here = ax * cx + ay * cy + az * cz + uv_maps[f, row, 3]
+                x, y, z = here * nx + distance * ax, here * ny + distance * ay, here * nz + distance * az
+            else:
+                x, y, z = nx, ny, nz
+            for column in range(3):
+                out[f, row, column] = x * rotation[0, column] + y * rotation[1, column] + z * rotation[2, column]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def rotate_rays(rays, rotation, out):
     """World directions `out [n, 3]`, float32, of rays `[3, n]` in the sensor's frame."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -69,10 +90,11 @@ def rotate_rays(rays, rotation, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mark_edges(edges, viewpoint, rotation, sensor, step, marks):
-    """Set `marks [height, width]` in the 3x3 pixels around every point of every edge.
+    """Set `marks [height, width]` in every pixel that an edge may pass through.
 
-    An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than one
-    pixel, and each sample is projected as `harness.camera.sensor.project` does it.
+    An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than half a
+    pixel, so that every point of it is within a quarter of a pixel of a sample; a sample marks all pixels within
+    0.3 of it, its own and often a neighbour. Points are projected as `harness.camera.sensor.project` does it.
     """
     a, b, e, fu, fv, cu, cv, k1, k2, p1, p2, k3, fold = sensor
     height, width = marks.shape
@@ -85,17 +107,26 @@ def mark_edges(edges, viewpoint, rotation, sensor, step, marks):
         qx = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
         qy = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
         qz = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
-        length = math.sqrt(px * px + py * py + pz * pz)
-        px, py, pz = px / length, py / length, pz / length
-        along = px * qx + py * qy + pz * qz
-        qx, qy, qz = qx - along * px, qy - along * py, qz - along * pz
-        across = math.sqrt(qx * qx + qy * qy + qz * qz)
-        if across > 0.0:
+        p, q = math.sqrt(px * px + py * py + pz * pz), math.sqrt(qx * qx + qy * qy + qz * qz)
+        if p == 0.0 or q == 0.0:
+            continue
+        px, py, pz, qx, qy, qz = px / p, py / p, pz / p, qx / q, qy / q, qz / q
+        mx, my, mz = px + qx, py + qy, pz + qz
+        m = math.sqrt(mx * mx + my * my + mz * mz)
+        if 4.0 - m * m < step * step:
+            # The chord is 2 sin(angle/2) and m is 2 cos(angle/2): a short arc, as in any fine mesh. Its middle
+            # will do.
+            samples, c, s, cosine, sine = 1, 1.0, 0.0, 1.0, 0.0
+            px, py, pz = mx / m, my / m, mz / m
+        else:
+            along = px * qx + py * qy + pz * qz
+            qx, qy, qz = qx - along * px, qy - along * py, qz - along * pz
+            across = math.sqrt(qx * qx + qy * qy + qz * qz)
             qx, qy, qz = qx / across, qy / across, qz / across
-        angle = math.atan2(across, along)
-        samples = max(1, math.ceil(angle / step))
-        cosine, sine = math.cos(angle / samples), math.sin(angle / samples)
-        c, s = math.cos(0.5 * angle / samples), math.sin(0.5 * angle / samples)
+            angle = math.atan2(across, along)
+            samples = math.ceil(angle / step)
+            cosine, sine = math.cos(angle / samples), math.sin(angle / samples)
+            c, s = math.cos(0.5 * angle / samples), math.sin(0.5 * angle / samples)
         for _ in range(samples):
             dx, dy, dz = c * px + s * qx, c * py + s * qy, c * pz + s * qz
             c, s = c * cosine - s * sine, s * cosine + c * sine
@@ -113,9 +144,10 @@ def mark_edges(edges, viewpoint, rotation, sensor, step, marks):
             v = fv * (y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)) + cv
             if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
                 continue
-            column, row = math.floor(u + 0.5), math.floor(v + 0.5)
-            for i in range(max(0, row - 1), min(height, row + 2)):
-                for j in range(max(0, column - 1), min(width, column + 2)):
+            top, bottom = math.floor(v + 0.5 - REACH), math.floor(v + 0.5 + REACH)
+            left, right = math.floor(u + 0.5 - REACH), math.floor(u + 0.5 + REACH)
+            for i in range(max(0, top), min(height, bottom + 1)):
+                for j in range(max(0, left), min(width, right + 1)):
                     marks[i, j] = True
 
 
@@ -137,49 +169,100 @@ def classify_pixels(corner_face, valid, marks, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def subsample_positions(rows, columns, per_side, u, v):
-    """Write the sample positions of pixels: a regular per_side x per_side grid inside each, all of a pixel
-    together.
+def sample_positions(pixels, width, offsets, u, v):
+    """Write the sample positions of pixels, all of a pixel together: a regular grid with the given offsets
+    either way.
+
+    `pixels` are flat indices into an image of this width.
     """
     k = 0
-    for i in range(rows.size):
-        for a in range(per_side):
-            for b in range(per_side):
-                u[k] = columns[i] + ((b + 0.5) / per_side - 0.5)
-                v[k] = rows[i] + ((a + 0.5) / per_side - 0.5)
+    for i in range(pixels.size):
+        row, column = pixels[i] // width, pixels[i] % width
+        for a in range(offsets.size):
+            for b in range(offsets.size):
+                u[k] = column + offsets[b]
+                v[k] = row + offsets[a]
                 k += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_place, background, out):
-    """Write the mean grey of each pixel's samples.
+def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_place, background, pixels, image):
+    """Write the mean grey of each pixel's samples into the flat `image`.
 
-    Parameters are `rays [3, pixels * samples]` in the sensor's frame; `face_of_sample`, one for each ray or one
-    for each pixel; `H [faces, 3, 3]` that maps the ray to (u w, v w, w), with u and v measured from the first
-    texel's centre and v down; `texels`, all textures laid end to end, each with its first two rows and columns
-    repeated after the last so that a bilinear lookup needs no wrapping; and `texture_place [textures, 3]`,
-    start, height and width of each.
+    `rays [3, pixels * samples]` are in the sensor's frame. `face_of_sample` has an entry for each ray, or one
+    for each pixel. `H [faces, 3, 3]` maps a ray to (u w, v w, w), with u and v in repetitions from the first
+    texel's centre and v down. `texels` are all textures laid end to end, each with its first two rows and
+    columns repeated after the last so that a bilinear lookup needs no wrapping; `texture_place [textures, 3]` is
+    the start, height and width of each.
+
+    Runs of samples on one face go through three loops without branches, which the compiler makes vector instructions
+    of; the last one adds in a fixed order.
     """
-    per_pixel = face_of_sample.size == out.size
-    for i in range(out.size):
-        total = 0.0
-        for k in range(i * samples, (i + 1) * samples):
-            face = face_of_sample[i] if per_pixel else face_of_sample[k]
+    one_face = face_of_sample.size == pixels.size
+    corner = np.empty(samples, dtype=np.int32)
+    right_weight = np.empty(samples)
+    below_weight = np.empty(samples)
+    grey = np.empty(samples)
+    for i in range(pixels.size):
+        first = 0
+        while first < samples:
+            face = face_of_sample[i] if one_face else face_of_sample[i * samples + first]
+            last = samples if one_face else first + 1
+            while last < samples and face_of_sample[i * samples + last] == face:
+                last += 1
             if face < 0:
-                total += background
+                grey[first:last] = background
+                first = last
                 continue
-            x, y, z = rays[0, k], rays[1, k], rays[2, k]
-            inverse = 1.0 / (H[face, 2, 0] * x + H[face, 2, 1] * y + H[face, 2, 2] * z)
-            u = (H[face, 0, 0] * x + H[face, 0, 1] * y + H[face, 0, 2] * z) * inverse
-            v = (H[face, 1, 0] * x + H[face, 1, 1] * y + H[face, 1, 2] * z) * inverse
-            start, height, width = texture_place[texture_of_face[face]]
-            column = (u - math.floor(u)) * width
-            row = (v - math.floor(v)) * height
-            left, above = int(column), int(row)
-            right_weight, below_weight = column - left, row - above
-            corner = start + above * (width + 2) + left
-            upper = texels[corner] + right_weight * (texels[corner + 1] - texels[corner])
-            corner += width + 2
-            lower = texels[corner] + right_weight * (texels[corner + 1] - texels[corner])
-            total += upper + below_weight * (lower - upper)
-        out[i] = total / samples
+            u_x, u_y, u_z = H[face, 0, 0], H[face, 0, 1], H[face, 0, 2]
+            v_x, v_y, v_z = H[face, 1, 0], H[face, 1, 1], H[face, 1, 2]
+            w_x, w_y, w_z = H[face, 2, 0], H[face, 2, 1], H[face, 2, 2]
+            texture = texture_of_face[face]
+            start, height, width = texture_place[texture, 0], texture_place[texture, 1], texture_place[texture, 2]
+            stride = np.int32(width + 2)
+            tile = texels[start : start + (height + 2) * (width + 2)]
+            rows, columns = float(height), float(width)
+            run = slice(i * samples + first, i * samples + last)
+            x_of, y_of, z_of, grey_of = rays[0, run], rays[1, run], rays[2, run], grey[first:last]
+            for k in range(last - first):
+                x, y, z = x_of[k], y_of[k], z_of[k]
+                inverse = 1.0 / (w_x * x + w_y * y + w_z * z)
+                u = (u_x * x + u_y * y + u_z * z) * inverse
+                v = (v_x * x + v_y * y + v_z * z) * inverse
+                column = (u - np.floor(u)) * columns
+                row = (v - np.floor(v)) * rows
+                # Not a number where a ray runs along its plane: never read outside the tile.
+                column = column if column >= 0.0 else 0.0  # noqa: FURB136  (max() may let it through)
+                row = row if row >= 0.0 else 0.0  # noqa: FURB136
+                left, above = np.int32(column), np.int32(row)
+                right_weight[k], below_weight[k] = column - left, row - above
+                corner[k] = above * stride + left
+            for k in range(last - first):
+                upper_left = np.uint32(corner[k])
+                lower_left = upper_left + np.uint32(stride)
+                upper, lower = tile[upper_left], tile[lower_left]
+                upper += right_weight[k] * (tile[upper_left + np.uint32(1)] - upper)
+                lower += right_weight[k] * (tile[lower_left + np.uint32(1)] - lower)
+                grey_of[k] = upper + below_weight[k] * (lower - upper)
+            first = last
+        total = 0.0
+        for k in range(samples):
+            total += grey[k]
+        image[pixels[i]] = total / samples
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def face_ranges(face_of_pixel, directions, w_rows, distances, out):
+    """Write the range of each pixel that one face fills; leave the others.
+
+    `w_rows [faces, 3]` are the normals in the sensor's frame, `distances [faces]` those of the planes from the
+    viewpoint.
+    """
+    for i in range(face_of_pixel.size):
+        face = face_of_pixel[i]
+        if face >= 0:
+            out[i] = distances[face] / (
+                w_rows[face, 0] * directions[i, 0]
+                + w_rows[face, 1] * directions[i, 1]
+                + w_rows[face, 2] * directions[i, 2]
+            )

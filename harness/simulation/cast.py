@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,8 @@ from harness.simulation._kernels import verify_hits
 from harness.simulation.geometry import Geometry, Ints
 
 _CHUNK = 1 << 15
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def available_cpus() -> int:
     return os.cpu_count() or 1
 
 
-def in_threads(work: Callable[[int], None], items: Iterable[int], threads: int | None) -> None:
+def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int | None) -> None:
     """Do independent pieces of work, which release the GIL, on some threads; all available CPUs when None."""
     count = threads or available_cpus()
     items = list(items)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.camera.angles import Array
 from harness.camera.pose import Pose
 from harness.errors import InputError
+from harness.simulation._kernels import face_maps
 from harness.simulation.mesh_file import read_mesh
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Plane, Scene
 from harness.simulation.texture import Texels, texels_of
@@ -45,7 +46,7 @@ class Geometry:
     corners: Array
     """Triangles `[triangles, 3, 3]`."""
     face_of_triangle: Ints
-    """`[triangles]`."""
+    """`[triangles + 1]`; the last is -1, so that the face of a miss, triangle -1, is -1."""
     normals: Array
     """Unit normal `[faces, 3]` of each face's plane, on either side."""
     offsets: Array
@@ -116,7 +117,7 @@ def _assemble(scene: Scene, patches: list[_Patch], object_of_patch: list[int], s
     vertices[triangles] = corners
     arrays = {
         "corners": corners,
-        "face_of_triangle": face.astype(np.int32),
+        "face_of_triangle": np.append(face, -1).astype(np.int32),
         "normals": normals,
         "offsets": offsets,
         "uv_maps": uv_maps,
@@ -141,20 +142,23 @@ def _assemble(scene: Scene, patches: list[_Patch], object_of_patch: list[int], s
     )
 
 
-def homographies(geometry: Geometry, viewpoint: ArrayLike) -> Array:
+def homographies(geometry: Geometry, viewpoint: ArrayLike, rotation: Array) -> Array:
     """For each face the matrix H `[faces, 3, 3]` with `(u w, v w, w) = H @ direction`, seen from a viewpoint.
 
     With the plane n · p = h, a ray c + s d meets it at s = (h - n · c)/(n · d); the texture coordinate a · p + b
-    there is ((a · c + b) n + (h - n · c) a) · d / (n · d). The direction, in the world's frame, need not be of
-    unit length.
+    there is ((a · c + b) n + (h - n · c) a) · d / (n · d).
+
+    Parameters
+    ----------
+    viewpoint
+        `[3]`, metres, in the world.
+    rotation
+        World from view, `[3, 3]`: directions are in the view's frame, and need not be of unit length.
     """
+    out = np.empty((len(geometry.normals), 3, 3))
     c = np.asarray(viewpoint, dtype=np.float64)
-    n, h = geometry.normals, geometry.offsets
-    a, b = geometry.uv_maps[..., :3], geometry.uv_maps[..., 3]
-    at_viewpoint = a @ c + b
-    distance = h - n @ c
-    uv_rows = at_viewpoint[..., None] * n[:, None, :] + distance[:, None, None] * a
-    return np.concatenate([uv_rows, n[:, None, :]], axis=1)
+    face_maps(geometry.normals, geometry.offsets, geometry.uv_maps, c, np.ascontiguousarray(rotation), out)
+    return out
 
 
 def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:

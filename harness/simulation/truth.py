@@ -182,7 +182,7 @@ def _continued(range_m: Array, normal: Array, direction: Array, other: Array) ->
 def _seen(geometry: Geometry, pose: Pose, rays: Array, threads: int | None) -> tuple[Array, Ints]:
     check_viewpoint(geometry, pose.position_m)
     hits = cast(geometry, pose.position_m, rays, threads=threads)
-    return hits.range_m, np.append(geometry.face_of_triangle, np.int32(-1))[hits.triangle]
+    return hits.range_m, geometry.face_of_triangle[hits.triangle]
 
 
 def _unoccluded(geometry: Geometry, pose_2: Pose, points: Array, face: Ints, threads: int | None) -> Mask:
@@ -190,6 +190,6 @@ def _unoccluded(geometry: Geometry, pose_2: Pose, points: Array, face: Ints, thr
     towards = points - pose_2.position_m
     distance = np.linalg.norm(towards, axis=-1)
     hits = cast(geometry, pose_2.position_m, towards / distance[:, None], threads=threads)
-    reached = np.append(geometry.face_of_triangle, np.int32(-1))[hits.triangle] == face
+    reached = geometry.face_of_triangle[hits.triangle] == face
     # In an open scene a ray may miss a point on the very outline: nothing stopped it before the point.
     return np.asarray(reached | ~(hits.range_m < (1 - OCCLUSION_TOLERANCE) * distance))

@@ -1,0 +1,104 @@
+"""How long an image with its ground truth takes, beside raw Embree tracing the same samples.
+
+Prints ratios: the median over interleaved pairs, so that a busy machine slows both down alike. Both sides use
+the same threads, and what belongs to the scene or the sensor alone (the BVH, the directions of pixel corners for
+`render`, all samples' directions for Embree) is made beforehand. Embree gets only the samples of pixels in the
+field, and only finds triangles; our side shades them, and finds the exact range of every pixel centre in float64.
+
+    python benchmarks/render.py [pairs]
+"""
+
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from harness.camera.pose import Pose
+from harness.camera.sensor import Sensor, pixel_directions, rays_of
+from harness.simulation.cast import available_cpus, in_threads, nearest_triangles
+from harness.simulation.geometry import geometry_of
+from harness.simulation.render import render_with_range
+from harness.simulation.scene import Mesh, Scene, load_scene
+from harness.simulation.texture import NoiseTexture
+
+SENSOR = Sensor()
+POSE = Pose(position_m=(0.0, 0.0, 1.0))
+
+
+def textured_sphere(folder: Path) -> Scene:
+    """A dented sphere of 81,920 triangles around the view."""
+    sphere = trimesh.creation.icosphere(subdivisions=6, radius=4.0)
+    x, y, z = sphere.vertices.T
+    sphere.vertices *= (1 + 0.05 * np.sin(3 * x) * np.sin(3 * y) * np.sin(3 * z))[:, None]
+    path = folder / "sphere.ply"
+    sphere.export(path)
+    noise = NoiseTexture(kind="noise", seed=1, tile_m=6.0, shortest_m=0.1, longest_m=1.0)
+    mesh = Mesh(kind="mesh", file=str(path), inward=True, texture=noise)
+    return Scene(name="sphere", objects=(mesh,))
+
+
+def sample_directions(samples: int) -> np.ndarray:
+    """Float32 directions `[n, 3]` of all samples of all valid pixels."""
+    _, valid = pixel_directions(SENSOR)
+    rows, columns = np.nonzero(valid)
+    offsets = (np.arange(int(samples**0.5)) + 0.5) / samples**0.5 - 0.5
+    v, u = np.broadcast_arrays(rows[:, None, None] + offsets[:, None], columns[:, None, None] + offsets[None, :])
+    return np.ascontiguousarray(rays_of(SENSOR, u.ravel(), v.ravel()).T, dtype=np.float32)
+
+
+def seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def compare(scene: Scene, samples: int, pairs: int, threads: int) -> tuple[float, float, float]:
+    """Median ratio, and median seconds of ours and of Embree's."""
+    geometry = geometry_of(scene)
+    rays = sample_directions(samples)
+    origin = np.array(POSE.position_m)
+    chunk = 1 << 16
+
+    def ours() -> None:
+        render_with_range(scene, SENSOR, POSE, samples, threads)
+
+    def embree() -> None:
+        def trace(start: int) -> None:
+            nearest_triangles(geometry, origin, rays[start : start + chunk])
+
+        in_threads(trace, range(0, len(rays), chunk), threads)
+
+    ours()
+    embree()
+    times = [(seconds(ours), seconds(embree)) for _ in range(pairs)]
+    return (
+        statistics.median(a / b for a, b in times),
+        statistics.median(a for a, _ in times),
+        statistics.median(b for _, b in times),
+    )
+
+
+def main() -> None:
+    pairs = int(sys.argv[1]) if len(sys.argv) > 1 else 15
+    threads = min(2, available_cpus())
+    print(f"640 x 480, {threads} threads, {pairs} interleaved pairs; image and ranges against raw Embree")
+    print(f"{'scene':10} {'samples':>7} {'ratio':>7} {'ours ms':>9} {'Embree ms':>9}   target")
+    with tempfile.TemporaryDirectory() as folder:
+        for scene, samples, target in (
+            (load_scene("box"), 16, 0.6),
+            (load_scene("box"), 64, 0.3),
+            (load_scene("room"), 16, None),
+            (textured_sphere(Path(folder)), 16, 1.5),
+        ):
+            ratio, ours, embree = compare(scene, samples, pairs, threads)
+            limit = f"<= {target}" if target else ""
+            print(f"{scene.name:10} {samples:7} {ratio:7.2f} {1e3 * ours:9.1f} {1e3 * embree:9.1f}   {limit}")
+
+
+if __name__ == "__main__":
+    main()
