@@ -1,0 +1,130 @@
+"""The house in order: what is tracked by git, the lock, the version, and the tools' settings."""
+
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import harness
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+LOCK = ROOT / "requirements.lock"
+
+# Spelt in pieces, so that this file does not find itself.
+HOME_FOLDERS = "|".join(["/wor" + "k/", "/roo" + "t/", "/ho" + "me/[a-z]", "/Use" + "rs/[a-z]", r"C:\\Use" + "rs"])
+REGISTRY_HOSTS = "|".join(["pypi" + r"\.org", "python" + r"hosted\.org", "conda" + r"\.anaconda", "arti" + "factory"])
+INDEX_OPTIONS = "|".join(["file:" + "//", "--index" + "-url", "--find" + "-links"])
+
+
+def tracked() -> list[Path]:
+    """The files that git tracks; a source archive has no git, and there is nothing to look at then."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
+    return [path for name in listing.split(b"\0") if name and (path := ROOT / os.fsdecode(name)).is_file()]
+
+
+def text_of(path: Path) -> str:
+    data = path.read_bytes()
+    return "" if b"\0" in data[:8192] else data.decode("utf-8")
+
+
+def offences(text: str) -> list[str]:
+    return re.findall(f"{HOME_FOLDERS}|{REGISTRY_HOSTS}|{INDEX_OPTIONS}", text)
+
+
+def locked() -> dict[str, list[str]]:
+    """Requirement -> its hashes."""
+    entries: dict[str, list[str]] = {}
+    for line in LOCK.read_text(encoding="utf-8").splitlines():
+        if line.startswith("    --hash="):
+            entries[list(entries)[-1]].append(line.strip(" \\").removeprefix("--hash="))
+        elif line and not line.lstrip().startswith("#"):
+            entries[line.strip(" \\")] = []
+    return entries
+
+
+def names(requirements: list[str]) -> set[str]:
+    """The normalised names of requirements, without versions and markers."""
+    return {re.sub(r"[-_.]+", "-", re.match(r"[\w.-]+", one).group().lower()) for one in requirements}
+
+
+def test_nothing_tracked_knows_of_a_machine_or_a_registry() -> None:
+    found = {str(path.relative_to(ROOT)): bad for path in tracked() if (bad := offences(text_of(path)))}
+    assert not found
+
+
+@pytest.mark.parametrize(
+    "text", ["see /wor" + "k/main", "/ho" + "me/me/x", "https://py" + "pi.org/simple", "--index" + "-url x"]
+)
+def test_the_search_for_them_finds_them(text: str) -> None:
+    assert offences(text)
+
+
+def test_tracked_text_is_utf8_with_a_last_newline() -> None:
+    wrong = [
+        str(path.relative_to(ROOT))
+        for path in tracked()
+        if (text := text_of(path)) and (not text.endswith("\n") or "\r" in text)
+    ]
+    assert not wrong
+
+
+def test_nothing_tracked_is_large() -> None:
+    """A clone stays quick: half a megabyte a file holds every mesh, texture and figure so far."""
+    assert not [str(path.relative_to(ROOT)) for path in tracked() if path.stat().st_size > 500_000]
+
+
+def test_every_locked_requirement_is_pinned_and_hashed() -> None:
+    entries = locked()
+    assert len(entries) > 20  # the parser found the file's lines
+    assert not [entry for entry in entries if not re.fullmatch(r"[\w.-]+==[\w.!+]+( ; .+)?", entry)]
+    assert not [entry for entry, hashes in entries.items() if not hashes]
+    assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", one) for hashes in entries.values() for one in hashes)
+
+
+def test_lock_has_no_addresses() -> None:
+    assert "://" not in LOCK.read_text(encoding="utf-8")
+
+
+def test_lock_covers_what_the_project_asks_for() -> None:
+    project = PROJECT["project"]
+    wanted = names([*project["dependencies"], *project["optional-dependencies"]["dev"]])
+    wanted |= names(PROJECT["build-system"]["requires"])  # the install builds from the lock alone
+    assert not wanted - names(list(locked()))
+
+
+def test_one_version() -> None:
+    assert PROJECT["project"]["version"] == harness.__version__
+
+
+def test_warnings_are_errors() -> None:
+    assert PROJECT["tool"]["pytest"]["ini_options"]["filterwarnings"] == ["error"]
+
+
+def test_every_ignored_rule_says_why() -> None:
+    """One comment a line, or the one of a neighbour that is ignored for the same reason."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    block = re.search(r"\nignore = \[\n(.*?)\n\]", text, re.DOTALL).group(1)
+    reasons = [line for line in block.splitlines() if "#" in line]
+    assert len(reasons) > 0.5 * len(block.splitlines())
+
+
+def test_pre_commit_runs_what_make_lint_runs() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    lint = re.search(r"^lint:.*\n((?:\t.*\n)+)", makefile, re.MULTILINE).group(1)
+    for command in re.findall(r"\$\(BIN\)/([\w-]+(?: (?!\.)[a-z]+)?)", lint):
+        assert f"entry: {command}" in hooks
+
+
+def test_ci_runs_the_commands_of_the_makefile() -> None:
+    script = ROOT / ".ci" / "run"
+    assert os.access(script, os.X_OK)
+    text = script.read_text(encoding="utf-8")
+    assert all(f"\nmake {target}\n" in text for target in ("lint", "test", "paper"))
+    subprocess.run(["bash", "-n", script], check=True)
