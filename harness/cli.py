@@ -177,12 +177,14 @@ class _Progress:
 
 
 def _comparison(summary: dict[str, Any]) -> "Table":
+    from rich import box
     from rich.table import Table
 
-    table = Table(title=f"{summary['experiment']}: errors over the pixels that both methods matched", title_justify="left")
-    table.add_column("pixels", no_wrap=True)
-    table.add_column("method", no_wrap=True)
-    headings = ("density", "disparity\nmedian px", "bad\n> 1 px", "range\nmedian mm", "range\nRMSE mm", "range\nbias mm")
+    title = f"{summary['experiment']}: errors over the pixels that both methods matched"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("\npixels", no_wrap=True)
+    table.add_column("\nmethod", no_wrap=True)
+    headings = ("\ndensity", "disparity\nmedian px", "bad\n> 1 px", "range\nmedian mm", "range\nRMSE mm", "range\nbias mm")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for key, where in (("comparison_wall", "walls"), ("comparison", "all")):
