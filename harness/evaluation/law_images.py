@@ -1,0 +1,176 @@
+"""The law of sensitivity on images, and what becomes of the angle's own error.
+
+Range is computed from alpha_2, so by calculus its error is the law times the error of alpha_2: to plot one against the other
+proves nothing. What can fail is that sigma(alpha_2) depends neither on range nor on baseline. If it does not, the relative
+error of the range grows with the law: `log(spread/d)` against `log(law/d)` has slope 1 over cells that differ in range,
+baseline and direction. Here that slope is fitted, with an interval from resampling the seeds (each seed has drawn its
+own place and noise; pixels of one image are correlated and are never resampled).
+
+A table of cells has one row a cell of a trial (see `cells.Cell`), and of its trial the columns `matcher`, `subpixel`, `seed`,
+`baseline_m` and `condition`: a word for all other settings that vary (window, noise, ...). Conditions differ in sigma
+by design, so each keeps an intercept of its own.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.camera.angles import Array
+from harness.evaluation.cells import ALPHA_1_EDGES_DEG, RANGE_RATIO
+
+BOOTSTRAP_DRAWS = 2000
+LAWS = ("exact", "paper")
+_METHOD = ["matcher", "subpixel"]
+
+
+def fit_laws(cells: pd.DataFrame) -> list[dict[str, Any]]:
+    """Slopes of `log(spread/d)` on `log(law/d)`, for every method, surface and law, over all directions and in parts.
+
+    Returns
+    -------
+    list
+        Of `matcher`, `subpixel`, `surface`, `law`, `slope`, `slope_ci95`, `r2`, `cells`, `by_alpha_1`: as in
+        `summary.json`. Slopes that cannot be fitted (fewer than three cells, or one law value) are None.
+    """
+    found = []
+    for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
+        y = np.log(part["spread_m"] / part["range_m"])
+        for law in LAWS:
+            x = np.log(part[f"law_{law}"] / part["range_m"])
+            by_alpha_1 = []
+            for index, (low, high) in enumerate(zip(ALPHA_1_EDGES_DEG[:-1], ALPHA_1_EDGES_DEG[1:], strict=True)):
+                inside = part["alpha_bin"] == index
+                by_alpha_1.append({"from_deg": low, "to_deg": high, **_slope(x[inside], y[inside], part[inside])})
+            found.append(
+                {
+                    "matcher": matcher,
+                    "subpixel": subpixel,
+                    "surface": surface,
+                    "law": law,
+                    **_slope(x, y, part),
+                    "cells": len(part),
+                    "by_alpha_1": by_alpha_1,
+                }
+            )
+    return found
+
+
+def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
+    """Slopes of `log sigma(alpha_2)` on `log(|t|/d)`: 0 if the angle's error does not know of baseline and range."""
+    found = []
+    for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
+        fit = _slope(np.log(part["baseline_m"] / part["range_m"]), np.log(part["sigma_alpha"]), part)
+        found.append(
+            {
+                "matcher": matcher,
+                "subpixel": subpixel,
+                "surface": surface,
+                "slope_on_t_over_d": fit["slope"],
+                "slope_ci95": fit["slope_ci95"],
+            }
+        )
+    return found
+
+
+def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
+    """Which baseline has the smallest error at each range, and which one the naive law would have advised.
+
+    Errors are averaged as logarithms over directions, conditions and seeds, over the directions and conditions that every
+    baseline has seen at that range. The naive law, d²/|t| with a constant sigma, always advises the longest.
+
+    Returns
+    -------
+    list
+        Of `matcher`, `subpixel`, `surface`, `range_m`, `baseline_m`, `baseline_m_ci95`, `naive_baseline_m`, and
+        `flat_from_m`, `flat_to_m`: the baselines whose error is within 10 % of the best one's.
+    """
+    found = []
+    for (matcher, subpixel, surface, range_bin), part in cells.groupby([*_METHOD, "surface", "range_bin"], sort=True):
+        curve = baseline_curve(part)
+        if curve is None:
+            continue
+        baselines, errors, draws = curve
+        best = baselines[np.argmin(draws, axis=1)]
+        flat = baselines[errors <= errors.min() + np.log(1.1)]
+        found.append(
+            {
+                "matcher": matcher,
+                "subpixel": subpixel,
+                "surface": surface,
+                "range_m": float(RANGE_RATIO ** (range_bin + 0.5)),
+                "baseline_m": float(baselines[np.argmin(errors)]),
+                "baseline_m_ci95": [float(q) for q in np.quantile(best, [0.025, 0.975], method="nearest")],
+                "flat_from_m": float(flat.min()),
+                "flat_to_m": float(flat.max()),
+                "naive_baseline_m": float(baselines.max()),
+            }
+        )
+    return found
+
+
+def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:
+    """Mean log spread for each baseline over the places that all baselines share, and its bootstrap draws.
+
+    Returns
+    -------
+    baselines, errors, draws
+        `[baselines]` metres, `[baselines]` log metres, `[draws, baselines]`; None when fewer than three baselines share any
+        place.
+    """
+    places = ["alpha_bin", "condition", "seed"]
+    table = part.assign(error=np.log(part["spread_m"])).pivot_table(index=places, columns="baseline_m", values="error")
+    table = table.dropna()
+    if table.shape[1] < 3 or table.empty:
+        return None
+    by_seed = table.groupby(level="seed", sort=True)
+    sums, counts = by_seed.sum().to_numpy(), by_seed.size().to_numpy(dtype=np.float64)
+    weights = _resampled(len(counts))
+    draws = (weights @ sums) / (weights @ counts)[:, None]
+    return table.columns.to_numpy(dtype=np.float64), draws[0], draws[1:]
+
+
+def _slope(x: pd.Series, y: pd.Series, part: pd.DataFrame) -> dict[str, Any]:
+    """Least squares with an intercept for each condition; interval by bootstrap over seeds."""
+    none = {"slope": None, "slope_ci95": None, "r2": None}
+    if len(x) < 3:
+        return none
+    terms = pd.DataFrame({"n": 1.0, "x": x, "y": y, "xx": x * x, "xy": x * y, "yy": y * y})
+    sums = terms.groupby([part["seed"], part["condition"]]).sum()
+    seeds = sums.index.unique(level=0)
+    conditions = sums.index.unique(level=1)
+    full = sums.reindex(pd.MultiIndex.from_product([seeds, conditions]), fill_value=0.0)
+    stacked = full.to_numpy().reshape(len(seeds), len(conditions), terms.shape[1])
+    n, sx, sy, sxx, sxy, syy = np.moveaxis(np.tensordot(_resampled(len(seeds)), stacked, axes=1), -1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        within_xx = np.nansum(sxx - sx * sx / n, axis=1)
+        within_xy = np.nansum(sxy - sx * sy / n, axis=1)
+        within_yy = np.nansum(syy - sy * sy / n, axis=1)
+        slopes = within_xy / within_xx
+    # Rounding leaves a trace where there is no spread of x at all.
+    if not within_xx[0] > 1e-9 * len(x):
+        return none
+    draws = slopes[1:][np.isfinite(slopes[1:])]
+    interval = [float(q) for q in np.quantile(draws, [0.025, 0.975])] if len(seeds) > 1 and draws.size else None
+    r2 = float(within_xy[0] ** 2 / (within_xx[0] * within_yy[0])) if within_yy[0] > 0 else None
+    return {"slope": float(slopes[0]), "slope_ci95": interval, "r2": r2}
+
+
+def _resampled(seeds: int) -> Array:
+    """How often each seed counts `[1 + draws, seeds]`: once each in the first row, as drawn with replacement below."""
+    generator = np.random.default_rng(0)
+    drawn = generator.multinomial(seeds, np.full(seeds, 1 / seeds), size=BOOTSTRAP_DRAWS)
+    return np.concatenate([np.ones((1, seeds)), drawn.astype(np.float64)])
+
+
+def residuals(cells: pd.DataFrame, fit: dict[str, Any]) -> Iterator[tuple[float, float]]:
+    """(law/d, residual of log(spread/d)) of every cell that a fit was made from."""
+    chosen = cells
+    for key in (*_METHOD, "surface"):
+        chosen = chosen[chosen[key] == fit[key]]
+    x = np.log(chosen[f"law_{fit['law']}"] / chosen["range_m"])
+    y = np.log(chosen["spread_m"] / chosen["range_m"])
+    centred = y - fit["slope"] * x
+    centred -= centred.groupby(chosen["condition"]).transform("mean")
+    yield from zip(np.exp(x).tolist(), centred.tolist(), strict=True)
