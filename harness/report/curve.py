@@ -1,0 +1,162 @@
+"""The cost along one epipolar curve and the parabola through its minimum (the paper's figure 3)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array, wrap_angle
+from harness.experiments.trial import Outcome
+from harness.report import theme
+from harness.report.methods import Method, common
+from harness.report.theme import FAINT, HALF, INK, Picture
+from harness.stereo.matching.subpixel import refine
+from harness.stereo.matching.window import costs_along_curve
+from harness.stereo.panorama import cylinder
+from harness.stereo.ranging import points
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One pixel's search, in terms of the angle along which its curve is sampled."""
+
+    row: int
+    column: int
+    angle_deg: Array
+    """`[samples]`: phi_2, or alpha_2 when the curve is sampled in it; degrees, not wrapped."""
+    costs: Array
+    near: NDArray[np.bool_]
+    """`[samples]`: those that the parabola is fitted to."""
+    fit: NDArray[np.floating]
+    """Coefficients of the parabola in sample numbers from the best one, highest power first."""
+    best_deg: float
+    minimum_deg: float
+    """Where the fitted parabola is least; the best sample where the fit has no minimum among its samples."""
+    true_deg: float
+    step_deg: float
+
+    def parabola(self, count: int = 61) -> tuple[Array, Array]:
+        """The fitted parabola over the samples that it was fitted to: angles in degrees, costs."""
+        k = (self.angle_deg[self.near] - self.best_deg) / self.step_deg
+        x = np.linspace(k.min(), k.max(), count)
+        return self.best_deg + x * self.step_deg, np.polyval(self.fit, x)
+
+
+def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
+    """The pixel whose absolute errors by all methods are nearest to their medians; the first of several.
+
+    Looked for on walls of the domain, on all of it when no wall is matched. All samples around the minimum exist.
+    """
+    outcome = methods[0].outcome
+    complete = common(methods) & np.isfinite(outcome.whole.costs).all(axis=-1) & outcome.reference.domain
+    complete &= refine(outcome.whole.costs, "parabola")[1]
+    for place in (complete & outcome.reference.wall, complete):
+        if place.any():
+            apart = np.zeros(place.shape)
+            for method in methods:
+                error = np.abs(method.outcome.errors.disparity_px)
+                apart += np.abs(error - np.median(error[place]))
+            row, column = np.unravel_index(np.argmin(np.where(place, apart, np.inf)), place.shape)
+            return int(row), int(column)
+    return None
+
+
+def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
+    """What the matcher saw along one pixel's curve."""
+    curves, matcher = outcome.whole.curves, outcome.trial.matching
+    ks, costs = costs_along_curve(outcome.filtered[0], outcome.filtered[1], outcome.whole, matcher, row, column)
+    step = float(curves.step[row, column])
+    if curves.sampling == "phi":
+        start = float(curves.grid.phi[column])
+        point = points(cylinder(curves.grid)[row, column], outcome.reference.range_m[row, column]) - curves.t
+        true = start + float(wrap_angle(np.arctan2(point[1], point[0]) - start))
+    else:
+        start, true = float(curves.alpha_1[row, column]), float(outcome.reference.alpha_2[row, column])
+    around = outcome.whole.costs[row, column]
+    x = np.arange(around.size) - around.size // 2
+    best = int(outcome.whole.k[row, column])
+    offset = float(refine(around, "parabola")[0])
+    return Curve(
+        row=row,
+        column=column,
+        angle_deg=np.degrees(start + ks * step),
+        costs=costs,
+        near=np.abs(ks - best) <= around.size // 2,
+        fit=np.polyfit(x, around, 2),
+        best_deg=float(np.degrees(start + best * step)),
+        minimum_deg=float(np.degrees(start + (best + offset) * step)),
+        true_deg=float(np.degrees(true)),
+        step_deg=float(np.degrees(step)),
+    )
+
+
+def cost_along_curve(outcome: Outcome, curve: Curve) -> list[Picture]:
+    """The whole search interval, and the surroundings of its minimum."""
+    matcher = outcome.trial.matching
+    unit = "grey levels²" if matcher.cost == "ssd" else "grey levels"
+    cost = f"{matcher.cost.upper()} over {matcher.window_px} × {matcher.window_px} px ({unit})"
+    angle = r"$\varphi_2$ (°)" if outcome.whole.curves.sampling == "phi" else r"$\alpha_2$ (°)"
+    near_name = f"{int(curve.near.sum())} samples of the fit"
+    x, y = curve.parabola()
+
+    fig = theme.figure(HALF, 350)
+    ax = theme.axes(fig, 62, 66, HALF - 74, 236)
+    ax.plot(curve.angle_deg, curve.costs, color=FAINT, linewidth=0.7, zorder=1)
+    ax.plot(curve.angle_deg, curve.costs, "o", color=INK, markersize=2.6, label="samples")
+    ax.plot(x, y, color=theme.SUBPIXEL, label="fitted parabola")
+    ax.axvline(curve.true_deg, color=theme.TRUTH, linewidth=0.8, linestyle=(0, (4, 3)), label="true position", zorder=0)
+    _finish(ax, angle, cost)
+    ax.set_ylim(0, None)
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=3, columnspacing=1.2, borderaxespad=0.2)
+    whole = theme.picture(
+        fig,
+        f"Matching cost of one pixel over its whole search interval of {curve.costs.size} samples, lowest at "
+        f"{curve.best_deg:.2f} degrees; the true position is {curve.true_deg:.2f} degrees.",
+        "(a) the whole search interval",
+    )
+
+    fig = theme.figure(HALF, 350)
+    ax = theme.axes(fig, 62, 66, HALF - 74, 236)
+    ax.plot(x, y, color=theme.SUBPIXEL, label="least-squares parabola", zorder=2)
+    ax.plot(curve.angle_deg[~curve.near], curve.costs[~curve.near], "o", color=FAINT, markersize=4)
+    ax.plot(
+        curve.angle_deg[curve.near],
+        curve.costs[curve.near],
+        "o",
+        color=theme.PAPER,
+        markeredgecolor=INK,
+        markeredgewidth=1.2,
+        markersize=6,
+        label=near_name,
+        zorder=3,
+    )
+    least = float(np.min(curve.costs[curve.near]))
+    ax.plot(curve.best_deg, least, "o", color=theme.PIXEL, markersize=6.5, zorder=4)
+    for where, colour, dashes, name in (
+        (curve.best_deg, theme.PIXEL, (0, (1, 1.5)), "pixel-level minimum"),
+        (curve.minimum_deg, theme.SUBPIXEL, "solid", "sub-pixel minimum"),
+        (curve.true_deg, theme.TRUTH, (0, (4, 3)), "true position"),
+    ):
+        ax.axvline(where, color=colour, linewidth=1.0, linestyle=dashes, label=name, zorder=1)
+    reach = 1.35 * max(np.abs(curve.angle_deg[curve.near] - curve.best_deg).max(), abs(curve.true_deg - curve.best_deg))
+    shown = np.abs(curve.angle_deg - curve.best_deg) <= reach
+    ax.set_xlim(curve.best_deg - reach, curve.best_deg + reach)
+    top = float(np.nanmax(curve.costs[shown]))
+    ax.set_ylim(0, 1.1 * top)
+    _finish(ax, angle, cost)
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=2, columnspacing=1.2, borderaxespad=0.2)
+    detail = theme.picture(
+        fig,
+        f"The same cost around its minimum with a parabola fitted to {int(curve.near.sum())} samples. Pixel-level "
+        f"minimum at {curve.best_deg:.3f} degrees, sub-pixel minimum at {curve.minimum_deg:.3f}, true position at "
+        f"{curve.true_deg:.3f}.",
+        "(b) around the minimum",
+    )
+    return [whole, detail]
+
+
+def _finish(ax: Axes, angle: str, cost: str) -> None:
+    ax.set_xlabel(angle)
+    ax.set_ylabel(cost)
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))

@@ -1,0 +1,91 @@
+"""How errors are distributed."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, PercentFormatter
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.report import theme
+from harness.report.methods import Method, common
+from harness.report.theme import HALF, Picture
+
+_POINTS = 300
+"""Points of a cumulative curve: more cannot be seen at its size."""
+
+
+def cumulative(methods: list[Method]) -> list[Picture]:
+    """Cumulative distributions of the absolute disparity and range errors, walls and other surfaces apart."""
+    return [
+        _cumulative(methods, "disparity_px", 1.0, "px", "(a) disparity", "absolute disparity error (px)"),
+        _cumulative(methods, "range_m", 1000.0, "mm", "(b) range", "absolute range error (mm)"),
+    ]
+
+
+def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
+    """Histogram of the signed disparity error on walls, or on all other surfaces."""
+    fig = theme.figure(HALF, 320)
+    ax = theme.axes(fig, 58, 12, HALF - 70, 258)
+    reference = methods[0].outcome.reference
+    there = common(methods) & reference.domain & (reference.wall == wall)
+    surface = "wall" if wall else "floor or ceiling"
+    means = []
+    edges = np.linspace(-1.5, 1.5, 121)
+    for method in methods:
+        error = method.outcome.errors.disparity_px[there]
+        if error.size:
+            share, _ = np.histogram(error, edges)
+            ax.stairs(100 * share / error.size, edges, color=method.colour, linewidth=1.3, label=method.label)
+            inside = 100 * float(np.mean(np.abs(error) <= edges[-1]))
+            means.append(f"{method.label} mean {np.mean(error):+.3f} px, {inside:.0f} % within the axes")
+    ax.set_xlim(edges[0], edges[-1])
+    ax.set_ylim(0, None)
+    ax.set_xlabel(r"signed disparity error, $\alpha_2$ estimate minus truth (px)")
+    ax.set_ylabel(f"share of {surface} pixels (% per {edges[1] - edges[0]:g} px)")
+    ax.axvline(0, color=theme.TRUTH, linewidth=0.6)
+    if means:
+        ax.legend(loc="upper left")
+    else:
+        theme.note(ax, f"no {surface} pixel has an estimate")
+    alt = f"Histogram of the signed disparity error of {surface} pixels: {'; '.join(means) or 'no estimate'}."
+    return theme.picture(fig, alt, title)
+
+
+def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title: str, label: str) -> Picture:
+    fig = theme.figure(HALF, 320)
+    ax = theme.axes(fig, 58, 12, HALF - 70, 258)
+    reference = methods[0].outcome.reference
+    found = common(methods) & reference.domain
+    lowest, medians = np.inf, []
+    for where, surface, dashes in (
+        (reference.wall, "walls", "solid"),
+        (~reference.wall, "floor, ceiling", (0, (3, 1.6))),
+    ):
+        for method in methods:
+            error = np.sort(scale * np.abs(getattr(method.outcome.errors, name)[found & where]))
+            if not error.size:
+                continue
+            _draw(ax, error, colour=method.colour, linestyle=dashes, label=f"{method.label}, {surface}")
+            lowest = min(lowest, float(np.percentile(error, 2)))
+            medians.append(f"{method.label} on {surface} {np.median(error):.3g} {unit}")
+    ax.set_xscale("log")
+    ax.set_ylim(0, 1)
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.grid(color="#E4E4E4", linewidth=0.5)
+    ax.set_axisbelow(True)
+    ax.set_xlabel(label)
+    ax.set_ylabel("share of pixels at or below")
+    if medians:
+        ax.set_xlim(max(lowest, 1e-12), None)
+        ax.legend(loc="lower right")
+    else:
+        theme.note(ax, "no pixel has an estimate")
+    alt = f"Cumulative distribution of the {label}; medians: {', '.join(medians) or 'no estimate'}."
+    return theme.picture(fig, alt, title)
+
+
+def _draw(ax: Axes, error: Array | NDArray[np.floating], *, colour: str, linestyle: object, label: str) -> None:
+    share = np.linspace(0, 1, min(_POINTS, error.size))
+    values = error[np.minimum((share * error.size).astype(int), error.size - 1)]
+    ax.plot(np.maximum(values, 1e-12), share, color=colour, linestyle=linestyle, label=label)

@@ -1,0 +1,259 @@
+"""The stages of the data: environment, mirror image, panorama, LoG (the paper's figure 4)."""
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array, normalise
+from harness.experiments.trial import Outcome
+from harness.report import theme
+from harness.report.theme import HALF, INK, WIDE, Picture
+from harness.simulation.geometry import Geometry, geometry_of
+from harness.simulation.texture import lookup
+from harness.stereo.panorama import Grid
+
+_LEFT, _PLOT = 50, 845
+"""Where panoramas begin and how wide they are, CSS pixels: all of them line up."""
+
+
+def environment(outcome: Outcome) -> Picture:
+    """The scene from outside, near surfaces of a closed one cut away, with both viewpoints."""
+    trial = outcome.trial
+    geometry = geometry_of(trial.scene)
+    camera = _Overview(geometry)
+    width, height = HALF, 400
+    fig = theme.figure(width, height)
+    ax = theme.axes(fig, 0, 0, width, height)
+    ax.set_axis_off()
+    extent = camera.window(width / height)
+    ax.imshow(_overview_image(geometry, camera, extent, width, height), cmap="gray", vmin=0, vmax=255, extent=extent)
+    low, high = geometry.bounds
+    _draw_bounds(ax, camera, low, high)
+
+    floor = low[2]
+    places = [np.asarray(pose.position_m) for pose in trial.poses]
+    for number, place in enumerate(places, 1):
+        foot = np.array([place[0], place[1], floor])
+        ax.plot(*camera.project(np.stack([foot, place])).T, color="white", linewidth=3, solid_capstyle="butt")
+        ax.plot(*camera.project(np.stack([foot, place])).T, color=INK, linewidth=1.2, solid_capstyle="butt")
+        x, y = camera.project(place)
+        ax.plot(x, y, "o", markersize=6, color=theme.PIXEL, markeredgecolor="white", markeredgewidth=1)
+        side = "right" if number == 1 else "left"
+        ax.annotate(
+            f"$v_{number}$",
+            (x, y),
+            (-8 if number == 1 else 8, 4),
+            textcoords="offset points",
+            ha=side,
+            fontsize=12,
+            bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )
+    ax.set_xlim(extent[0], extent[1])
+    ax.set_ylim(extent[2], extent[3])
+    v1, v2 = (", ".join(f"{value:g}" for value in place.round(6)) for place in places)
+    alt = (
+        f"The scene {trial.scene.name} from outside and above, {_size(low, high)} metres, nearest surfaces cut away, "
+        f"with viewpoint v1 at ({v1}) m and v2 at ({v2}) m."
+    )
+    return theme.picture(fig, alt, "(a) environment")
+
+
+def mirror_image(outcome: Outcome) -> Picture:
+    """View 1's mirror image as the camera takes it."""
+    image = outcome.images[0]
+    rows, columns = image.shape
+    fig = theme.figure(HALF, 400)
+    scale = min((HALF - 60) / columns, 350 / rows)
+    w, h = columns * scale, rows * scale
+    ax = theme.axes(fig, 50 + (HALF - 60 - w) / 2, 6, w, h)
+    ax.imshow(image, cmap="gray", vmin=0, vmax=255, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), aspect="auto")
+    ax.set_xlabel("$u$ (px)")
+    ax.set_ylabel("$v$ (px)")
+    alt = f"Mirror image of view 1, {columns} by {rows} pixels: the scene as a disc, the horizon near its rim."
+    return theme.picture(fig, alt, "(b) hyperboloid mirror image of view 1")
+
+
+def panorama(outcome: Outcome) -> Picture:
+    """View 1's panorama, unmirrored."""
+    grid = outcome.trial.panorama
+    values = np.where(outcome.panoramas[0].valid, outcome.panoramas[0].values, np.nan)
+    fig, ax, bar = panorama_axes(grid)
+    drawn = ax.imshow(unmirrored(values), cmap="gray", vmin=0, vmax=255, extent=extent_of(grid), aspect="auto")
+    fig.colorbar(drawn, cax=bar, label="grey level")
+    alt = (
+        f"Panorama of view 1, {grid.width_px} by {grid.height_px} pixels, azimuth descending from 180 to -180 degrees."
+    )
+    return theme.picture(fig, alt, "(c) panorama of view 1")
+
+
+def filtered(outcome: Outcome) -> Picture:
+    """View 1's panorama after the Laplacian of Gaussian, which is what is matched."""
+    grid, sigma = outcome.trial.panorama, outcome.trial.filter.log_sigma_px
+    view = outcome.filtered[0]
+    values = np.where(view.valid, view.values, np.nan)
+    fig, ax, bar = panorama_axes(grid)
+    known = values[view.valid]
+    if sigma:
+        limit = float(np.percentile(np.abs(known), 99)) if known.size else 1.0
+        low, high = -limit, limit
+    else:
+        low, high = 0.0, 255.0
+    drawn = ax.imshow(unmirrored(values), cmap="gray", vmin=low, vmax=high, extent=extent_of(grid), aspect="auto")
+    fig.colorbar(
+        drawn, cax=bar, label="LoG (grey levels)" if sigma else "grey level", extend="both" if sigma else "neither"
+    )
+    alt = f"The same panorama after a Laplacian of Gaussian of {sigma:g} pixels: edges light and dark on an even grey."
+    return theme.picture(
+        fig, alt, f"(d) Laplacian of Gaussian, σ = {sigma:g} px" if sigma else "(d) unfiltered (σ = 0)"
+    )
+
+
+def panorama_axes(grid: Grid, *, top: int = 6, bar: bool = True, label: bool = True) -> tuple[Figure, Axes, Axes]:
+    """A figure for a panorama: axes with azimuth and z, elevation on the right, and axes for a colour bar."""
+    height = float(np.clip(_PLOT * (grid.z_max - grid.z_min) / (2 * math.pi), 120, 420))
+    fig = theme.figure(WIDE, round(height + top + (44 if label else 26)))
+    ax = theme.axes(fig, _LEFT, top, _PLOT, height)
+    theme.degrees(ax)
+    if not label:
+        ax.set_xlabel("")
+    ax.set_ylim(grid.z_min, grid.z_max)
+    ax.set_ylabel("$z$")
+    right = ax.secondary_yaxis("right", functions=(_elevation, _z_of_elevation))  # type: ignore[arg-type]
+    right.set_ylabel("elevation (°)", labelpad=2)
+    lowest, highest = _elevation(np.array([grid.z_min, grid.z_max]))
+    step = 10 if highest - lowest < 90 else 20
+    ticks = np.arange(math.ceil(lowest / step) * step, highest + 1e-9, step)
+    right.set_yticks(ticks, [f"{tick:.0f}".replace("-", "−") for tick in ticks])
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(True)
+    colours = theme.axes(fig, _LEFT + _PLOT + 62, top, 12, height)
+    if not bar:
+        colours.set_axis_off()
+    return fig, ax, colours
+
+
+def unmirrored(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Columns turned round: a cylinder seen from inside has its azimuth running from right to left."""
+    return values[:, ::-1]
+
+
+def extent_of(grid: Grid) -> tuple[float, float, float, float]:
+    """Where an unmirrored panorama lies on axes of degrees and z."""
+    return 180.0, -180.0, grid.z_min, grid.z_max
+
+
+def _elevation(z: Array) -> Array:
+    return np.degrees(np.arctan(z))
+
+
+def _z_of_elevation(angle: Array) -> Array:
+    return np.tan(np.radians(np.clip(angle, -89, 89)))
+
+
+def _size(low: Array, high: Array) -> str:
+    return " by ".join(f"{side:.3g}" for side in high - low)
+
+
+class _Overview:
+    """A virtual pinhole camera outside the scene that looks at its middle."""
+
+    def __init__(self, geometry: Geometry) -> None:
+        low, high = geometry.bounds
+        self.centre = (low + high) / 2
+        self.corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
+        self.diagonal = float(np.linalg.norm(high - low))
+        azimuth, elevation = math.radians(-112), math.radians(33)
+        away = np.array(
+            [
+                math.cos(elevation) * math.cos(azimuth),
+                math.cos(elevation) * math.sin(azimuth),
+                math.sin(elevation),
+            ]
+        )
+        self.place = self.centre + 2.2 * self.diagonal * away
+        self.forward = -away
+        self.right = normalise(np.cross(self.forward, [0.0, 0.0, 1.0]))
+        self.up = np.cross(self.right, self.forward)
+
+    def project(self, points: Array) -> Array:
+        """Picture coordinates `[..., 2]` of points in the world."""
+        p = points - self.place
+        return np.stack([p @ self.right, p @ self.up], axis=-1) / (p @ self.forward)[..., None]
+
+    def rays(self, x: Array, y: Array) -> Array:
+        """Unit directions through picture coordinates."""
+        return normalise(self.forward + x[..., None] * self.right + y[..., None] * self.up)
+
+    def window(self, shape: float) -> tuple[float, float, float, float]:
+        """Left, right, bottom, top of a picture of a shape (width / height) that holds the whole scene."""
+        seen = self.project(self.corners)
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        middle, size = (low + high) / 2, (high - low) * 1.14
+        size = np.array([max(size[0], size[1] * shape), max(size[1], size[0] / shape)])
+        left, bottom = middle - size / 2
+        right, top = middle + size / 2
+        return float(left), float(right), float(bottom), float(top)
+
+
+def _overview_image(
+    geometry: Geometry, camera: _Overview, extent: tuple[float, float, float, float], width: int, height: int
+) -> NDArray[np.uint8]:
+    """The scene without its near side: rays begin where they enter its bounds, a hair behind what is there."""
+    per_side = 2
+    left, right, bottom, top = extent
+    x = left + (np.arange(width * per_side) + 0.5) * (right - left) / (width * per_side)
+    y = top - (np.arange(height * per_side) + 0.5) * (top - bottom) / (height * per_side)
+    rays = camera.rays(*np.meshgrid(x, y)).reshape(-1, 3)
+    low, high = geometry.bounds
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_low, to_high = (low - camera.place) / rays, (high - camera.place) / rays
+    enter = np.minimum(to_low, to_high).max(axis=-1)
+    leave = np.maximum(to_low, to_high).min(axis=-1)
+    meets = np.flatnonzero(enter < leave)
+    rays = rays[meets]
+    origins = np.broadcast_to(camera.place, rays.shape)
+    if geometry.closed:
+        origins = origins + (enter[meets] + 1e-4 * camera.diagonal)[:, None] * rays
+    triangle = np.asarray(geometry.embree.run(origins.astype(np.float32), rays.astype(np.float32)))
+    hit = triangle >= 0
+    rays, face = rays[hit], geometry.face_of_triangle[triangle[hit]]
+    grey = np.full(height * width * per_side**2, 255.0)
+    grey[meets[hit]] = _shaded(geometry, camera.place, rays, face)
+    small = grey.reshape(height, per_side, width, per_side).mean(axis=(1, 3))
+    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+
+
+def _shaded(geometry: Geometry, origin: Array, rays: Array, face: NDArray[np.int32]) -> Array:
+    """Grey levels of hits, lightened and dimmed by which way a surface faces so that walls stand apart."""
+    normal = geometry.normals[face]
+    reach = (geometry.offsets[face] - normal @ origin) / np.einsum("ij,ij->i", normal, rays)
+    points = origin + reach[:, None] * rays
+    maps = geometry.uv_maps[face]
+    uv = np.einsum("nij,nj->ni", maps[..., :3], points) + maps[..., 3]
+    grey = np.empty(len(rays))
+    texture = geometry.texture_of_face[face]
+    for index in np.unique(texture):
+        there = texture == index
+        grey[there] = lookup(geometry.textures[index], uv[there])
+    light = 0.72 + 0.28 * np.abs(normal) @ np.array([0.1, 0.55, 1.0])
+    return 40 + 0.84 * grey * np.minimum(light, 1.0)
+
+
+def _draw_bounds(ax: Axes, camera: _Overview, low: Array, high: Array) -> None:
+    """The outline of the scene's bounds with its three lengths."""
+    corners = camera.corners.reshape(2, 2, 2, 3)
+    for axis in range(3):
+        first, second = (np.take(corners, side, axis=axis).reshape(4, 3) for side in (0, 1))
+        for a, b in zip(first, second, strict=True):
+            ax.plot(*camera.project(np.stack([a, b])).T, color=INK, linewidth=0.6, alpha=0.55)
+    lengths = (
+        (corners[0, 0, 0], corners[1, 0, 0], "$x$", (0, -5), "center", "top"),
+        (corners[0, 0, 0], corners[0, 1, 0], "$y$", (-4, -4), "right", "top"),
+        (corners[1, 0, 0], corners[1, 0, 1], "$z$", (5, 0), "left", "center"),
+    )
+    for (a, b, name, offset, ha, va), length in zip(lengths, high - low, strict=True):
+        x, y = camera.project((a + b) / 2)
+        ax.annotate(f"{name}: {length:.3g} m", (x, y), offset, textcoords="offset points", ha=ha, va=va, fontsize=9.5)

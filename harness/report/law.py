@@ -1,0 +1,145 @@
+"""The law of the range error: the paper's worked example, and what was measured."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.experiments.trial import Outcome
+from harness.report import theme
+from harness.report.methods import Method
+from harness.report.theme import FAINT, HALF, INK, Picture
+from harness.stereo.ranging import exact_alpha_2, paper_law, sensitivity_to_alpha_2
+
+BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
+"""The paper's worked example (section 6): half a metre of baseline, a wall 3 m away, one degree."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """One row of the worked example."""
+
+    alpha_1_deg: float
+    exact_m: float
+    short_m: float
+    """By the paper's short form."""
+
+
+def worked_example() -> list[Example]:
+    """The error of the range for one degree of alpha_2, at three angles to the baseline."""
+    return [
+        Example(
+            angle, float(_exact(np.array([angle]))[0]), float(paper_law(RANGE_M, BASELINE_M) * np.radians(ERROR_DEG))
+        )
+        for angle in (90.0, 30.0, 15.0)
+    ]
+
+
+@dataclass(frozen=True)
+class Within:
+    """How much of one outcome lies within what its whole samples allow."""
+
+    label: str
+    pixels: int
+    shares: tuple[float, ...]
+    """Shares of the absolute range errors within law times `STEPS` of a whole step."""
+
+
+STEPS = (0.5, 1.0, 1.5)
+"""Whole steps between the samples of a curve."""
+
+
+def within_steps(outcome: Outcome, label: str) -> Within:
+    """Measured range errors beside the law times half a step, on wall pixels of the domain."""
+    there = _walls(outcome)
+    predicted = 2 * outcome.reference.law[there] * outcome.reference.half_step[there]
+    error = np.abs(outcome.errors.range_m[there])
+    shares = tuple(float(np.mean(error <= steps * predicted)) for steps in STEPS) if error.size else ()
+    return Within(label, int(there.sum()), shares)
+
+
+def law_chart() -> Picture:
+    """Both forms of the law over alpha_1, for the worked example."""
+    fig = theme.figure(HALF, 320)
+    ax = theme.axes(fig, 58, 12, HALF - 70, 258)
+    angle = np.linspace(10, 170, 161)
+    ax.plot(angle, _exact(angle), color=INK, label=r"exact, $d_2^2\,/\,(|t|\,\sin\,\alpha_1)$")
+    short = float(paper_law(RANGE_M, BASELINE_M) * np.radians(ERROR_DEG))
+    ax.axhline(short, color=theme.PIXEL, linestyle=(0, (4, 2)), label="short form, $d_1^2\\,/\\,|t|$")
+    for example in worked_example():
+        ax.plot(example.alpha_1_deg, example.exact_m, "o", color=INK, markersize=4)
+        ax.annotate(
+            f"{example.exact_m:.3f} m",
+            (example.alpha_1_deg, example.exact_m),
+            (0, 9) if example.alpha_1_deg == 90 else (7, 3),
+            textcoords="offset points",
+            ha="center" if example.alpha_1_deg == 90 else "left",
+            fontsize=9.5,
+        )
+    ax.set_xlim(0, 180)
+    ax.set_xticks(range(0, 181, 30))
+    ax.set_ylim(0, 1.3)
+    ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
+    ax.set_ylabel("range error for 1° (m)")
+    ax.legend(loc="upper center")
+    alt = (
+        "Range error for one degree of alpha 2 over alpha 1, at 0.5 metres of baseline and 3 metres of range: the exact "
+        "law is smallest near 71 degrees and grows without bound towards 0 and 180; the short form is constant at 0.314 "
+        "metres."
+    )
+    return theme.picture(fig, alt, "(a) the worked example")
+
+
+def measured_chart(methods: list[Method]) -> Picture:
+    """Measured errors over alpha_1 beside what rounding to whole samples predicts."""
+    fig = theme.figure(HALF, 320)
+    ax = theme.axes(fig, 58, 12, HALF - 70, 258)
+    reference = methods[0].outcome.reference
+    edges = np.arange(30.0, 151.0, 10.0)
+    middle = (edges[:-1] + edges[1:]) / 2
+    told = []
+    for method in methods:
+        there = _walls(method.outcome)
+        angle = np.degrees(reference.alpha_1[there])
+        median = _binned(angle, 1000 * np.abs(method.outcome.errors.range_m[there]), edges)
+        ax.plot(middle, median, "o-", color=method.colour, markersize=4, label=f"measured, {method.label}")
+        if np.isfinite(median).any():
+            told.append(f"{method.label} between {np.nanmin(median):.0f} and {np.nanmax(median):.0f} mm")
+    there = _walls(methods[0].outcome)
+    expected = 500 * reference.law[there] * reference.half_step[there]
+    level = _binned(np.degrees(reference.alpha_1[there]), expected, edges)
+    ax.plot(middle, level, color=FAINT, linestyle=(0, (4, 2)), label=r"law $\times$ ¼ step")
+    ax.set_xlim(30, 150)
+    ax.set_xticks(range(30, 151, 20))
+    ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
+    ax.set_ylabel("median absolute range error, walls (mm)")
+    if told:
+        ax.set_ylim(0, 1.3 * np.nanmax(np.concatenate([line.get_ydata() for line in ax.get_lines()])))
+        ax.legend(loc="upper center")
+    else:
+        theme.note(ax, "no wall pixel has an estimate")
+    alt = (
+        f"Median absolute range error on walls in bins of 10 degrees of alpha 1: {'; '.join(told) or 'no estimate'}; "
+        "beside the median that rounding to the nearest whole sample alone would give."
+    )
+    return theme.picture(fig, alt, "(b) measured on walls")
+
+
+def _exact(alpha_1_deg: Array) -> Array:
+    a_1 = np.radians(alpha_1_deg)
+    points = RANGE_M * np.stack([np.cos(a_1), np.sin(a_1), np.zeros_like(a_1)], axis=-1)
+    a_2 = exact_alpha_2(points, [BASELINE_M, 0.0, 0.0])
+    return np.asarray(np.abs(sensitivity_to_alpha_2(a_1, a_2, BASELINE_M)) * np.radians(ERROR_DEG))
+
+
+def _walls(outcome: Outcome) -> NDArray[np.bool_]:
+    return outcome.valid & outcome.reference.domain & outcome.reference.wall
+
+
+def _binned(angle: Array, values: Array, edges: Array) -> Array:
+    """Median of the values in each bin; NaN where a bin has fewer than 20."""
+    index = np.digitize(angle, edges) - 1
+    return np.array(
+        [np.median(values[index == i]) if np.count_nonzero(index == i) >= 20 else np.nan for i in range(edges.size - 1)]
+    )

@@ -1,0 +1,115 @@
+"""Errors of the range over the whole panorama, and why pixels have no range."""
+
+import re
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
+
+from harness.report import theme
+from harness.report.images import extent_of, panorama_axes, unmirrored
+from harness.report.methods import Method, common
+from harness.report.theme import Picture
+from harness.stereo.matching.window import Reason
+
+REASONS = {
+    Reason.MATCHED: ("matched", "#E8EEF3"),
+    Reason.CURVE_LEAVES_IMAGE: ("the curve leaves the second panorama", "#E69F00"),
+    Reason.WINDOW_LEAVES_IMAGE: ("the window leaves the first panorama", "#56B4E9"),
+    Reason.NO_EPIPOLAR_PLANE: ("no epipolar plane", "#000000"),
+    Reason.NO_SAMPLE: ("no sample in the search interval", "#009E73"),
+    Reason.BEYOND_INFINITY: ("the rays do not meet", "#CC79A7"),
+}
+"""In words, and the colour on the map."""
+
+
+def common_limit_mm(methods: list[Method]) -> float:
+    """Symmetric limit for all maps: three quarters of the domain's absolute errors by the worst method fit, rounded."""
+    found = [np.abs(m.outcome.errors.range_m[m.outcome.reference.domain & common(methods)]) for m in methods]
+    limit = max((1000 * float(np.nanpercentile(each, 75)) for each in found if each.size), default=100.0)
+    size = 10.0 ** np.floor(np.log10(max(limit, 1e-3)))
+    return float(size * next(step for step in (1, 2, 3, 5, 10) if limit <= step * size * (1 + 1e-9)))
+
+
+def error_map(method: Method, limit_mm: float, letter: str) -> Picture:
+    """Signed range error of every pixel with an estimate and a truth."""
+    outcome, grid = method.outcome, method.outcome.trial.panorama
+    error = 1000 * outcome.errors.range_m
+    fig, ax, bar = panorama_axes(grid, top=28)
+    ax.patch.set(facecolor="#D4D4D4", edgecolor="#A8A8A8", hatch="/////")
+    drawn = ax.imshow(
+        unmirrored(error), cmap=_diverging(), vmin=-limit_mm, vmax=limit_mm, extent=extent_of(grid), aspect="auto"
+    )
+    fig.colorbar(drawn, cax=bar, label="range error (mm)", extend="both")
+    outline_domain(ax, method)
+    _legend(
+        ax,
+        [
+            Patch(facecolor="#D4D4D4", edgecolor="#A8A8A8", hatch="/////", linewidth=0),
+            Patch(facecolor="none", edgecolor="black", linewidth=0.9, linestyle="--"),
+        ],
+        ["no estimate or no truth", r"inside the dashed lines $\sin\,\alpha_1 < 0.5$: outside the domain"],
+    )
+    known = error[outcome.reference.domain & np.isfinite(error)]
+    beyond = f"{100 * np.mean(np.abs(known) > limit_mm):.0f} %" if known.size else "none"
+    alt = (
+        f"Map of the signed range error over the panorama, {method.label}, clipped at ±{limit_mm:g} mm; {beyond} of "
+        "the estimates in the domain lie beyond."
+    )
+    return theme.picture(fig, alt, f"({letter}) {method.label}")
+
+
+def reason_map(method: Method) -> Picture:
+    """Why a pixel has no range."""
+    outcome, grid = method.outcome, method.outcome.trial.panorama
+    present = [reason for reason in Reason if (outcome.reason == reason).any()]
+    number = np.zeros(outcome.reason.shape)
+    for index, reason in enumerate(present):
+        number[outcome.reason == reason] = index
+    names, colours = zip(*(REASONS.get(reason, _unknown(reason)) for reason in present), strict=True)
+    fig, ax, _ = panorama_axes(grid, top=28, bar=False)
+    ax.imshow(
+        unmirrored(number),
+        cmap=ListedColormap(list(colours)),
+        vmin=-0.5,
+        vmax=len(present) - 0.5,
+        extent=extent_of(grid),
+        aspect="auto",
+    )
+    outline_domain(ax, method)
+    shares = [100 * float((outcome.reason == reason).mean()) for reason in present]
+    labels = [f"{name} ({share:.1f} %)" for name, share in zip(names, shares, strict=True)]
+    _legend(ax, [Patch(facecolor=colour, edgecolor="#999999", linewidth=0.4) for colour in colours], labels)
+    return theme.picture(fig, f"Map of the reasons why pixels have no range: {'; '.join(labels)}.", "")
+
+
+def outline_domain(ax: Axes, method: Method) -> None:
+    """Dashed lines where sin(alpha_1) = 0.5."""
+    outcome, grid = method.outcome, method.outcome.trial.panorama
+    sine = np.sin(outcome.reference.alpha_1)
+    if np.nanmin(sine) < 0.5 < np.nanmax(sine):
+        ax.contour(np.degrees(grid.phi), grid.z, sine, levels=[0.5], colors="black", linewidths=0.9, linestyles="--")
+
+
+def _legend(ax: Axes, handles: list[Patch], labels: list[str]) -> None:
+    ax.legend(
+        handles,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncol=len(labels),
+        columnspacing=1.6,
+        borderaxespad=0.3,
+    )
+
+
+def _unknown(reason: Reason) -> tuple[str, str]:
+    return re.sub("_", " ", reason.name.lower()), "#F0E442"
+
+
+def _diverging() -> ListedColormap:
+    """Blue over white to red in few enough steps to be read off a colour bar, safe for colour-blind readers."""
+    from matplotlib import colormaps
+
+    return ListedColormap(colormaps["RdBu_r"](np.linspace(0.02, 0.98, 41)))

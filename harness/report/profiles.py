@@ -1,0 +1,209 @@
+"""Range along rows of the panorama (the paper's figure 5)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.experiments.trial import Outcome
+from harness.report import theme
+from harness.report.methods import Method, common
+from harness.report.theme import HALF, WIDE, Picture
+from harness.stereo.epipolar import alpha_2_at
+from harness.stereo.ranging import triangulate
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the panorama and what is seen in it."""
+
+    index: int
+    elevation_deg: float
+    domain: int
+    """Pixels of the domain in it."""
+    matched: int
+    """Of these, those for which every method has an estimate."""
+    wall: float
+    """Of the domain, the share on walls."""
+
+    @property
+    def surface(self) -> str:
+        """What the row shows, in a word or two."""
+        if self.wall >= 0.99:
+            return "wall"
+        return "floor or ceiling" if self.wall <= 0.01 else "walls and floor"
+
+
+def row_at(methods: list[Method], index: int) -> Row:
+    """Describe one row."""
+    outcome = methods[0].outcome
+    domain = outcome.reference.domain[index]
+    size = int(domain.sum())
+    return Row(
+        index=index,
+        elevation_deg=float(np.degrees(np.arctan(outcome.trial.panorama.z[index]))),
+        domain=size,
+        matched=int((domain & common(methods)[index]).sum()),
+        wall=float((domain & outcome.reference.wall[index]).sum() / size) if size else 0.0,
+    )
+
+
+def main_row(methods: list[Method]) -> int:
+    """The row nearest to the horizon in which every method has an estimate somewhere in the domain."""
+    outcome = methods[0].outcome
+    height = np.abs(outcome.trial.panorama.z)
+    matched = (common(methods) & outcome.reference.domain).any(axis=1)
+    return int(np.argmin(np.where(matched, height, np.inf))) if matched.any() else int(np.argmin(height))
+
+
+def other_rows(methods: list[Method], count: int = 6) -> list[int]:
+    """Rows spread evenly over the wall rows and over the other rows that have estimates, from the top down.
+
+    Rows close to the main one are left out.
+    """
+    outcome = methods[0].outcome
+    domain, usable = outcome.reference.domain, common(methods) & outcome.reference.domain
+    matched = np.flatnonzero(usable.sum(axis=1) >= 0.25 * np.maximum(domain.sum(axis=1), 1))
+    matched = matched[np.abs(matched - main_row(methods)) > outcome.trial.panorama.height_px // 20]
+    share = (domain & outcome.reference.wall)[matched].sum(axis=1) / np.maximum(domain[matched].sum(axis=1), 1)
+    walls, others = matched[share >= 0.5], matched[share < 0.5]
+    half = count // 2
+    from_walls = min(walls.size, max(half, count - others.size))
+    return sorted({*_spread(walls, from_walls), *_spread(others, count - from_walls)})
+
+
+def _spread(rows: NDArray[np.intp], count: int) -> list[int]:
+    """Some of the rows at even distances; the ends, where windows are cut, are left out where there are enough."""
+    if rows.size <= count:
+        return [int(row) for row in rows]
+    return [int(rows[round((i + 0.5) * rows.size / count - 0.5)]) for i in range(count)]
+
+
+def limits(methods: list[Method], row: int) -> tuple[float, float]:
+    """Limits of a range axis, metres: around the truth of the row, so that gross errors do not hide the rest."""
+    reference = methods[0].outcome.reference
+    true = reference.range_m[row][reference.domain[row]]
+    if not true.size:
+        true = reference.range_m[row][np.isfinite(reference.range_m[row])]
+    if not true.size:
+        return 0.0, 1.0
+    low, high = np.percentile(true, [0, 98])
+    return max(0.0, float(0.72 * low)), float(1.3 * high)
+
+
+def profile(method: Method, row: Row, span: tuple[float, float], letter: str) -> Picture:
+    """Range of one row by one method, with the ranges that whole samples of the curve can say."""
+    outcome = method.outcome
+    fig = theme.figure(WIDE, 300)
+    ax = theme.axes(fig, 52, 30, WIDE - 72, 222)
+    phi = np.degrees(outcome.trial.panorama.phi)
+    stepped = outcome.trial.matching.subpixel == "none"
+    _background(ax, outcome, row.index, phi)
+    if stepped:
+        x, y = _levels(outcome, row.index, span)
+        ax.plot(x, y, color="#B9B9B9", linewidth=0.55, zorder=1, label="ranges of whole samples")
+    ax.plot(phi, outcome.reference.range_m[row.index], color=theme.TRUTH, linewidth=1.0, zorder=2, label="truth")
+    beyond = _estimate(ax, method, row.index, span, size=2.3)
+    theme.degrees(ax)
+    ax.set_ylim(*span)
+    ax.set_ylabel("range $d_1$ (m)")
+    _key(ax, method)
+    about = "the levels of whole samples are drawn too; " if stepped else ""
+    alt = (
+        f"Range over azimuth for row {row.index}, elevation {row.elevation_deg:.1f} degrees, {method.label}, against the "
+        f"true range; {about}{beyond} of {row.matched} estimates in the domain lie outside the axes."
+    )
+    return theme.picture(fig, alt, f"({letter}) {method.label}")
+
+
+def small_profile(methods: list[Method], row: Row) -> Picture:
+    """Range of one row by all methods, for one of several panels."""
+    outcome = methods[0].outcome
+    span = limits(methods, row.index)
+    fig = theme.figure(HALF, 232)
+    ax = theme.axes(fig, 46, 26, HALF - 64, 160)
+    phi = np.degrees(outcome.trial.panorama.phi)
+    _background(ax, outcome, row.index, phi)
+    ax.plot(phi, outcome.reference.range_m[row.index], color=theme.TRUTH, linewidth=0.9, zorder=4)
+    medians = []
+    for method in methods:
+        _estimate(ax, method, row.index, span, size=1.7)
+        medians.append(f"{method.label} {_median_mm(method, methods, row.index)}")
+    theme.degrees(ax, step=60)
+    ax.set_ylim(*span)
+    ax.set_ylabel("range $d_1$ (m)")
+    ax.set_title(f"row {row.index}, elevation {row.elevation_deg:+.1f}°, {row.surface}".replace("-", "−"))
+    alt = (
+        f"Range over azimuth for row {row.index}, elevation {row.elevation_deg:.1f} degrees, {row.surface}. Median "
+        f"absolute range error: {', '.join(medians)}."
+    )
+    return theme.picture(fig, alt, f"median |error|: {', '.join(medians)}; density {_share(row)}")
+
+
+def _share(row: Row) -> str:
+    return f"{100 * row.matched / row.domain:.0f} %" if row.domain else "none"
+
+
+def _median_mm(method: Method, methods: list[Method], row: int) -> str:
+    there = common(methods)[row] & method.outcome.reference.domain[row]
+    error = np.abs(method.outcome.errors.range_m[row][there])
+    return f"{1000 * np.median(error):.0f} mm" if error.size else "none"
+
+
+def _background(ax: Axes, outcome: Outcome, row: int, phi: Array) -> None:
+    domain, valid = outcome.reference.domain[row], outcome.valid[row]
+    theme.shade(ax, phi, ~domain, theme.OUTSIDE)
+    theme.shade(ax, phi, domain & ~valid, theme.UNMATCHED)
+
+
+def _estimate(ax: Axes, method: Method, row: int, span: tuple[float, float], size: float) -> int:
+    """Dots, and strokes at the edge for those beyond it; how many of the latter lie in the domain."""
+    outcome = method.outcome
+    phi, found = np.degrees(outcome.trial.panorama.phi), outcome.range_m[row]
+    low, high = span
+    inside = (found >= low) & (found <= high)
+    theme.dots(ax, phi[inside], found[inside], method.colour, size)
+    for beyond, edge, way in ((found > high, high, -1), (found < low, low, 1)):
+        theme.dots(ax, phi[beyond], np.full(beyond.sum(), edge), method.colour, 0.8, length=way * 0.03 * (high - low))
+    return int((outcome.reference.domain[row] & np.isfinite(found) & ~inside).sum())
+
+
+def _levels(outcome: Outcome, row: int, span: tuple[float, float]) -> tuple[Array, Array]:
+    """The range that each whole sample of the curves of a row means, one line a sample; NaN between lines."""
+    curves = outcome.whole.curves
+    columns = np.arange(0, curves.grid.width_px, 2)
+    first, last = curves.k_first[row, columns], curves.k_last[row, columns]
+    samples = np.arange(max(int(first.min()), 0), int(last.max()) + 1)
+    shape = (samples.size, columns.size)
+    where = (np.full(shape, row), np.broadcast_to(columns, shape))
+    k = np.broadcast_to(samples[:, None], shape).astype(np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alpha_2 = alpha_2_at(curves, k, where)
+    found, _ = triangulate(curves.alpha_1[where], alpha_2, float(np.linalg.norm(curves.t)))
+    seen = (k >= first) & (k <= last) & outcome.reference.domain[row, columns] & (found < 1.3 * span[1])
+    found = np.where(seen, found, np.nan)
+    gap = np.full((samples.size, 1), np.nan)
+    x = np.broadcast_to(np.degrees(curves.grid.phi[columns]), shape)
+    return np.hstack([x, gap]).ravel(), np.hstack([found, gap]).ravel()
+
+
+def _key(ax: Axes, method: Method) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    handles += [
+        theme.dot_key(method.colour),
+        Patch(facecolor=theme.OUTSIDE),
+        Patch(facecolor=theme.UNMATCHED, edgecolor="#CCCCCC", linewidth=0.5),
+    ]
+    labels += [method.label, "outside the domain", "no estimate"]
+    ax.legend(
+        handles,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncol=len(labels),
+        columnspacing=1.6,
+        borderaxespad=0.2,
+    )

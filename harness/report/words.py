@@ -1,0 +1,129 @@
+"""Numbers in words and cells. What is said here follows from the numbers, and says no more than they do."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from harness.experiments.run import Result
+from harness.experiments.spec import Trial
+from harness.report.methods import Method
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table of measures."""
+
+    key: str
+    """As in `summary.json`."""
+    heading: str
+    unit: str
+    scale: float
+    form: str
+
+    def cell(self, measures: dict[str, Any]) -> str:
+        """The figure in the column's unit; a dash where there is none."""
+        value = measures.get(self.key)
+        return "–" if value is None else figure(self.scale * value, self.form)
+
+
+COLUMNS = (
+    Column("density", "Density", "%", 100, ".1f"),
+    Column("disparity_median_abs_px", "Disparity, median |error|", "px", 1, ".3f"),
+    Column("disparity_rmse_px", "Disparity, RMSE", "px", 1, ".3f"),
+    Column("bad_1px", "Error above 1\u00a0px", "%", 100, ".2f"),
+    Column("range_median_abs_m", "Range, median |error|", "mm", 1000, ".1f"),
+    Column("range_mae_m", "Range, mean |error|", "mm", 1000, ".1f"),
+    Column("range_rmse_m", "Range, RMSE", "mm", 1000, ".1f"),
+    Column("range_bias_m", "Range, bias", "mm", 1000, "+.1f"),
+)
+
+
+def figure(value: float, form: str) -> str:
+    """A number with a true minus sign; one that rounds to zero has no sign."""
+    text = format(value, form)
+    if not text.strip("+-0."):
+        text = text.lstrip("+-")
+    return text.replace("-", "−")
+
+
+def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
+    """Sentences for the head of the report."""
+    trial = methods[0].outcome.trial
+    matcher, grid, camera = trial.matching, trial.panorama, trial.sensor.camera
+    yield (
+        f"Two mirror images of {camera.width_px} × {camera.height_px} pixels, rendered "
+        f"{trial.view_2.baseline_m:g} m apart in the scene “{trial.scene.name}” with exact truth, are unwrapped to "
+        f"panoramas of {grid.width_px} × {grid.height_px} pixels and matched by {matcher.cost.upper()} over "
+        f"{matcher.window_px} × {matcher.window_px} px windows along epipolar curves."
+    )
+    walls, everything = result.summary["comparison_wall"], result.summary["comparison"]
+    yield from _compared("On wall pixels", walls, methods)
+    yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
+
+
+def _compared(where: str, measures: dict[str, Any], methods: list[Method], *, gross: bool = False) -> Iterator[str]:
+    named = {method.key: measures[method.key] for method in methods if method.key in measures}
+    known = {key: m for key, m in named.items() if m["range_median_abs_m"] is not None}
+    if not known:
+        yield f"{where} there is no estimate to speak of."
+        return
+    density = f"density {100 * next(iter(known.values()))['density']:.1f} %"
+    if {"pixel", "subpixel"} <= known.keys():
+        pair = known["pixel"], known["subpixel"]
+        of_range = _changes(*pair, "range_median_abs_m", 1000, ".0f", "the median range error", "mm")
+        of_disparity = _changes(*pair, "disparity_median_abs_px", 1, ".2f", "the median disparity error", "px")
+        yield f"{where} the sub-pixel step {of_range} and {of_disparity} ({density})."
+    else:
+        for method in methods:
+            if method.key in known:
+                m = known[method.key]
+                yield (
+                    f"{where} the median absolute error, {method.label}, is {1000 * m['range_median_abs_m']:.0f} mm of "
+                    f"range and {m['disparity_median_abs_px']:.2f} px of disparity ({density})."
+                )
+    if gross:
+        shares = " and ".join(
+            f"{100 * known[method.key]['bad_1px']:.0f} % ({method.label})" for method in methods if method.key in known
+        )
+        yield f"There the disparity is off by more than one pixel for {shares} of the estimates."
+
+
+def _changes(
+    before: dict[str, Any], after: dict[str, Any], key: str, scale: float, form: str, what: str, unit: str
+) -> str:
+    old, new = (format(scale * m[key], form) for m in (before, after))
+    if old == new:
+        return f"leaves {what} at {new} {unit}"
+    return f"{'lowers' if after[key] < before[key] else 'raises'} {what} from {old} {unit} to {new} {unit}"
+
+
+UNITS = {"_m": "m", "_deg": "°", "_px": "px", "_mm": "mm"}
+
+
+def settings(trial: Trial) -> list[tuple[str, list[tuple[str, str, str]]]]:
+    """All settings but the scene's objects by section: name, value, unit."""
+    table = trial.model_dump(mode="json")
+    scene = table.pop("scene")
+    sections = [("scene", [(key, _shown(scene[key]), "") for key in ("name", "description", "closed", "scale")])]
+    sections += [(section, list(_flat(values))) for section, values in table.items() if isinstance(values, dict)]
+    alone = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    return [*sections, ("trial", list(_flat(alone)))] if alone else sections
+
+
+def _flat(values: dict[str, Any], above: str = "") -> Iterator[tuple[str, str, str]]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{above}{key}.")
+        else:
+            unit = next((unit for ending, unit in UNITS.items() if key.endswith(ending)), "")
+            yield f"{above}{key}", _shown(value), unit
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.10g}".replace("-", "−")
+    if isinstance(value, list):
+        return f"({', '.join(_shown(each) for each in value)})"
+    return str(value)
