@@ -1,0 +1,60 @@
+"""A scene as a standard GLB file, so that another renderer can repeat the picture."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.simulation.geometry import geometry_of
+from harness.simulation.mesh_file import Z_UP_FROM_Y_UP
+from harness.simulation.scene import Scene
+
+
+def write_glb(scene: Scene, path: str | Path) -> None:
+    """Write a scene as binary glTF: y up, one mesh for each textured surface, unlit grey materials.
+
+    Textures are embedded as 8-bit PNG, which rounds those that are not whole numbers (noise); they repeat, which is
+    glTF's default. Positions and texture coordinates are float32. Loading the file as a `mesh` object turns z up again.
+
+    Raises
+    ------
+    InputError
+        When a mesh or texture file of the scene is wrong.
+    """
+    import trimesh
+    from PIL import Image
+
+    geometry = geometry_of(scene)
+    face = geometry.face_of_triangle[:-1]
+    homogeneous = np.concatenate([geometry.corners, np.ones((*geometry.corners.shape[:2], 1))], axis=-1)
+    uv = np.einsum("tij,tkj->tki", geometry.uv_maps[face], homogeneous)
+    visual: Any = trimesh.visual
+    world: Any = trimesh.Scene()
+    for index, texels in enumerate(geometry.textures):
+        triangles = geometry.texture_of_face[face] == index
+        thing = scene.objects[geometry.object_of_face[face[triangles][0]]]
+        name = f"{index}: {thing.name or thing.kind}"
+        grey = np.clip(np.rint(texels), 0, 255).astype(np.uint8)
+        material = visual.material.PBRMaterial(
+            name=name,
+            baseColorTexture=Image.fromarray(grey).convert("RGB"),
+            metallicFactor=0.0,
+            roughnessFactor=1.0,
+            doubleSided=True,
+        )
+        mesh = trimesh.Trimesh(
+            vertices=geometry.corners[triangles].reshape(-1, 3) @ Z_UP_FROM_Y_UP,
+            faces=np.arange(3 * np.count_nonzero(triangles)).reshape(-1, 3),
+            visual=visual.TextureVisuals(uv=uv[triangles].reshape(-1, 2), material=material),
+            process=False,
+        )
+        world.add_geometry(mesh, geom_name=name, node_name=name)
+    data = world.export(file_type="glb", include_normals=False, tree_postprocessor=_unlit)
+    Path(path).write_bytes(data)
+
+
+def _unlit(tree: dict[str, Any]) -> None:
+    """Declare the materials unlit: what one sees is the texture, in any renderer that knows KHR_materials_unlit."""
+    tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_unlit"})
+    for material in tree.get("materials", []):
+        material.setdefault("extensions", {})["KHR_materials_unlit"] = {}
