@@ -60,6 +60,7 @@ class Scene(Spec):
     closed: bool = True
     grid: tuple[tuple[Finite, ...], ...] = ()
     span_m: tuple[Finite, Finite] | Literal["auto"] = "auto"
+    turn_deg: Literal["none"] | tuple[Finite, Finite] = "none"
     spare: Box | None = None
     shape: Plain | Ball | str = "none"
 
@@ -114,6 +115,7 @@ WRONG = [
     # a union without a tag: all that it may be, or the member that got furthest
     ({"span_m": "aut"}, "span_m: must be a list or 'auto'; found 'aut'"),
     ({"span_m": [1]}, "span_m: must be a list of 2; found a list of 1"),
+    ({"turn_deg": [1, "x"]}, "turn_deg[1]: must be a number; found 'x'"),
     ({"shape": 3}, "shape: must be a table or text in quotes; found 3"),
 ]  # fmt: skip
 
