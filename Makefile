@@ -13,7 +13,6 @@ help:  ## list the targets
 
 paper: $(STAMP)  ## reproduce the paper; the report is results/paper/report.html
 	$(BIN)/omnirange run paper
-	@echo "report: $(CURDIR)/results/paper/report.html"
 
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest
