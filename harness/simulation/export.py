@@ -14,7 +14,8 @@ def write_glb(scene: Scene, path: str | Path) -> None:
     """Write a scene as binary glTF: y up, one mesh for each textured surface, unlit grey materials.
 
     Textures are embedded as 8-bit PNG, which rounds those that are not whole numbers (noise); they repeat, which is
-    glTF's default. Positions and texture coordinates are float32. Loading the file as a `mesh` object turns z up again.
+    glTF's default. Positions and texture coordinates are float32. Loading the file as a `mesh` object turns z up
+    again.
 
     Raises
     ------

@@ -307,15 +307,16 @@ def _is_watertight(corners: Array) -> bool:
 
 
 def _encloses(corners: Array, p: Array) -> bool:
-    """Whether a watertight surface goes round a point: its signed solid angle is then ±4 pi, otherwise 0.
+    """Whether a watertight surface goes round a point: a ray crosses it an odd number of times.
 
-    Solid angle of a triangle: A. van Oosterom and J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125.
+    The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
     """
     vertices = corners.reshape(-1, 3)
     if not ((p > vertices.min(axis=0)) & (p < vertices.max(axis=0))).all():
         return False
+    ray = np.array([0.537761, 0.279103, 0.795541])
     a, b, c = np.moveaxis(corners - p, 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    triple = np.sum(a * np.cross(b, c), axis=-1)
-    dots = np.sum(a * b, axis=-1) * lc + np.sum(b * c, axis=-1) * la + np.sum(c * a, axis=-1) * lb
-    return bool(abs(2 * np.arctan2(triple, la * lb * lc + dots).sum()) > 2 * np.pi)
+    beside = np.stack([np.cross(b, c) @ ray, np.cross(c, a) @ ray, np.cross(a, b) @ ray])
+    through = (beside > 0).all(axis=0) | (beside < 0).all(axis=0)
+    ahead = np.sum(a * np.cross(b, c), axis=-1) * beside.sum(axis=0) > 0
+    return bool(np.count_nonzero(through & ahead) % 2)

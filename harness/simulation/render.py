@@ -235,7 +235,7 @@ def _projection(sensor: Sensor) -> tuple[float, ...]:
 
 def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int | None) -> Image:
     """The mean of every pixel's samples, given which face fills it or that it must be traced."""
-    per_side = math.isqrt(samples)
+    per_side = math.isqrt(max(samples, 0))
     if samples < 1 or per_side * per_side != samples:
         raise ValueError(f"samples must be a square number, such as 4, 16 or 64; found {samples}")
     offsets = (np.arange(per_side) + 0.5) / per_side - 0.5

@@ -152,7 +152,7 @@ def _with_absolute_files(value: Any, scene_path: Path, key: str) -> Any:
     if isinstance(value, dict):
         return {k: _with_absolute_files(v, scene_path, f"{key}.{k}" if key else k) for k, v in value.items()}
     if isinstance(value, list):
-        return [_with_absolute_files(v, scene_path, f"{key}.{i}") for i, v in enumerate(value)]
+        return [_with_absolute_files(v, scene_path, f"{key}[{i}]") for i, v in enumerate(value)]
     if isinstance(value, str) and key.rpartition(".")[2] == "file":
         return str(_existing(value, scene_path, key))
     return value
