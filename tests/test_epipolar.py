@@ -43,7 +43,7 @@ def test_true_correspondences_lie_on_the_curve_and_give_the_true_range():
         steep = np.hypot(x_2[..., 0], x_2[..., 1]) < 1e-3  # the cylinder has no point straight up or down
         worst["alpha"] = max(worst["alpha"], np.abs(on_curve - x_2)[~steep].max())
         estimated_1, estimated_2 = triangulate(curves.alpha_1, alpha_2, motion.baseline_m)
-        # Where the rays are nearly parallel to t or to each other, rounding of the angles (1e-16) is amplified by the law.
+        # Where the rays are nearly parallel to t or to each other, the law amplifies the angles' rounding (1e-16).
         d_2 = np.linalg.norm(p_v2, axis=-1)
         fair = d_2**2 / (motion.baseline_m * np.sin(curves.alpha_1) * d_1) < 1e5
         worst["range"] = max(worst["range"], np.abs(estimated_1 / d_1 - 1)[fair].max())
@@ -79,7 +79,12 @@ def test_the_interval_holds_exactly_the_samples_between_d_min_and_d_max(t, d_min
     curves = epipolar_curves(SMALL, t, d_min_m=d_min, d_max_m=d_max, sampling=sampling, pitch_px=pitch)
     some = curves.defined & (np.abs(curves.n[..., 2]) > 1e-3) & (np.sin(curves.alpha_1) > 1e-3)
     baseline = np.linalg.norm(t)
-    for k, inside in ((curves.k_first, True), (curves.k_last, True), (curves.k_first - 1, False), (curves.k_last + 1, False)):
+    for k, inside in (
+        (curves.k_first, True),
+        (curves.k_last, True),
+        (curves.k_first - 1, False),
+        (curves.k_last + 1, False),
+    ):
         asked = some & (curves.k_last >= curves.k_first) & (k >= 0)
         alpha_2 = alpha_2_at(curves, k)
         # A sample past the epipole comes round on the other side: it is no point in front of both views any more.

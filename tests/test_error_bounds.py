@@ -16,8 +16,6 @@ from harness.stereo.matching.subpixel import refine
 from harness.stereo.panorama import unwrap
 
 
-
-
 def both(trial, kept=None):
     """The trial at pixel level and sub-pixel."""
     kept = kept or Kept()
@@ -54,7 +52,9 @@ def test_tilted_second_view_and_general_translation_with_alpha_sampling(paper):
     """Known pitch and roll, a translation with a vertical part: nothing in the chain is made for the level case."""
     trial = paper.experiment.trial.model_copy(
         update={
-            "view_2": SecondView(baseline_m=0.5, azimuth_deg=35, elevation_deg=20, yaw_deg=25, pitch_deg=3, roll_deg=-4),
+            "view_2": SecondView(
+                baseline_m=0.5, azimuth_deg=35, elevation_deg=20, yaw_deg=25, pitch_deg=3, roll_deg=-4
+            ),
             "matching": paper.experiment.trial.matching.model_copy(update={"sampling": "alpha"}),
         }
     )
@@ -128,7 +128,9 @@ def flipped_translation(monkeypatch):
     """The baseline points the wrong way: the paper's eq. 1 taken literally."""
     true_match = chain.match_whole_pixels
     monkeypatch.setattr(
-        chain, "match_whole_pixels", lambda first, second, t, matcher, **kw: true_match(first, second, -t, matcher, **kw)
+        chain,
+        "match_whole_pixels",
+        lambda first, second, t, matcher, **kw: true_match(first, second, -t, matcher, **kw),
     )
 
 
@@ -149,7 +151,7 @@ def missing_derotation(monkeypatch):
     monkeypatch.setattr(
         chain,
         "unwrap",
-        lambda image, sensor, grid, *, R_sensor_from_panorama, interpolation: true_unwrap(
+        lambda image, sensor, grid, *, interpolation, **_: true_unwrap(
             image, sensor, grid, interpolation=interpolation
         ),
     )
@@ -197,8 +199,9 @@ def test_planted_fault_is_caught(paper, monkeypatch, fault, yaw_deg):
 
 def test_half_a_pixel_in_the_mirror_image_is_caught(paper, monkeypatch):
     """Both views shifted alike hardly change a disparity; the panorama's own test sees it (see test_panorama)."""
-    import harness.stereo.panorama as panorama
     from test_panorama import SENSOR, pattern, picture
+
+    from harness.stereo import panorama
 
     def off(sensor, directions):
         pixels, valid = project(sensor, directions)

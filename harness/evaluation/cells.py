@@ -8,13 +8,8 @@ from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.evaluation.errors import Errors, Reference
+from harness.evaluation.regions import CellPixels
 from harness.stereo.ranging import paper_law
-
-ALPHA_1_EDGES_DEG = (30.0, 50.0, 70.0, 90.0, 110.0, 130.0, 150.0)
-"""The domain, sin(alpha_1) >= 0.5, in six parts."""
-
-RANGE_RATIO = 2**0.5
-"""Ranges are binned by powers of this. With baselines that are such powers too, |t|/d falls into the same bins for all."""
 
 MIN_PIXELS = 200
 """A median of fewer correlated pixels is no observation."""
@@ -30,9 +25,9 @@ class Cell:
     surface: str
     """`wall` or `floor` (which stands for ceilings too)."""
     alpha_bin: int
-    """Index into `ALPHA_1_EDGES_DEG`."""
+    """Index into `regions.ALPHA_1_EDGES_DEG`."""
     range_bin: int
-    """`floor(log(d)/log(RANGE_RATIO))`, d in metres."""
+    """`floor(log(d)/log(regions.RANGE_RATIO))`, d in metres."""
     pixels: int
     range_m: float
     """Median true range."""
@@ -52,52 +47,39 @@ class Cell:
     """Share of the estimates that are off by more than one pixel."""
 
 
-def cells(truth: Reference, found: Errors, valid: NDArray[np.bool_], baseline_m: float) -> list[dict[str, Any]]:
-    """The cells of one trial with enough pixels, as JSON-able tables in a fixed order.
+def cells(
+    parts: tuple[CellPixels, ...], truth: Reference, found: Errors, valid: NDArray[np.bool_], baseline_m: float
+) -> list[dict[str, Any]]:
+    """The cells of one trial with enough estimates, as JSON-able tables in a fixed order.
 
     Parameters
     ----------
     valid
         `[height, width]`: pixels with an estimate of the range.
     """
-    domain = truth.domain
-    alpha_bin = np.digitize(np.degrees(truth.alpha_1[domain]), ALPHA_1_EDGES_DEG) - 1
-    alpha_bin = np.clip(alpha_bin, 0, len(ALPHA_1_EDGES_DEG) - 2)
-    range_bin = np.floor(np.log(truth.range_m[domain]) / np.log(RANGE_RATIO)).astype(np.int64)
-    wall = truth.wall[domain]
-    lowest = range_bin.min(initial=0)
-    group = ((range_bin - lowest) * 8 + alpha_bin) * 2 + wall
-    order = np.argsort(group, kind="stable")
-    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
-    seen = valid[domain]
-    angle, distance = found.alpha_2[domain], found.range_m[domain]
-    disparity = found.disparity_px[domain]
-    range_m, law = truth.range_m[domain], truth.law[domain]
+    seen, angle, distance = valid.ravel(), found.alpha_2.ravel(), found.range_m.ravel()
+    disparity, range_m, law = found.disparity_px.ravel(), truth.range_m.ravel(), truth.law.ravel()
     table = []
-    for members in np.split(order, starts[1:]):
-        have = members[seen[members]]
+    for part in parts:
+        have = part.pixels[seen[part.pixels]]
         if have.size < MIN_PIXELS:
             continue
-        first = members[0]
         ranges = range_m[have]
-        table.append(
-            asdict(
-                Cell(
-                    surface="wall" if wall[first] else "floor",
-                    alpha_bin=int(alpha_bin[first]),
-                    range_bin=int(range_bin[first]),
-                    pixels=int(have.size),
-                    range_m=_median(ranges),
-                    spread_m=NORMAL * _median(np.abs(distance[have])),
-                    sigma_alpha=NORMAL * _median(np.abs(angle[have])),
-                    law_exact=_median(law[have]),
-                    law_paper=_median(paper_law(ranges, baseline_m)),
-                    disparity_bias_px=_median(disparity[have]),
-                    missing=1 - have.size / members.size,
-                    gross=float(np.mean(np.abs(disparity[have]) > 1)),
-                )
-            )
+        cell = Cell(
+            surface=part.surface,
+            alpha_bin=part.alpha_bin,
+            range_bin=part.range_bin,
+            pixels=int(have.size),
+            range_m=_median(ranges),
+            spread_m=NORMAL * _median(np.abs(distance[have])),
+            sigma_alpha=NORMAL * _median(np.abs(angle[have])),
+            law_exact=_median(law[have]),
+            law_paper=_median(paper_law(ranges, baseline_m)),
+            disparity_bias_px=_median(disparity[have]),
+            missing=1 - have.size / part.pixels.size,
+            gross=float(np.mean(np.abs(disparity[have]) > 1)),
         )
+        table.append(asdict(cell))
     return table
 
 

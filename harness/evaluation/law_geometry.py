@@ -1,8 +1,8 @@
 """The law of sensitivity from geometry alone.
 
 Exact angles (and apart from them |t|) are perturbed by known noise, and the spread and bias of the triangulated range
-are compared with the exact law, with the paper's d²/|t|, with d/|t| (eq. 10) and with the bias of second order. This says
-nothing of images; it verifies the formulas and shows where their linearisation ends.
+are compared with the exact law, with the paper's d²/|t|, with d/|t| (eq. 10) and with the bias of second order. This
+says nothing of images; it verifies the formulas and shows where their linearisation ends.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ SMALL_SIGMA_DEG = 0.02
 """Small enough that the range's relative spread is below 2 % everywhere on the grid: the linearisation holds."""
 SIGMAS_DEG = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DRAWS = 100_000
-"""Each used with both signs. The standard error of a spread is 1/sqrt(2 draws), 0.2 %: well below the 1 % asked of the law."""
+"""Each used with both signs. The standard error of a spread is 1/sqrt(2 draws), 0.2 %: well below the 1 % asked."""
 
 
 @dataclass(frozen=True)

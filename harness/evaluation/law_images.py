@@ -1,24 +1,25 @@
 """The law of sensitivity on images, and what becomes of the angle's own error.
 
-Range is computed from alpha_2, so by calculus its error is the law times the error of alpha_2: to plot one against the other
-proves nothing. What can fail is that sigma(alpha_2) depends neither on range nor on baseline. If it does not, the relative
-error of the range grows with the law: `log(spread/d)` against `log(law/d)` has slope 1 over cells that differ in range,
-baseline and direction. Here that slope is fitted, with an interval from resampling the seeds (each seed has drawn its
-own place and noise; pixels of one image are correlated and are never resampled).
+Range is computed from alpha_2, so by calculus its error is the law times the error of alpha_2: to plot one against
+the other proves nothing. What can fail is that sigma(alpha_2) depends neither on range nor on baseline. If it does
+not, the relative error of the range grows with the law: `log(spread/d)` against `log(law/d)` has slope 1 over cells
+that differ in range, baseline and direction. Here that slope is fitted, with an interval from resampling the seeds
+(each seed has drawn its own place and noise; pixels of one image are correlated and are never resampled).
 
-A table of cells has one row a cell of a trial (see `cells.Cell`), and of its trial the columns `matcher`, `subpixel`, `seed`,
-`baseline_m` and `condition`: a word for all other settings that vary (window, noise, ...). Conditions differ in sigma
-by design, so each keeps an intercept of its own.
+A table of cells has one row a cell of a trial (see `cells.Cell`), and of its trial the columns `matcher`, `subpixel`,
+`seed`, `baseline_m` and `condition`: a word for all other settings that vary (window, noise, ...). Conditions differ in
+sigma by design, so each keeps an intercept of its own.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from harness.camera.angles import Array
-from harness.evaluation.cells import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 
 BOOTSTRAP_DRAWS = 2000
 LAWS = ("exact", "paper")
@@ -40,7 +41,7 @@ def fit_laws(cells: pd.DataFrame) -> list[dict[str, Any]]:
         for law in LAWS:
             x = np.log(part[f"law_{law}"] / part["range_m"])
             by_alpha_1 = []
-            for index, (low, high) in enumerate(zip(ALPHA_1_EDGES_DEG[:-1], ALPHA_1_EDGES_DEG[1:], strict=True)):
+            for index, (low, high) in enumerate(pairwise(ALPHA_1_EDGES_DEG)):
                 inside = part["alpha_bin"] == index
                 by_alpha_1.append({"from_deg": low, "to_deg": high, **_slope(x[inside], y[inside], part[inside])})
             found.append(
@@ -77,8 +78,8 @@ def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
 def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
     """Which baseline has the smallest error at each range, and which one the naive law would have advised.
 
-    Errors are averaged as logarithms over directions, conditions and seeds, over the directions and conditions that every
-    baseline has seen at that range. The naive law, d²/|t| with a constant sigma, always advises the longest.
+    Errors are averaged as logarithms over directions, conditions and seeds, over the directions and conditions that
+    every baseline has seen at that range. The naive law, d²/|t| with a constant sigma, always advises the longest.
 
     Returns
     -------
@@ -116,8 +117,8 @@ def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:
     Returns
     -------
     baselines, errors, draws
-        `[baselines]` metres, `[baselines]` log metres, `[draws, baselines]`; None when fewer than three baselines share any
-        place.
+        `[baselines]` metres, `[baselines]` log metres, `[draws, baselines]`; None when fewer than three baselines
+        share any place.
     """
     places = ["alpha_bin", "condition", "seed"]
     table = part.assign(error=np.log(part["spread_m"])).pivot_table(index=places, columns="baseline_m", values="error")

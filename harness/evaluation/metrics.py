@@ -1,15 +1,13 @@
 """The figures that sum up an estimate. A pixel without an estimate counts in the density and nowhere else."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
-from harness.evaluation.cells import ALPHA_1_EDGES_DEG
-from harness.evaluation.errors import MIN_SINE_ALPHA_1, Errors, Reference
-from harness.simulation.truth import Truth
+from harness.evaluation.errors import Errors, Reference
+from harness.evaluation.regions import Region
 from harness.stereo.panorama import Grid
 
 Measures = dict[str, float | None]
@@ -40,9 +38,6 @@ MORE = (
     "range_delta_1.1",
     "range_delta_1.25",
 )
-SLANTED_DEG = 60.0
-"""A surface is slanted where its normal is farther than this from the line of sight."""
-
 ERROR_EDGES_PX = np.concatenate([[0.0], np.geomspace(1e-3, 300, 56)])
 """Of the histogram of absolute disparity errors, from which distributions are drawn."""
 
@@ -66,28 +61,31 @@ def measure(domain: Mask, valid: Mask, found: Errors) -> Measures:
         errors above one pixel), `range_median_abs_m`, `range_mae_m`, `range_rmse_m`, `range_bias_m` (mean, signed).
     """
     pixels = domain & valid
-    disparity, distance = found.disparity_px[pixels], found.range_m[pixels]
-    measures: Measures = {"density": _share(pixels, domain)}
+    return {"density": _share(pixels, domain), **_core(found.disparity_px[pixels], found.range_m[pixels])}
+
+
+def _core(disparity: Array, distance: Array) -> Measures:
     if not disparity.size:
-        return measures | dict.fromkeys(CORE)
+        return dict.fromkeys(CORE)
     absolute, off = np.abs(disparity), np.abs(distance)
-    return measures | {
-        "disparity_median_abs_px": float(np.median(absolute)),
-        "disparity_rmse_px": float(np.sqrt(np.mean(disparity**2))),
-        "bad_1px": float(np.mean(absolute > 1)),
-        "range_median_abs_m": float(np.median(off)),
-        "range_mae_m": float(np.mean(off)),
-        "range_rmse_m": float(np.sqrt(np.mean(distance**2))),
-        "range_bias_m": float(np.mean(distance)),
-    }
+    values = [
+        np.median(absolute),
+        np.sqrt(np.mean(disparity**2)),
+        np.mean(absolute > 1),
+        np.median(off),
+        np.mean(off),
+        np.sqrt(np.mean(distance**2)),
+        np.mean(distance),
+    ]
+    return dict(zip(CORE, map(float, values), strict=True))
 
 
 def measure_more(domain: Mask, valid: Mask, found: Errors, truth: Reference) -> Measures:
     """The rest of the field's usual figures.
 
-    Disparity: mean absolute error, median signed error, shares of absolute errors above 0.5, 2 and 4 px, and the values that
-    50, 90, 95 and 99 % of them do not exceed. Range: mean relative absolute error, the scale-invariant logarithmic error
-    (standard deviation of `log(estimate/truth)`), and the shares with `max(estimate/truth, truth/estimate)` below 1.05,
+    Disparity: mean absolute error, median signed error, shares of absolute errors above 0.5, 2 and 4 px, and the values
+    that 50, 90, 95 and 99 % of them do not exceed. Range: mean relative absolute error, the scale-invariant
+    logarithmic error (standard deviation of `log(estimate/truth)`), and the shares with `max(estimate/truth, truth/estimate)` below 1.05,
     1.1 and 1.25.
     """
     pixels = domain & valid
@@ -136,56 +134,29 @@ def measure_by_solid_angle(domain: Mask, valid: Mask, found: Errors, grid: Grid)
     }
 
 
-def measure_regions(
-    valid: Mask, found: Errors, reference: Reference, truth: Truth, grid: Grid, d_v1: Array
-) -> list[dict[str, Any]]:
-    """Core figures, the number of pixels and a name for each part of the picture.
-
-    Parameters
-    ----------
-    d_v1
-        `[height, width, 3]`, unit directions of the pixels in the world's orientation, for the slant.
+def measure_regions(parts: tuple[Region, ...], valid: Mask, found: Errors) -> list[dict[str, Any]]:
+    """Core figures and the number of pixels of each part of the picture.
 
     Returns
     -------
     list
-        Of tables: `split` (`surface`, `alpha_1_deg`, ...), `part`, `pixels`, and the figures of `measure`.
+        Of tables: `split` (`surface`, `alpha_1`, ...), `part`, `pixels`, and the figures of `measure`.
     """
-    return [
-        {"split": split, "part": part, "pixels": int(np.count_nonzero(mask)), **measure(mask, valid, found)}
-        for split, part, mask in _regions(reference, truth, grid, d_v1)
-    ]
-
-
-def _regions(reference: Reference, truth: Truth, grid: Grid, d_v1: Array) -> Iterator[tuple[str, str, Mask]]:
-    domain = reference.domain
-    looked_at = np.sin(reference.alpha_1) >= MIN_SINE_ALPHA_1
-    # Occluded pixels lie outside the domain: there is no true match, and an estimate is an invention.
-    yield "visibility", "visible in both", domain
-    yield (
-        "visibility",
-        "occluded in view 2",
-        looked_at & truth.in_field_2 & ~truth.unoccluded & np.isfinite(truth.range_m),
-    )
-    yield "surface", "wall", domain & reference.wall
-    yield "surface", "floor or ceiling", domain & ~reference.wall
-    yield "kind", "discontinuity", domain & truth.discontinuity
-    yield "kind", "textureless", domain & truth.textureless
-    cosine = np.abs(np.sum(truth.normal * d_v1, axis=-1))
-    with np.errstate(invalid="ignore"):
-        slanted = cosine < np.cos(np.radians(SLANTED_DEG))
-    yield "kind", f"slanted by more than {SLANTED_DEG:.0f} deg", domain & slanted
-    yield "kind", "none of these", domain & ~truth.discontinuity & ~truth.textureless & ~slanted
-    alpha_deg = np.degrees(reference.alpha_1)
-    for low, high in zip(ALPHA_1_EDGES_DEG[:-1], ALPHA_1_EDGES_DEG[1:], strict=True):
-        yield "alpha_1", f"{low:.0f} to {high:.0f} deg", domain & (alpha_deg >= low) & (alpha_deg < high)
-    elevation = np.degrees(np.arctan(grid.z))[:, None]
-    for low, high in ((-90, -40), (-40, -20), (-20, 0), (0, 90)):
-        yield "elevation", f"{low} to {high} deg", domain & (elevation >= low) & (elevation < high)
-    edges = (0.0, 1.5, 2.0, 3.0, 4.0, 6.0, np.inf)
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
-        with np.errstate(invalid="ignore"):
-            yield "range", f"{low:g} to {high:g} m", domain & (reference.range_m >= low) & (reference.range_m < high)
+    seen, disparity, distance = valid.ravel(), found.disparity_px.ravel(), found.range_m.ravel()
+    table = []
+    for region in parts:
+        have = region.pixels[seen[region.pixels]]
+        density = have.size / region.pixels.size
+        table.append(
+            {
+                "split": region.split,
+                "part": region.part,
+                "pixels": int(region.pixels.size),
+                "density": density,
+                **_core(disparity[have], distance[have]),
+            }
+        )
+    return table
 
 
 def error_histogram(pixels: Mask, found: Errors) -> list[int]:
@@ -212,6 +183,15 @@ def _share(part: Mask, whole: Mask, weight: Array | None = None) -> float | None
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
-    order = np.argsort(values, kind="stable")
-    half_way = np.searchsorted(np.cumsum(weights[order]), 0.5)
-    return float(values[order][min(int(half_way), values.size - 1)])
+    """The value (none negative) up to which half of the weight lies, without sorting them all.
+
+    The leading bits of a positive float are in its order, so they serve as bins; only the median's bin is sorted.
+    """
+    bins = values.astype(np.float32).view(np.uint32) >> np.uint32(15)
+    below = np.cumsum(np.bincount(bins, weights))
+    chosen = int(np.searchsorted(below, 0.5 * below[-1]))
+    inside = bins == chosen
+    order = np.argsort(values[inside], kind="stable")
+    reached = np.cumsum(weights[inside][order]) + (below[chosen - 1] if chosen else 0.0)
+    place = min(int(np.searchsorted(reached, 0.5 * below[-1])), order.size - 1)
+    return float(values[inside][order[place]])

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from harness.camera.angles import normalise
 from harness.evaluation.cells import cells
 from harness.evaluation.metrics import (
     error_histogram,
@@ -15,7 +14,6 @@ from harness.evaluation.metrics import (
     measure_regions,
 )
 from harness.experiments.trial import Outcome
-from harness.stereo.panorama import cylinder
 
 
 def row_of(outcome: Outcome) -> dict[str, Any]:
@@ -28,10 +26,9 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `errors` and `fractions`: histograms for wall and floor.
     """
     truth, found, valid = outcome.reference, outcome.errors, outcome.valid
-    grid, pose = outcome.trial.panorama, outcome.trial.poses[0]
+    grid = outcome.trial.panorama
     wall, floor = truth.domain & truth.wall, truth.domain & ~truth.wall
     surfaces = {"wall": wall, "floor": floor}
-    world = normalise(cylinder(grid)) @ pose.R_world_from_view.T
     return {
         "figures": {
             **measure(truth.domain, valid, found),
@@ -42,8 +39,8 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             if (truth.domain & valid).any()
             else None,
         },
-        "regions": measure_regions(valid, found, truth, outcome.truth, grid, world),
-        "cells": cells(truth, found, valid, outcome.trial.view_2.baseline_m),
+        "regions": measure_regions(outcome.regions, valid, found),
+        "cells": cells(outcome.cells, truth, found, valid, outcome.trial.view_2.baseline_m),
         "errors": {where: error_histogram(mask & valid, found) for where, mask in surfaces.items()},
         "fractions": {where: fraction_histogram(mask & valid, outcome.matches.k) for where, mask in surfaces.items()},
     }

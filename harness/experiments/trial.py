@@ -14,17 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array, normalise
+from harness.camera.pose import Pose
 from harness.camera.sensor import in_field
 from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
+from harness.evaluation.regions import CellPixels, Region, cell_pixels, regions
 from harness.experiments.spec import Trial
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.truth import Truth, truth
+from harness.stereo.epipolar import Curves
 from harness.stereo.filter import laplacian_of_gaussian
 from harness.stereo.matching.window import Matches, Reason, WholePixelMatches, match, match_whole_pixels
-from harness.stereo.panorama import Panorama, cylinder, unwrap
+from harness.stereo.panorama import Grid, Panorama, cylinder, unwrap
 from harness.stereo.ranging import triangulate
 
 Observer = Callable[[str], None]
@@ -49,6 +52,8 @@ class Outcome:
     reason: NDArray[np.uint8]
     """`Reason`: why there is no range."""
     reference: Reference
+    regions: tuple[Region, ...]
+    cells: tuple[CellPixels, ...]
     errors: Errors
     seconds: dict[str, float]
     """Wall time of each stage, in the order of the pipeline."""
@@ -165,7 +170,11 @@ def run_trial(
         lost = np.isnan(range_m) & (matches.reason == Reason.MATCHED)
         reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reason)
     with clock("score"):
-        expected = reference(seen, directions, whole.curves)
+        expected, parts, cells = kept.get(
+            "reference",
+            (scene, trial.sensor, poses, grid, trial.matching.sampling, trial.matching.pitch_px),
+            lambda: _expected(seen, directions, poses[0], grid, whole.curves),
+        )
         found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
     return Outcome(
         trial=trial,
@@ -178,9 +187,20 @@ def run_trial(
         range_m=range_m,
         reason=reason,
         reference=expected,
+        regions=parts,
+        cells=cells,
         errors=found,
         seconds=clock.seconds,
     )
+
+
+def _expected(
+    seen: Truth, directions: Array, pose: Pose, grid: Grid, curves: Curves
+) -> tuple[Reference, tuple[Region, ...], tuple[CellPixels, ...]]:
+    """All that scoring needs of the truth."""
+    expected = reference(seen, directions, curves)
+    parts = regions(expected, seen, grid, directions @ pose.R_world_from_view.T)
+    return expected, parts, cell_pixels(expected)
 
 
 class Kept:

@@ -48,12 +48,12 @@ class Grid(Spec):
     @property
     def phi(self) -> Array:
         """Azimuth of the column centres `[width]`, radians, ascending from -pi."""
-        return -np.pi + (np.arange(self.width_px) + 0.5) * self.phi_pitch
+        return np.asarray(-np.pi + (np.arange(self.width_px) + 0.5) * self.phi_pitch, dtype=np.float64)
 
     @property
     def z(self) -> Array:
         """Height of the row centres `[height]` on the unit cylinder, row 0 at the top."""
-        return self.z_max - (np.arange(self.height_px) + 0.5) * self.z_pitch
+        return np.asarray(self.z_max - (np.arange(self.height_px) + 0.5) * self.z_pitch, dtype=np.float64)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -107,7 +107,9 @@ def unwrap(
     """
     camera = sensor.camera
     if image.shape != (camera.height_px, camera.width_px):
-        raise ValueError(f"the image is {image.shape}, the sensor {(camera.height_px, camera.width_px)} (rows, columns)")
+        raise ValueError(
+            f"the image is {image.shape}, the sensor {(camera.height_px, camera.width_px)} (rows, columns)"
+        )
     rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
     pixels, in_view = _sampling_table(sensor, grid, rotation.tobytes())
     seen = pixel_directions(sensor)[1]
@@ -137,7 +139,9 @@ def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> N
             v, u = first[0] + row, first[1] + column
             inside = (v >= 0) & (v < seen.shape[0]) & (u >= 0) & (u < seen.shape[1])
             # A tap with weight zero may lie outside: the last row and column of a bilinear sample at an integer.
-            weightless = ((coordinates[0] == v - 1) & (row == order == 1)) | ((coordinates[1] == u - 1) & (column == order == 1))
+            weightless = ((coordinates[0] == v - 1) & (row == order == 1)) | (
+                (coordinates[1] == u - 1) & (column == order == 1)
+            )
             result &= weightless | (inside & seen[np.clip(v, 0, seen.shape[0] - 1), np.clip(u, 0, seen.shape[1] - 1)])
     return result
 
