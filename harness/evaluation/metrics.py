@@ -85,7 +85,8 @@ def measure_more(domain: Mask, valid: Mask, found: Errors, truth: Reference) -> 
 
     Disparity: mean absolute error, median signed error, shares of absolute errors above 0.5, 2 and 4 px, and the values
     that 50, 90, 95 and 99 % of them do not exceed. Range: mean relative absolute error, the scale-invariant
-    logarithmic error (standard deviation of `log(estimate/truth)`), and the shares with `max(estimate/truth, truth/estimate)` below 1.05,
+    logarithmic error (standard deviation of `log(estimate/truth)`), and the shares with
+    `max(estimate/truth, truth/estimate)` below 1.05,
     1.1 and 1.25.
     """
     pixels = domain & valid

@@ -141,7 +141,7 @@ def point_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> tuple
 
 
 def angular_step(curves: Curves, alpha_2: ArrayLike) -> Array:
-    """Distance in alpha_2 (radians) between neighbouring samples around a given alpha_2 on the curve, `[height, width]`.
+    """Distance in alpha_2 (radians) of neighbouring samples around a given alpha_2 on the curve, `[height, width]`.
 
     Along w(phi) = [cos phi, sin phi, z_2(phi)] the angle grows by |w × w'|/|w|². That cross product lies along n and
     has the z component 1, so `d alpha_2/d phi = 1/(|n_z| |w|²) = (1 - u_z²)/|n_z|` with u = w/|w|.
