@@ -8,7 +8,9 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
+from harness.evaluation.metrics import measure
 from harness.experiments.run import Result
+from harness.experiments.trial import Outcome
 from harness.report import curve, distributions, images, law, maps, profiles, theme, words
 from harness.report.curve import Curve
 from harness.report.methods import Method, methods_of
@@ -58,6 +60,7 @@ def build_report(result: Result) -> str:
         trials=_trials(result),
         figures=figures,
         min_sine=MIN_SINE_ALPHA_1,
+        toward=_azimuth_of_t(outcome),
         domain_px=int(reference.domain.sum()),
         domain_share=float(reference.domain.mean()),
         wall_px=int((reference.domain & reference.wall).sum()),
@@ -112,6 +115,13 @@ def _template() -> Template:
     return environment.get_template("report.html.j2")
 
 
+def _azimuth_of_t(outcome: Outcome) -> float | None:
+    """Where on view 1's panorama the second viewpoint lies, degrees; None straight above or below."""
+    x, y, _ = outcome.whole.curves.t
+    level = np.hypot(x, y) > 1e-9 * np.linalg.norm(outcome.whole.curves.t)
+    return float(np.degrees(np.arctan2(y, x))) if level else None
+
+
 def _places(result: Result, methods: list[Method]) -> list[tuple[Method, str]]:
     """Each method with where its trial lies on the axes."""
     return [
@@ -129,8 +139,7 @@ def _trials(result: Result) -> list[dict[str, Any]]:
             "key": outcome.trial.key,
             "place": place,
             "seconds": outcome.seconds,
-            "all": outcome.measures(outcome.reference.domain),
-            "walls": outcome.measures(outcome.reference.domain & outcome.reference.wall),
+            "walls": measure(outcome.reference.domain & outcome.reference.wall, outcome.valid, outcome.errors),
         }
         for place, outcome in zip(result.places, result.outcomes, strict=True)
     ]

@@ -11,7 +11,7 @@ from harness.camera.angles import Array, normalise
 from harness.experiments.trial import Outcome
 from harness.report import theme
 from harness.report.theme import HALF, INK, WIDE, Picture
-from harness.simulation.geometry import Geometry, geometry_of
+from harness.simulation.geometry import Geometry, geometry_of, homographies
 from harness.simulation.texture import lookup
 from harness.stereo.panorama import Grid
 
@@ -228,18 +228,15 @@ def _overview_image(
 
 def _shaded(geometry: Geometry, origin: Array, rays: Array, face: NDArray[np.int32]) -> Array:
     """Grey levels of hits, lightened and dimmed by which way a surface faces so that walls stand apart."""
-    normal = geometry.normals[face]
-    reach = (geometry.offsets[face] - normal @ origin) / np.einsum("ij,ij->i", normal, rays)
-    points = origin + reach[:, None] * rays
-    maps = geometry.uv_maps[face]
-    uv = np.einsum("nij,nj->ni", maps[..., :3], points) + maps[..., 3]
+    uvw = np.einsum("nij,nj->ni", homographies(geometry, origin, np.eye(3))[face], rays)
+    uv = uvw[:, :2] / uvw[:, 2:]
     grey = np.empty(len(rays))
     texture = geometry.texture_of_face[face]
     for index in np.unique(texture):
         there = texture == index
         grey[there] = lookup(geometry.textures[index], uv[there])
-    light = 0.72 + 0.28 * np.abs(normal) @ np.array([0.1, 0.55, 1.0])
-    return 40 + 0.84 * grey * np.minimum(light, 1.0)
+    light = np.minimum(0.72 + 0.28 * np.abs(geometry.normals) @ np.array([0.1, 0.55, 1.0]), 1.0)
+    return 40 + 0.84 * grey * light[face]
 
 
 def _draw_bounds(ax: Axes, camera: _Overview, low: Array, high: Array) -> None:

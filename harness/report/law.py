@@ -84,9 +84,9 @@ def law_chart() -> Picture:
     ax.set_ylabel("range error for 1° (m)")
     ax.legend(loc="upper center")
     alt = (
-        "Range error for one degree of alpha 2 over alpha 1, at 0.5 metres of baseline and 3 metres of range: the exact "
-        "law is smallest near 71 degrees and grows without bound towards 0 and 180; the short form is constant at 0.314 "
-        "metres."
+        "Range error for one degree of alpha 2 over alpha 1, at 0.5 metres of baseline and 3 metres of range: the "
+        "exact law is smallest near 71 degrees and grows without bound towards 0 and 180; the short form is constant "
+        "at 0.314 metres."
     )
     return theme.picture(fig, alt, "(a) the worked example")
 

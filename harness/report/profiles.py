@@ -113,8 +113,8 @@ def profile(method: Method, row: Row, span: tuple[float, float], letter: str) ->
     _key(ax, method)
     about = "the levels of whole samples are drawn too; " if stepped else ""
     alt = (
-        f"Range over azimuth for row {row.index}, elevation {row.elevation_deg:.1f} degrees, {method.label}, against the "
-        f"true range; {about}{beyond} of {row.matched} estimates in the domain lie outside the axes."
+        f"Range over azimuth for row {row.index}, elevation {row.elevation_deg:.1f} degrees, {method.label}, against "
+        f"the true range; {about}{beyond} of {row.matched} estimates in the domain lie outside the axes."
     )
     return theme.picture(fig, alt, f"({letter}) {method.label}")
 
@@ -144,13 +144,13 @@ def small_profile(methods: list[Method], row: Row) -> Picture:
 
 
 def _share(row: Row) -> str:
-    return f"{100 * row.matched / row.domain:.0f} %" if row.domain else "none"
+    return f"{100 * row.matched / row.domain:.0f}\u00a0%" if row.domain else "none"
 
 
 def _median_mm(method: Method, methods: list[Method], row: int) -> str:
     there = common(methods)[row] & method.outcome.reference.domain[row]
     error = np.abs(method.outcome.errors.range_m[row][there])
-    return f"{1000 * np.median(error):.0f} mm" if error.size else "none"
+    return f"{1000 * np.median(error):.0f}\u00a0mm" if error.size else "none"
 
 
 def _background(ax: Axes, outcome: Outcome, row: int, phi: Array) -> None:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
-from urllib.parse import quote
 
 import matplotlib as mpl
 import numpy as np
@@ -141,7 +140,7 @@ def picture(fig: Figure, alt: str, title: str = "") -> Picture:
     text = re.sub(r"(?<= d=')[^']*", lambda d: re.sub(r"(\.\d\d)\d+", r"\1", d[0]), text)
     text = re.sub(r"(?<=data:image/png;base64,)[^']*", lambda png: _few_colours(png[0]), text)
     width, height = (round(side * _DPI) for side in fig.get_size_inches())
-    return Picture(f"data:image/svg+xml,{quote(text, safe=_SAFE)}", width, height, " ".join(alt.split()), title)
+    return Picture(f"data:image/svg+xml,{_escaped(text)}", width, height, " ".join(alt.split()), title)
 
 
 def _few_colours(png: str) -> str:
@@ -155,12 +154,15 @@ def _few_colours(png: str) -> str:
     smaller.putpalette(rgba[:, :3].tobytes())
     stream = io.BytesIO()
     transparency = {} if (rgba[:, 3] == 255).all() else {"transparency": rgba[:, 3].tobytes()}
-    smaller.save(stream, format="PNG", compress_level=9, **transparency)
+    smaller.save(stream, format="PNG", compress_level=7, **transparency)
     return b64encode(stream.getvalue()).decode()
 
 
-_SAFE = " '/:;=,()*!$&+@?~[]{}|^"
-"""What may stand in a data URI inside double quotes as it is; escaping every character would make it a third longer."""
+def _escaped(text: str) -> str:
+    """Text for a data URI: only what may not stand there as it is. Base64 would make it a third longer."""
+    for character, code in (("%", "%25"), ("#", "%23"), ("<", "%3C"), (">", "%3E")):
+        text = text.replace(character, code)
+    return text
 
 
 def degrees(ax: Axes, *, step: float = 45.0, label: str = r"azimuth $\varphi_1$ (°)") -> None:
@@ -205,7 +207,10 @@ def dots(
     path = Path(ends, np.tile([Path.MOVETO, Path.LINETO], len(ends) // 2))
     path.should_simplify = False
     cap = "butt" if length else "round"
-    ax.add_patch(PathPatch(path, fill=False, edgecolor=colour, linewidth=size, capstyle=cap, zorder=3))
+    patch = PathPatch(path, fill=False, edgecolor=colour, linewidth=size, capstyle=cap, zorder=3)
+    patch.set_clip_path(ax.patch)
+    # Not add_patch, which looks for the extrema of every segment to set the axes' limits.
+    ax.add_artist(patch)
 
 
 def dot_key(colour: str) -> Line2D:

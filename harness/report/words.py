@@ -50,11 +50,12 @@ def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
     """Sentences for the head of the report."""
     trial = methods[0].outcome.trial
     matcher, grid, camera = trial.matching, trial.panorama, trial.sensor.camera
+    noise = f" and noise of σ = {trial.noise.sigma_grey:g} grey levels" if trial.noise.sigma_grey else ""
     yield (
         f"Two mirror images of {camera.width_px} × {camera.height_px} pixels, rendered "
-        f"{trial.view_2.baseline_m:g} m apart in the scene “{trial.scene.name}” with exact truth, are unwrapped to "
-        f"panoramas of {grid.width_px} × {grid.height_px} pixels and matched by {matcher.cost.upper()} over "
-        f"{matcher.window_px} × {matcher.window_px} px windows along epipolar curves."
+        f"{trial.view_2.baseline_m:g}\u00a0m apart in the scene “{trial.scene.name}” with exact truth{noise}, are "
+        f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched by {matcher.cost.upper()} "
+        f"over {matcher.window_px} × {matcher.window_px}\u00a0px windows along epipolar curves."
     )
     walls, everything = result.summary["comparison_wall"], result.summary["comparison"]
     yield from _compared("On wall pixels", walls, methods)
@@ -67,7 +68,7 @@ def _compared(where: str, measures: dict[str, Any], methods: list[Method], *, gr
     if not known:
         yield f"{where} there is no estimate to speak of."
         return
-    density = f"density {100 * next(iter(known.values()))['density']:.1f} %"
+    density = f"density {100 * next(iter(known.values()))['density']:.1f}\u00a0%"
     if {"pixel", "subpixel"} <= known.keys():
         pair = known["pixel"], known["subpixel"]
         of_range = _changes(*pair, "range_median_abs_m", 1000, ".0f", "the median range error", "mm")
@@ -78,12 +79,15 @@ def _compared(where: str, measures: dict[str, Any], methods: list[Method], *, gr
             if method.key in known:
                 m = known[method.key]
                 yield (
-                    f"{where} the median absolute error, {method.label}, is {1000 * m['range_median_abs_m']:.0f} mm of "
-                    f"range and {m['disparity_median_abs_px']:.2f} px of disparity ({density})."
+                    f"{where} the median absolute error, {method.label}, is "
+                    f"{1000 * m['range_median_abs_m']:.0f}\u00a0mm of range and "
+                    f"{m['disparity_median_abs_px']:.2f}\u00a0px of disparity ({density})."
                 )
     if gross:
         shares = " and ".join(
-            f"{100 * known[method.key]['bad_1px']:.0f} % ({method.label})" for method in methods if method.key in known
+            f"{100 * known[method.key]['bad_1px']:.0f}\u00a0% ({method.label})"
+            for method in methods
+            if method.key in known
         )
         yield f"There the disparity is off by more than one pixel for {shares} of the estimates."
 
@@ -93,8 +97,8 @@ def _changes(
 ) -> str:
     old, new = (format(scale * m[key], form) for m in (before, after))
     if old == new:
-        return f"leaves {what} at {new} {unit}"
-    return f"{'lowers' if after[key] < before[key] else 'raises'} {what} from {old} {unit} to {new} {unit}"
+        return f"leaves {what} at {new}\u00a0{unit}"
+    return f"{'lowers' if after[key] < before[key] else 'raises'} {what} from {old}\u00a0{unit} to {new}\u00a0{unit}"
 
 
 UNITS = {"_m": "m", "_deg": "°", "_px": "px", "_mm": "mm"}
