@@ -115,19 +115,20 @@ def test_edges_are_marked_where_the_sensor_projects_them(sensor):
     rotation, origin = pose.R_world_from_view, np.array(pose.position_m)
     edges = origin + rng.standard_normal((40, 2, 3)) * [1, 1, 0.6]
     marks = np.zeros((240, 320), dtype=bool)
-    step = 0.45 * rendering._corners_of(sensor).finest_rad
-    mark_edges(edges, origin, rotation, rendering._projection(sensor), step, marks)
+    step = 0.9 * rendering._corners_of(sensor).finest_rad
+    lowest, highest = np.sin(np.radians([-77, 22]))
+    mark_edges(edges, origin, rotation, rendering._projection(sensor), lowest, highest, step, marks)
     share = np.linspace(0, 1, 20_000)[:, None, None]
     points = (edges[:, 0] * (1 - share) + edges[:, 1] * share).reshape(-1, 3)
     pixels, valid = project(sensor, (points - origin) @ rotation)
     u, v = np.rint(pixels[valid]).astype(int).T
     assert valid.sum() > 1000
     assert marks[v.clip(0, 239), u.clip(0, 319)].all()
-    # Not more than a band about two pixels wide.
+    # Not more than a band about two and a half pixels wide.
     passed = np.zeros_like(marks)
     passed[v.clip(0, 239), u.clip(0, 319)] = True
     _, in_field = pixel_directions(sensor)
-    assert np.count_nonzero(marks & in_field) < 2.5 * np.count_nonzero(passed)
+    assert np.count_nonzero(marks & in_field) < 3 * np.count_nonzero(passed)
 
 
 def expected_greys(scene, sensor, pose, pixels, per_side):

@@ -157,7 +157,7 @@ def test_homography_is_the_texture_map_of_the_point_hit():
     geometry = geometry_of(load_scene("room"))
     origin = np.array([0.3, -0.2, 1.1])
     rotation = Pose(yaw_deg=20, pitch_deg=-10, roll_deg=35).R_world_from_view
-    H = homographies(geometry, origin, rotation)
+    H = homographies(geometry, geometry.uv_maps, origin, rotation)
     for face in range(0, len(H), 37):
         d = rng.standard_normal((50, 3)) * 2
         world = d @ rotation.T

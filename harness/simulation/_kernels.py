@@ -9,7 +9,7 @@ TRACE = -2
 """In the map of pixel faces: the pixel must be traced sample by sample. -1 is the background."""
 INVALID = -3
 """In the map of pixel faces: outside the sensor's field."""
-REACH = 0.3
+REACH = 0.55
 """Pixels around an edge's sample that the edge may pass through before the next sample, with a margin."""
 
 
@@ -89,12 +89,13 @@ def rotate_rays(rays, rotation, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mark_edges(edges, viewpoint, rotation, sensor, step, marks):
+def mark_edges(edges, viewpoint, rotation, sensor, lowest, highest, step, marks):
     """Set `marks [height, width]` in every pixel that an edge may pass through.
 
-    An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than half a
-    pixel, so that every point of it is within a quarter of a pixel of a sample; a sample marks all pixels within
-    0.3 of it, its own and often a neighbour. Points are projected as `harness.camera.sensor.project` does it.
+    An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than 0.9 pixels, so
+    that every point of it is within 0.45 of a sample; a sample marks all pixels within REACH of it, its own and often a
+    neighbour. Points are projected as `harness.camera.sensor.project` does it. `lowest` and `highest` are sines of
+    elevation, beyond which nothing is seen.
     """
     a, b, e, fu, fv, cu, cv, k1, k2, p1, p2, k3, fold = sensor
     height, width = marks.shape
@@ -111,6 +112,9 @@ def mark_edges(edges, viewpoint, rotation, sensor, step, marks):
         if p == 0.0 or q == 0.0:
             continue
         px, py, pz, qx, qy, qz = px / p, py / p, pz / p, qx / q, qy / q, qz / q
+        # A cap about the pole is convex: an arc whose ends are in it stays in it.
+        if min(pz, qz) > max(highest, 0.0) or max(pz, qz) < min(lowest, 0.0):
+            continue
         mx, my, mz = px + qx, py + qy, pz + qz
         m = math.sqrt(mx * mx + my * my + mz * mz)
         if 4.0 - m * m < step * step:
@@ -149,6 +153,19 @@ def mark_edges(edges, viewpoint, rotation, sensor, step, marks):
             for i in range(max(0, top), min(height, bottom + 1)):
                 for j in range(max(0, left), min(width, right + 1)):
                     marks[i, j] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def faces_of_triangles(triangle, face_of_triangle, out):
+    """Write the face of each triangle and count those that are none."""
+    misses = 0
+    for i in range(triangle.size):
+        if triangle[i] < 0:
+            misses += 1
+            out[i] = -1
+        else:
+            out[i] = face_of_triangle[triangle[i]]
+    return misses
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -142,7 +142,7 @@ def _assemble(scene: Scene, patches: list[_Patch], object_of_patch: list[int], s
     )
 
 
-def homographies(geometry: Geometry, viewpoint: ArrayLike, rotation: Array) -> Array:
+def homographies(geometry: Geometry, uv_maps: Array, viewpoint: ArrayLike, rotation: Array) -> Array:
     """For each face the matrix H `[faces, 3, 3]` with `(u w, v w, w) = H @ direction`, seen from a viewpoint.
 
     With the plane n · p = h, a ray c + s d meets it at s = (h - n · c)/(n · d); the texture coordinate a · p + b
@@ -150,6 +150,8 @@ def homographies(geometry: Geometry, viewpoint: ArrayLike, rotation: Array) -> A
 
     Parameters
     ----------
+    uv_maps
+        The geometry's, or others of that form, `[faces, 2, 4]`.
     viewpoint
         `[3]`, metres, in the world.
     rotation
@@ -157,7 +159,7 @@ def homographies(geometry: Geometry, viewpoint: ArrayLike, rotation: Array) -> A
     """
     out = np.empty((len(geometry.normals), 3, 3))
     c = np.asarray(viewpoint, dtype=np.float64)
-    face_maps(geometry.normals, geometry.offsets, geometry.uv_maps, c, np.ascontiguousarray(rotation), out)
+    face_maps(geometry.normals, geometry.offsets, uv_maps, c, np.ascontiguousarray(rotation), out)
     return out
 
 

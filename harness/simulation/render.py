@@ -20,6 +20,7 @@ from harness.simulation._kernels import (
     TRACE,
     classify_pixels,
     face_ranges,
+    faces_of_triangles,
     mark_edges,
     rotate_rays,
     sample_positions,
@@ -103,8 +104,7 @@ class _View:
     """For each face the map from a ray in the view's frame to texel coordinates (see `_kernels.shade`), `[faces,
     3, 3]`.
     """
-    texels: NDArray[np.float32]
-    texture_place: NDArray[np.int64]
+    tiles: "_Tiles"
 
 
 def _view(scene: Scene, pose: Pose) -> _View:
@@ -112,27 +112,37 @@ def _view(scene: Scene, pose: Pose) -> _View:
     origin = np.asarray(pose.position_m, dtype=np.float64)
     check_viewpoint(geometry, origin)
     rotation = pose.R_world_from_view
-    texels, place = _laid_end_to_end(scene)
-    size = place[geometry.texture_of_face]
-    H = homographies(geometry, origin, rotation)
-    # From repetitions, v up from the tile's lower edge, to v down, both from the first texel's centre.
-    H[:, 0] -= 0.5 / size[:, 2:] * H[:, 2]
-    H[:, 1] = (1 - 0.5 / size[:, 1:2]) * H[:, 2] - H[:, 1]
-    return _View(geometry, origin, rotation, H, texels, place)
+    tiles = _tiles_of(scene)
+    return _View(geometry, origin, rotation, homographies(geometry, tiles.maps, origin, rotation), tiles)
+
+
+@dataclass(frozen=True)
+class _Tiles:
+    """The textures of a scene as the shading loop wants them."""
+
+    texels: NDArray[np.float32]
+    """All textures end to end, each padded by its first two rows and columns. One of either serves the bilinear lookup;
+    the second serves coordinates that round up to the tile's size."""
+    place: NDArray[np.int64]
+    """`[textures, 3]`: start, height and width of each, without the padding."""
+    maps: Array
+    """`[faces, 2, 4]`: the faces' texture maps, with v down, and both from the first texel's centre."""
 
 
 @lru_cache(maxsize=8)
-def _laid_end_to_end(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """All textures in one array, each padded by its first two rows and columns, and (start, height, width) of each.
-
-    One row and column serve the bilinear lookup; the second serves coordinates that round up to the tile's size.
-    """
+def _tiles_of(scene: Scene) -> _Tiles:
+    geometry = geometry_of(scene)
     padded, place, start = [], [], 0
-    for texels in geometry_of(scene).textures:
+    for texels in geometry.textures:
         place.append((start, *texels.shape))
         padded.append(np.pad(texels, ((0, 2), (0, 2)), mode="wrap").ravel())
         start += padded[-1].size
-    return np.concatenate(padded), np.array(place, dtype=np.int64)
+    places = np.array(place, dtype=np.int64)
+    size = places[geometry.texture_of_face]
+    maps = geometry.uv_maps * np.array([1.0, -1.0])[:, None]
+    maps[:, 0, 3] -= 0.5 / size[:, 2]
+    maps[:, 1, 3] += 1 - 0.5 / size[:, 1]
+    return _Tiles(np.concatenate(padded), places, maps)
 
 
 @dataclass(frozen=True)
@@ -144,7 +154,9 @@ class _Corners:
     rays: Array
     """`[3, n]`, in the sensor's frame."""
     finest_rad: float
-    """The smallest angle that one pixel spans."""
+    """The smallest angle that the side of a pixel spans."""
+    coarsest_rad: float
+    """The largest."""
 
 
 @lru_cache(maxsize=8)
@@ -160,6 +172,7 @@ def _corners_of(sensor: Sensor) -> _Corners:
         place=np.flatnonzero(needed),
         rays=rays,
         finest_rad=float(min(np.nanmin(span) for span in spans)),
+        coarsest_rad=float(max(np.nanmax(span) for span in spans)),
     )
 
 
@@ -182,11 +195,16 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     _, valid = pixel_directions(sensor)
     corners = _corners_of(sensor)
     projection = _projection(sensor)
+    step = 0.9 * corners.finest_rad
+    # Beyond the field by two pixels: those at the rim reach out with their corners.
+    field = sensor.field
+    lowest = math.sin(max(-np.pi / 2, math.radians(field.elevation_min_deg) - 2 * corners.coarsest_rad))
+    highest = math.sin(min(np.pi / 2, math.radians(field.elevation_max_deg) + 2 * corners.coarsest_rad))
     marks = np.zeros(valid.shape, dtype=bool)
 
     def mark(start: int) -> None:
         edges = view.geometry.edges[start : start + _RAYS]
-        mark_edges(edges, view.origin, view.rotation, projection, 0.45 * corners.finest_rad, marks)
+        mark_edges(edges, view.origin, view.rotation, projection, lowest, highest, step, marks)
 
     if with_edges:
         in_threads(mark, range(0, len(view.geometry.edges), _RAYS), threads)
@@ -256,8 +274,8 @@ def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int
             of_sample,
             view.H,
             view.geometry.texture_of_face,
-            view.texels,
-            view.texture_place,
+            view.tiles.texels,
+            view.tiles.place,
             view.geometry.background_grey,
             pixels,
             image,
@@ -277,8 +295,11 @@ def _traced_faces(view: _View, rays: Array) -> Ints:
     directions = np.empty((rays.shape[1], 3), dtype=np.float32)
     rotate_rays(rays, view.rotation, directions)
     triangle = nearest_triangles(view.geometry, view.origin, directions)
-    missed = np.flatnonzero(triangle < 0)
-    if view.geometry.closed and missed.size:
+    face = np.empty(triangle.size, dtype=np.int32)
+    misses = faces_of_triangles(triangle, view.geometry.face_of_triangle, face)
+    if view.geometry.closed and misses:
+        missed = np.flatnonzero(face < 0)
         unit = (rays[:, missed] / np.linalg.norm(rays[:, missed], axis=0)).T @ view.rotation.T
-        triangle[missed] = cast(view.geometry, view.origin, unit, threads=1).triangle
-    return view.geometry.face_of_triangle[triangle]
+        hits = cast(view.geometry, view.origin, unit, threads=1)
+        face[missed] = view.geometry.face_of_triangle[hits.triangle]
+    return face
