@@ -1,0 +1,86 @@
+"""The test of the sensitivity law as a whole: geometry, images, decomposition, and a verdict in words."""
+
+from typing import Any
+
+import pandas as pd
+
+from harness.evaluation.law_geometry import check_geometry
+from harness.evaluation.law_images import best_baselines, fit_laws, sigma_alpha_slopes
+
+GROSS = 0.1
+"""Where more than this share of the estimates is off by over a pixel, errors are mismatches, not small errors."""
+
+
+def test_law(cells: pd.DataFrame) -> dict[str, Any]:
+    """All parts of the `law` table of `summary.json`.
+
+    Parameters
+    ----------
+    cells
+        See `law_images`; may be empty, and then only geometry is spoken of.
+    """
+    images = fit_laws(cells) if len(cells) else []
+    return {
+        "geometry": check_geometry().summary(),
+        "images": images,
+        "sigma_alpha": sigma_alpha_slopes(cells) if len(cells) else [],
+        "best_baseline": best_baselines(cells) if len(cells) else [],
+        "verdict": verdict(images, cells),
+    }
+
+
+test_law.__test__ = False  # type: ignore[attr-defined]  # a test of physics, not one for pytest to collect
+
+
+def verdict(images: list[dict[str, Any]], cells: pd.DataFrame) -> str:
+    """What the slopes allow to be said, method by method; never more than their intervals."""
+    fitted = [fit for fit in images if fit["slope"] is not None]
+    if not fitted:
+        return "Images: not tested. The law needs cells that differ in |t|/d, from several baselines or ranges."
+    sentences = []
+    for fit in fitted:
+        if fit["law"] != "exact":
+            continue
+        rival = next(
+            other
+            for other in fitted
+            if other["law"] == "paper" and all(other[key] == fit[key] for key in ("matcher", "subpixel", "surface"))
+        )
+        sentences.append(f"{_name(fit)}: {_judged(fit)}; {_rivalry(fit, rival)}{_gross(fit, cells)}.")
+    return " ".join(sentences)
+
+
+def _name(fit: dict[str, Any]) -> str:
+    step = {"none": "whole pixels", "parabola": "parabola"}.get(fit["subpixel"], fit["subpixel"])
+    return f"{fit['surface'].capitalize()}s, {fit['matcher']} matcher, {step}"
+
+
+def _judged(fit: dict[str, Any]) -> str:
+    slope, interval = fit["slope"], fit["slope_ci95"]
+    if interval is None:
+        return f"slope {slope:.2f} on the exact law without an interval (one seed), so nothing can be concluded"
+    low, high = interval
+    text = f"slope {slope:.2f} [{low:.2f}, {high:.2f}] on the exact law"
+    if low <= 1 <= high:
+        return f"{text}, which is compatible with 1" if high - low <= 0.3 else f"{text}, too wide to tell"
+    return f"{text}, which excludes 1: the error grows {'faster' if low > 1 else 'more slowly'} than the law says"
+
+
+def _rivalry(fit: dict[str, Any], rival: dict[str, Any]) -> str:
+    if rival["r2"] is None or fit["r2"] is None:
+        return "d²/|t| could not be fitted"
+    interval = rival["slope_ci95"]
+    between = "" if interval is None else f" [{interval[0]:.2f}, {interval[1]:.2f}]"
+    return f"on d²/|t| {rival['slope']:.2f}{between} (R² {fit['r2']:.2f} exact, {rival['r2']:.2f} d²/|t|)"
+
+
+def _gross(fit: dict[str, Any], cells: pd.DataFrame) -> str:
+    chosen = cells[
+        (cells["matcher"] == fit["matcher"])
+        & (cells["subpixel"] == fit["subpixel"])
+        & (cells["surface"] == fit["surface"])
+    ]
+    share = float((chosen["gross"] * chosen["pixels"]).sum() / chosen["pixels"].sum())
+    if share <= GROSS:
+        return ""
+    return f"; {share:.0%} of the estimates there are off by over a pixel: mismatches, which no law of errors covers"
