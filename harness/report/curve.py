@@ -65,7 +65,7 @@ def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
 def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
     """What the matcher saw along one pixel's curve."""
     curves, matcher = outcome.whole.curves, outcome.trial.matching
-    ks, costs = costs_along_curve(outcome.filtered[0], outcome.filtered[1], outcome.whole, matcher, row, column)
+    inside, found = costs_along_curve(outcome.filtered[0], outcome.filtered[1], outcome.whole, matcher, row, column)
     step = float(curves.step[row, column])
     if curves.sampling == "phi":
         start = float(curves.grid.phi[column])
@@ -76,6 +76,11 @@ def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
     around = outcome.whole.costs[row, column]
     x = np.arange(around.size) - around.size // 2
     best = int(outcome.whole.k[row, column])
+    # The parabola's neighbours may lie beyond the ends of the search interval.
+    ks = np.arange(min(inside[0], best + x[0]), max(inside[-1], best + x[-1]) + 1)
+    costs = np.full(ks.size, np.nan)
+    costs[inside - ks[0]] = found
+    costs[best + x - ks[0]] = around
     offset = float(refine(around, "parabola")[0])
     return Curve(
         row=row,

@@ -11,7 +11,7 @@ from harness.camera.angles import Array, normalise
 from harness.experiments.trial import Outcome
 from harness.report import theme
 from harness.report.theme import HALF, INK, WIDE, Picture
-from harness.simulation.geometry import Geometry, geometry_of, homographies
+from harness.simulation.geometry import Geometry, geometry_of
 from harness.simulation.texture import lookup
 from harness.stereo.panorama import Grid
 
@@ -228,8 +228,12 @@ def _overview_image(
 
 def _shaded(geometry: Geometry, origin: Array, rays: Array, face: NDArray[np.int32]) -> Array:
     """Grey levels of hits, lightened and dimmed by which way a surface faces so that walls stand apart."""
-    uvw = np.einsum("nij,nj->ni", homographies(geometry, origin, np.eye(3))[face], rays)
-    uv = uvw[:, :2] / uvw[:, 2:]
+    # Range to each face's plane is reach / towards, so that uv = (map @ place) + (reach / towards) (map @ ray).
+    reach = (geometry.offsets - geometry.normals @ origin)[face]
+    towards = np.einsum("ij,ij->i", geometry.normals[face], rays)
+    at_origin = geometry.uv_maps @ np.append(origin, 1.0)
+    along = np.einsum("nij,nj->ni", geometry.uv_maps[..., :3][face], rays)
+    uv = at_origin[face] + (reach / towards)[:, None] * along
     grey = np.empty(len(rays))
     texture = geometry.texture_of_face[face]
     for index in np.unique(texture):

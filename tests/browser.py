@@ -1,0 +1,84 @@
+"""A headless Chromium for tests: opens a file and says what happened. It never goes to the network."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import BrowserContext, Page, Request, Route, sync_playwright
+
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+@dataclass
+class Visit:
+    """An open page, and what it asked for and complained of."""
+
+    page: Page
+    requests: list[str] = field(default_factory=list)
+    """Of everything but the file itself and data inside it."""
+    complaints: list[str] = field(default_factory=list)
+    """Errors and warnings on the console, and uncaught exceptions."""
+
+
+def chromium_path() -> str:
+    """Where Chromium is; without it the test is skipped, but under CI it fails: there it must not be missing."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser")
+    if found is None:
+        message = "no chromium on this machine; on Debian: apt-get install chromium"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return found
+
+
+@contextmanager
+def chromium(profile: Path, *, scripts: bool = True) -> Iterator[BrowserContext]:
+    """A browser with a new, empty profile.
+
+    Parameters
+    ----------
+    profile
+        A folder that does not exist yet or is empty.
+    scripts
+        False turns JavaScript off, for the page but not for the test.
+    """
+    with sync_playwright() as driver:
+        context = driver.chromium.launch_persistent_context(
+            profile, executable_path=chromium_path(), headless=True, args=FLAGS, java_script_enabled=scripts
+        )
+        try:
+            yield context
+        finally:
+            context.close()
+
+
+def visit(context: BrowserContext, file: Path, *, width: int, height: int = 900) -> Visit:
+    """Open a file in a window of some CSS pixels; whatever it asks of a network is noted and refused."""
+    page = context.new_page()
+    page.set_viewport_size({"width": width, "height": height})
+    seen = Visit(page)
+
+    def answer(route: Route, request: Request) -> None:
+        if request.url == file.as_uri() or request.url.startswith("data:"):
+            route.continue_()
+        else:
+            seen.requests.append(request.url)
+            route.abort()
+
+    page.route("**/*", answer)
+    page.on("console", lambda message: message.type in {"error", "warning"} and seen.complaints.append(message.text))
+    page.on("pageerror", lambda error: seen.complaints.append(str(error)))
+    page.goto(file.as_uri(), wait_until="load")
+    return seen

@@ -1,0 +1,338 @@
+"""The report: self-contained, true to the numbers, readable without scripts on a wide and on a narrow screen."""
+
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from browser import chromium, visit
+
+from harness.experiments.run import Result, run_experiment
+from harness.experiments.spec import Experiment
+from harness.report import curve, law, maps, profiles, theme, words
+from harness.report.build import build_report
+from harness.report.methods import methods_of
+from harness.simulation.scene import load_scene
+from harness.spec import parse
+
+SMALL: dict[str, Any] = {
+    "sensor": {"camera": {"width_px": 160, "height_px": 120, "focal_px": 153.53, "cx_px": 79.5, "cy_px": 59.5}},
+    "panorama": {"width_px": 180, "height_px": 50},
+    "render": {"samples": 4},
+}
+BOTH = {"matching.subpixel": ["none", "parabola"]}
+MAX_BYTES = 3_000_000
+
+
+def run_small(scene: str = "box", axes: dict[str, Any] = BOTH, description: str = "", **settings: Any) -> Result:
+    table = {"scene": load_scene(scene), **SMALL, **settings}
+    experiment = {"name": "small", "description": description, "trial": table, "axes": axes}
+    return run_experiment(parse(Experiment, experiment))
+
+
+@pytest.fixture(scope="module")
+def small() -> Result:
+    return run_small()
+
+
+@pytest.fixture(scope="module")
+def report(paper: Result) -> str:
+    return build_report(paper)
+
+
+@pytest.fixture(scope="module")
+def report_file(report: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(report, encoding="utf-8")
+    return path
+
+
+class Document(HTMLParser):
+    """Tags with their attributes, and the text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.style = ""
+        self._inside = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._inside = tag
+
+    def handle_endtag(self, _: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "style":
+            self.style += data
+        else:
+            self.text += data
+
+    def every(self, name: str) -> Iterator[dict[str, str | None]]:
+        return (attributes for tag, attributes in self.tags if tag == name)
+
+
+# --- The file -----------------------------------------------------------------------------------------------------
+
+
+def test_report_is_one_file_under_three_megabytes(report):
+    assert len(report.encode()) < MAX_BYTES
+
+
+def test_nothing_is_loaded_from_elsewhere(report):
+    document = Document(report)
+    for tag, attributes in document.tags:
+        for name in ("src", "href", "srcset", "poster", "data", "action", "xlink:href"):
+            address = attributes.get(name)
+            assert address is None or address.startswith(("#", "data:")), (tag, name, address[:80])
+    assert "url(" not in document.style
+    assert "@import" not in document.style
+
+
+def test_figures_load_nothing_either(report):
+    for image in Document(report).every("img"):
+        for address in re.findall(r"(?:href|src)='([^']{0,60})|url\(([^)]{0,60})", image["src"]):
+            assert "".join(address).startswith(("%23", "data:")), address
+
+
+def test_there_is_no_script(report):
+    document = Document(report)
+    assert not list(document.every("script"))
+    assert not [name for _, attributes in document.tags for name in attributes if name.startswith("on")]
+
+
+def test_every_figure_has_a_text_for_those_who_do_not_see_it(report):
+    images = list(Document(report).every("img"))
+    assert len(images) >= 20
+    texts = [image["alt"] for image in images]
+    assert all(text and len(text) > 40 for text in texts)
+    assert len(set(texts)) == len(texts)
+
+
+def test_headings_are_in_order(report):
+    levels = [int(tag[1]) for tag, _ in Document(report).tags if re.fullmatch("h[1-6]", tag)]
+    assert levels.count(1) == 1
+    assert levels[0] == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+
+
+def test_contents_lead_somewhere(report):
+    document = Document(report)
+    places = {attributes.get("id") for _, attributes in document.tags}
+    links = [link["href"] for link in document.every("a")]
+    assert len(links) >= 8
+    assert all(link.removeprefix("#") in places for link in links)
+
+
+def test_the_page_says_its_language_and_fits_small_screens(report):
+    document = Document(report)
+    assert next(document.every("html"))["lang"] == "en"
+    assert any(meta.get("name") == "viewport" for meta in document.every("meta"))
+
+
+def test_same_result_same_report(small):
+    assert build_report(small) == build_report(small)
+
+
+def test_drawing_leaves_matplotlib_settings_alone(small):
+    before = dict(mpl.rcParams)
+    build_report(small)
+    assert dict(mpl.rcParams) == before
+
+
+# --- The numbers --------------------------------------------------------------------------------------------------
+
+
+def test_comparison_tables_are_the_summary(paper, report):
+    cells = re.findall(r'<td data-measure="([a-z0-9_.]+)">([^<]*)</td>', report)
+    columns = {column.key: column for column in words.COLUMNS}
+    expected = [
+        (key, measures[key])
+        for group in ("comparison_wall", "comparison")
+        for measures in paper.summary[group].values()
+        for key in columns
+    ]
+    assert [key for key, _ in cells] == [key for key, _ in expected]
+    for (key, text), (_, value) in zip(cells, expected, strict=True):
+        column = columns[key]
+        half_a_digit = 0.5 * 10.0 ** -int(column.form[-2])
+        assert float(text.replace("−", "-")) == pytest.approx(column.scale * value, abs=1.001 * half_a_digit)
+
+
+def test_abstract_says_what_the_summary_says(paper, report):
+    walls = paper.summary["comparison_wall"]
+    before, after = (1000 * walls[method]["range_median_abs_m"] for method in ("pixel", "subpixel"))
+    density = 100 * walls["pixel"]["density"]
+    change = f"lowers the median range error from {before:.0f}\u00a0mm to {after:.0f}\u00a0mm"
+    assert f"On wall pixels the sub-pixel step {change}" in report
+    assert f"(density {density:.1f}\u00a0%)" in report
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        (0.061, 0.034, "lowers the error from 61\u00a0mm to 34\u00a0mm"),
+        (0.034, 0.061, "raises the error from 34\u00a0mm to 61\u00a0mm"),
+        (0.0341, 0.0339, "leaves the error at 34\u00a0mm"),
+    ],
+)
+def test_abstract_follows_the_numbers(before, after, expected):
+    assert words._changes({"m": before}, {"m": after}, "m", 1000, ".0f", "the error", "mm") == expected
+
+
+def test_a_number_that_rounds_to_zero_has_no_sign():
+    assert words.figure(-0.04, "+.1f") == "0.0"
+    assert words.figure(-0.06, "+.1f") == "−0.1"
+    assert words.figure(0.06, "+.1f") == "+0.1"
+
+
+def test_worked_example_of_the_law():
+    found = [(each.alpha_1_deg, round(each.exact_m, 3), round(each.short_m, 3)) for each in law.worked_example()]
+    assert found == [(90, 0.323, 0.314), (30, 0.464, 0.314), (15, 0.857, 0.314)]
+
+
+def test_pixel_level_errors_lie_within_what_the_law_allows_for_whole_steps(paper):
+    within = law.within_steps(methods_of(paper.outcomes)[0].outcome, "pixel level")
+    assert within.shares[0] > 0.85
+    assert within.shares[-1] > 0.99
+
+
+def test_cost_curve_is_the_matchers(paper):
+    methods = methods_of(paper.outcomes)
+    row, column = curve.typical_pixel(methods)
+    found = curve.curve_at(methods[0].outcome, row, column)
+    best = np.nanargmin(found.costs)
+    assert found.angle_deg[best] == pytest.approx(found.best_deg)
+    assert found.near.sum() == 7
+    # The parabola is the one that the sub-pixel step used: its minimum is the estimate.
+    refined = methods[1].outcome
+    assert refined.matches.refined[row, column]
+    offset = (found.minimum_deg - found.best_deg) / found.step_deg
+    assert refined.matches.k[row, column] - refined.whole.k[row, column] == pytest.approx(offset, abs=1e-9)
+    assert -found.fit[1] / (2 * found.fit[0]) == pytest.approx(offset, abs=1e-6)
+
+
+def test_pixel_level_estimates_lie_on_the_levels_that_are_drawn(paper):
+    outcome = methods_of(paper.outcomes)[0].outcome
+    row = profiles.main_row(methods_of(paper.outcomes))
+    phi, levels = profiles._levels(outcome, row, (0.0, 20.0))
+    at = np.degrees(outcome.trial.panorama.phi)
+    checked = 0
+    for column in range(0, at.size, 2):
+        if outcome.reference.domain[row, column] and outcome.valid[row, column]:
+            here = levels[phi == at[column]]
+            assert np.nanmin(np.abs(here - outcome.range_m[row, column])) < 1e-9
+            checked += 1
+    assert checked > 100
+
+
+def test_other_rows_show_walls_and_floor(paper):
+    methods = methods_of(paper.outcomes)
+    surfaces = [profiles.row_at(methods, row).surface for row in profiles.other_rows(methods)]
+    assert surfaces == ["wall"] * 3 + ["floor or ceiling"] * 3
+
+
+def test_every_reason_has_words_and_a_colour_of_its_own():
+    from harness.stereo.matching.window import Reason
+
+    assert set(maps.REASONS) == set(Reason)
+    assert len({colour for _, colour in maps.REASONS.values()}) == len(Reason)
+
+
+# --- Other experiments than the paper's ---------------------------------------------------------------------------
+
+
+def test_what_users_write_shows_as_text():
+    evil = '<script>alert(1)</script> & "quotes" {{ 7 * 7 }}'
+    scene = load_scene("box").model_copy(update={"name": evil, "description": evil})
+    result = run_small(description=evil)
+    trial = result.experiment.trial.model_copy(update={"scene": scene})
+    outcomes = [replace(each, trial=each.trial.model_copy(update={"scene": scene})) for each in result.outcomes]
+    experiment = result.experiment.model_copy(update={"trial": trial})
+    html = build_report(replace(result, experiment=experiment, outcomes=outcomes))
+    document = Document(html)
+    assert not list(document.every("script"))
+    assert document.text.count(evil) >= 3
+    assert any(evil in image["alt"] for image in document.every("img"))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("one method, without axes", {"axes": {}}),
+        ("only whole pixels", {"axes": {}, "matching": {"subpixel": "none"}}),
+        ("several baselines", {"axes": {"view_2.baseline_m": [0.3, 0.5], **BOTH}}),
+        ("several widths", {"axes": {**BOTH, "panorama.width_px": [180, 240]}}),
+        ("sampled in alpha", {"matching": {"sampling": "alpha"}}),
+        ("corridor", {"scene": "corridor"}),
+        ("room", {"scene": "room"}),
+        ("straight up", {"view_2": {"elevation_deg": 90.0}, "matching": {"sampling": "alpha"}}),
+        ("turned and noisy", {"view_2": {"yaw_deg": 30.0, "azimuth_deg": 40.0}, "noise": {"sigma_grey": 2.0}}),
+        ("nothing matched", {"matching": {"window_px": 99}}),
+        ("unfiltered single pixels", {"filter": {"log_sigma_px": 0.0}, "matching": {"window_px": 1, "cost": "ssd"}}),
+    ],
+)
+def test_any_experiment_has_a_report(name, settings):
+    html = build_report(run_small(**settings))
+    assert len(html.encode()) < MAX_BYTES
+    assert "nan" not in re.findall(r"[a-z]+", Document(html).text)
+    if name == "nothing matched":
+        assert "there is no estimate to speak of" in html
+        assert 'class="missing"' in html
+    if name.startswith("several"):
+        assert "All 4 trials" in html
+
+
+def test_panels_without_data_say_so():
+    methods = methods_of(run_small(matching={"window_px": 99}).outcomes)
+    assert curve.typical_pixel(methods) is None
+    with theme.style():
+        assert "no estimate" in law.measured_chart(methods).alt
+
+
+# --- In a browser -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1200, 390])
+def test_report_in_chromium(report_file, tmp_path, width):
+    with chromium(tmp_path / "profile") as browser:
+        seen = visit(browser, report_file, width=width)
+        page = seen.page
+        assert seen.requests == []
+        assert seen.complaints == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= page.evaluate("window.innerWidth")
+        sizes = page.evaluate("[...document.images].map(image => [image.naturalWidth, image.clientWidth])")
+        assert len(sizes) >= 20
+        assert all(natural > 0 and shown > 100 for natural, shown in sizes)
+
+
+@pytest.mark.browser
+def test_report_without_scripts(report_file, tmp_path):
+    with chromium(tmp_path / "profile", scripts=False) as browser:
+        seen = visit(browser, report_file, width=1200)
+        assert seen.complaints == []
+        assert seen.page.locator("figure img").count() >= 20
+        assert seen.page.locator("figure img").last.is_visible()
+        assert seen.page.get_by_text("Comparison of methods").last.is_visible()
+
+
+@pytest.mark.browser
+def test_text_that_users_write_runs_nowhere(tmp_path):
+    file = tmp_path / "report.html"
+    file.write_text(build_report(run_small(description="<img src=x onerror=alert(1)><b>bold</b>")), encoding="utf-8")
+    with chromium(tmp_path / "profile") as browser:
+        seen = visit(browser, file, width=390)
+        assert seen.requests == []
+        assert seen.complaints == []
+        assert seen.page.locator("header .lead").inner_text().endswith("<img src=x onerror=alert(1)><b>bold</b>")
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
