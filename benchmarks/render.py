@@ -5,7 +5,7 @@ the same threads, and what belongs to the scene or the sensor alone (the BVH, th
 `render`, all samples' directions for Embree) is made beforehand. Embree gets only the samples of pixels in the
 field, and only finds triangles; our side shades them, and finds the exact range of every pixel centre in float64.
 
-    python benchmarks/render.py [pairs]
+    python benchmarks/render.py [pairs] [threads]
 """
 
 import statistics
@@ -85,7 +85,7 @@ def compare(scene: Scene, samples: int, pairs: int, threads: int) -> tuple[float
 
 def main() -> None:
     pairs = int(sys.argv[1]) if len(sys.argv) > 1 else 15
-    threads = min(2, available_cpus())
+    threads = min(int(sys.argv[2]) if len(sys.argv) > 2 else 2, available_cpus())
     print(f"640 x 480, {threads} threads, {pairs} interleaved pairs; image and ranges against raw Embree")
     print(f"{'scene':10} {'samples':>7} {'ratio':>7} {'ours ms':>9} {'Embree ms':>9}   target")
     with tempfile.TemporaryDirectory() as folder:

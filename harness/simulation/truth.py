@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.camera.angles import Array
 from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor, project
-from harness.simulation.cast import cast
+from harness.simulation.cast import cast, rotated
 from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_of
 from harness.simulation.scene import Scene
 
@@ -82,7 +82,7 @@ def truth(
     valid = np.asarray(valid, dtype=bool)
     directions = np.asarray(directions_v1, dtype=np.float64)
     geometry = geometry_of(scene)
-    rays = directions[valid] @ pose_1.R_world_from_view.T
+    rays = rotated(directions[valid], pose_1.R_world_from_view)
     range_valid, face_valid = _seen(geometry, pose_1, rays, threads)
 
     range_m = np.full(valid.shape, np.nan)
@@ -102,7 +102,7 @@ def truth(
         points = pose_1.position_m + range_m[has_range, None] * world[has_range]
         unoccluded[has_range] = _unoccluded(geometry, pose_2, points, face[has_range], threads)
         if sensor_2 is not None:
-            seen_from_2 = (points - pose_2.position_m) @ pose_2.R_world_from_view
+            seen_from_2 = rotated(points - pose_2.position_m, pose_2.R_world_from_view.T)
             in_field_2[has_range] = project(sensor_2, seen_from_2)[1]
     textureless = np.zeros(valid.shape, dtype=bool)
     textureless[has_range] = geometry.textureless[geometry.texture_of_face[face[has_range]]]
@@ -125,7 +125,7 @@ def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *,
     """Range in metres alone, as in `truth`: NaN for a direction that is not valid or meets nothing."""
     valid = np.asarray(valid, dtype=bool)
     range_m = np.full(valid.shape, np.nan)
-    rays = np.asarray(directions, dtype=np.float64)[valid] @ pose.R_world_from_view.T
+    rays = rotated(np.asarray(directions, dtype=np.float64)[valid], pose.R_world_from_view)
     range_m[valid], _ = _seen(geometry_of(scene), pose, rays, threads)
     return range_m
 
