@@ -187,7 +187,7 @@ def test_open_scene_declared_closed():
     wall = Plane(kind="plane", size_m=(4, 4), position_m=(-2, 0, 2), pitch_deg=90, texture=GREY)
     scene = Scene(name="two planes", objects=(floor, wall))
     pose = Pose(position_m=(0, 0, 1))
-    message = r"two planes: \d+ of \d+ rays escape.*\(0, 0, 1\).*closed = false"
+    message = r"two planes: \d+ rays or more escape.*\(0, 0, 1\).*closed = false"
     with pytest.raises(InputError, match=message):
         render(scene, SENSOR, pose)
     with pytest.raises(InputError, match=message):
@@ -199,7 +199,7 @@ def test_escaped_rays_are_counted():
     floor = Plane(kind="plane", size_m=(4, 4), texture=GREY)
     wall = Plane(kind="plane", size_m=(1, 1), position_m=(0, 0, 3), texture=GREY)
     directions = np.array([[[0.0, 0, -1], [0, 0, 1], [1, 0, 0], [0, 1, 0]]])
-    with pytest.raises(InputError, match=r"2 of 4 rays escape.*direction \(1\.0000, 0\.0000, 0\.0000\)"):
+    with pytest.raises(InputError, match=r"2 rays or more escape.*direction \(1\.0000, 0\.0000, 0\.0000\)"):
         ranges(
             Scene(name="s", objects=(floor, wall)),
             Pose(position_m=(0, 0, 1)),

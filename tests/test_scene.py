@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from scipy import ndimage
 
 from harness import shipped
 from harness.camera.pose import Pose
+from harness.simulation.cast import cast
 from harness.simulation.geometry import check_viewpoint, geometry_of, homographies
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Scene, assets, load_scene
 from harness.simulation.texture import (
@@ -191,3 +193,43 @@ def test_edges_inside_a_face_are_not_edges_and_shared_ones_count_once():
 def test_arrays_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         geometry_of(load_scene("box")).corners[0] = 0
+
+
+def grey_towards(scene, origin, directions):
+    """The grey that rays see, through hits, texture maps and `lookup`."""
+    geometry = geometry_of(scene)
+    hits = cast(geometry, origin, directions)
+    face = geometry.face_of_triangle[hits.triangle]
+    points = np.asarray(origin) + hits.range_m[:, None] * directions
+    maps = geometry.uv_maps[face]
+    uv = np.einsum("nij,nj->ni", maps[..., :3], points) + maps[..., 3]
+    return np.array([lookup(geometry.textures[geometry.texture_of_face[f]], c) for f, c in zip(face, uv, strict=True)])
+
+
+def test_mesh_files_show_their_texture_upright(tmp_path):
+    Image.fromarray(np.array([[10, 20], [30, 40]], np.uint8)).save(tmp_path / "t.png")
+    (tmp_path / "m.mtl").write_text("newmtl wall\nmap_Kd t.png\n")
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\nv 2 1 0\nv 2 -1 0\nv 2 -1 2\nv 2 1 2\n"
+        "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl wall\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    )
+    scene = Scene(name="s", closed=False, objects=(Mesh(kind="mesh", file=str(tmp_path / "m.obj")),))
+    # Seen along x with z up, +y is on the left: the four quarters of the wall are the four texels.
+    corners = np.array([[2, 0.5, 1.5], [2, -0.5, 1.5], [2, 0.5, 0.5], [2, -0.5, 0.5]]) - [0, 0, 1]
+    directions = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
+    # Each ray meets the middle of a texel, where bilinear is exact.
+    np.testing.assert_allclose(grey_towards(scene, (0, 0, 1), directions), [10, 20, 30, 40], atol=1e-9)
+
+
+def test_a_texture_projected_on_a_mesh_is_that_of_a_box(tmp_path):
+    noise = NoiseTexture(kind="noise", seed=1, tile_m=2, shortest_m=0.1, longest_m=1, size_px=128)
+    shape = trimesh.creation.box(bounds=[[0, 0, 0], [3, 4, 2]])
+    shape.export(tmp_path / "m.ply")
+    placed = {"position_m": (-1.5, -2.0, 0.0)}
+    mesh = Mesh(kind="mesh", file=str(tmp_path / "m.ply"), inward=True, texture=noise, **placed)
+    box = Box(kind="box", size_m=(3, 4, 2), inward=True, texture=noise)
+    d = np.random.default_rng(9).standard_normal((500, 3))
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    greys = [grey_towards(Scene(name="s", objects=(thing,)), (0.1, 0.2, 0.9), d) for thing in (mesh, box)]
+    # Float64 texture coordinates of a few tiles.
+    np.testing.assert_allclose(greys[0], greys[1], rtol=0, atol=1e-9)

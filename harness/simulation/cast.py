@@ -102,7 +102,7 @@ def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, tri
     if geometry.closed and escaped.size:
         d = np.asarray(directions)[escaped[0]]
         raise InputError(
-            f"{escaped.size} of {triangle.size} rays escape, one from ({origin[0]:g}, {origin[1]:g}, {origin[2]:g}) m "
+            f"{escaped.size} rays or more escape, one from ({origin[0]:g}, {origin[1]:g}, {origin[2]:g}) m "
             f"in direction ({d[0]:.4f}, {d[1]:.4f}, {d[2]:.4f}): close the scene or set closed = false",
             file=geometry.name,
         )

@@ -83,6 +83,8 @@ class _Patch:
 def geometry_of(scene: Scene) -> Geometry:
     """The triangles, faces and edges of a scene; kept, so that views of one scene share the build.
 
+    A file that changes while the process runs is not read again.
+
     Raises
     ------
     InputError

@@ -106,9 +106,7 @@ class _View:
     rotation: Array
     """World from view, `[3, 3]`."""
     H: Array
-    """For each face the map from a ray in the view's frame to texel coordinates (see `_kernels.shade`), `[faces,
-    3, 3]`.
-    """
+    """`[faces, 3, 3]`: for each face the map from a ray in the view's frame to its tile (see `_kernels.shade`)."""
     tiles: "_Tiles"
 
 
