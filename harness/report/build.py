@@ -18,6 +18,10 @@ from harness.report.theme import Picture
 from harness.spec import dump_toml
 
 
+MOST_TRIALS = 60
+"""Rows of the tables of trials; a sweep of thousands is not read on a page."""
+
+
 @dataclass(frozen=True)
 class Figures:
     """The panels of every figure, none where there is nothing to draw, and what their captions speak of."""
@@ -47,6 +51,7 @@ def build_report(result: Result) -> str:
     methods = methods_of(result.outcomes)
     outcome = methods[0].outcome
     reference = outcome.reference
+    trials = _trials(result)
     with theme.style():
         figures = draw(methods)
     return _template().render(
@@ -57,7 +62,8 @@ def build_report(result: Result) -> str:
         places=_places(result, methods),
         abstract=list(words.abstract(result, methods)),
         columns=words.COLUMNS,
-        trials=_trials(result),
+        trials=trials,
+        most_trials=MOST_TRIALS,
         figures=figures,
         min_sine=MIN_SINE_ALPHA_1,
         toward=_azimuth_of_t(outcome),
@@ -70,7 +76,7 @@ def build_report(result: Result) -> str:
         within=[law.within_steps(method.outcome, method.label) for method in methods],
         settings=words.settings(outcome.trial),
         toml=dump_toml(result.experiment),
-        stages=list(dict.fromkeys(stage for each in result.outcomes for stage in each.seconds)),
+        stages=list(dict.fromkeys(stage for each in trials for stage in each["seconds"])),
     )
 
 

@@ -184,8 +184,8 @@ class _Overview:
         return np.stack([p @ self.right, p @ self.up], axis=-1) / (p @ self.forward)[..., None]
 
     def rays(self, x: Array, y: Array) -> Array:
-        """Unit directions through picture coordinates."""
-        return normalise(self.forward + x[..., None] * self.right + y[..., None] * self.up)
+        """Directions through picture coordinates, as long as the picture is away at 1."""
+        return np.asarray(self.forward + x[..., None] * self.right + y[..., None] * self.up)
 
     def window(self, shape: float) -> tuple[float, float, float, float]:
         """Left, right, bottom, top of a picture of a shape (width / height) that holds the whole scene."""

@@ -68,6 +68,7 @@ _STYLE: dict[str, Any] = {
     "image.interpolation": "none",
     "image.composite_image": False,
     "svg.fonttype": "path",
+    "svg.hashsalt": "omnirange",  # names what is inside a file; a random one would make no two reports alike
     "svg.image_inline": True,
     "path.simplify": True,
     "path.simplify_threshold": 0.1,
@@ -130,9 +131,7 @@ def axes(fig: Figure, left: float, top: float, width: float, height: float, **op
 def picture(fig: Figure, alt: str, title: str = "") -> Picture:
     """A figure as SVG, letters as outlines so that it looks the same everywhere, and images at their own resolution."""
     stream = io.StringIO()
-    # The salt names what is inside the file; it must not be random, or no two reports were alike.
-    with mpl.rc_context({"svg.hashsalt": "omnirange"}):
-        fig.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    fig.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
