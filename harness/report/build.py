@@ -17,7 +17,6 @@ from harness.report.methods import Method, methods_of
 from harness.report.theme import Picture
 from harness.spec import dump_toml
 
-
 MOST_TRIALS = 60
 """Rows of the tables of trials; a sweep of thousands is not read on a page."""
 
