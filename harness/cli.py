@@ -1,20 +1,26 @@
 """The command line: the only place that prints, parses arguments or exits."""
 
 import argparse
+import json
+import os
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 from harness import __version__, shipped
 from harness.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
-EXIT_OK, EXIT_INPUT, EXIT_INTERRUPTED = 0, 2, 130
+    from harness.experiments.experiment import Experiment
+    from harness.experiments.store import Finished, Foreign, Store
+
+EXIT_OK, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+_LINE_EVERY_S = 60.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,11 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when all went well, 2 when something given is wrong (one line on stderr says what), 130 after Ctrl-C.
+        0 when all went well, 1 when a trial failed, 2 when something given is wrong (one line on stderr says what),
+        130 after Ctrl-C.
     """
     options = _parser().parse_args(arguments)
     try:
-        options.run(options)
+        return options.run(options) or EXIT_OK
     except InputError as error:
         if options.debug:
             traceback.print_exc()
@@ -36,7 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nomnirange: interrupted; what was being written is left as it was before", file=sys.stderr)
         return EXIT_INTERRUPTED
-    return EXIT_OK
 
 
 class _Parser(argparse.ArgumentParser):
@@ -45,6 +51,12 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         print(f"omnirange: {message}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(EXIT_INPUT)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; found '{text}'")
+    return int(text)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -66,7 +78,40 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file")
     run.add_argument("--out", type=Path, metavar="DIR", help="output folder (default: results/NAME)")
+    run.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the base trial; repeatable"
+    )
+    run.add_argument(
+        "--axis", action="append", default=[], metavar="KEY=A,B,C", help="vary a setting, beside the axes; repeatable"
+    )
+    run.add_argument("--dry-run", action="store_true", help="say how many trials there are and how long they may take")
+    where = run.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers", type=_count, metavar="N", help="processes (default: one for each CPU, where it pays)"
+    )
+    where.add_argument("--dask", metavar="ADDRESS", help="run on a Dask cluster, such as tcp://127.0.0.1:8786")
     run.set_defaults(run=_run)
+
+    report = commands.add_parser(
+        "report",
+        parents=[debug],
+        allow_abbrev=False,
+        help="write a run's report anew",
+        description="Write the tables, the summary and the report of a run anew, from its folder alone.",
+    )
+    report.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
+    report.set_defaults(run=_report)
+
+    cache = commands.add_parser(
+        "cache",
+        parents=[debug],
+        allow_abbrev=False,
+        help="show or empty the cache of renders",
+        description="Show where renders are kept between runs and how large they are. OMNIRANGE_CACHE says where, "
+        "OMNIRANGE_CACHE_LIMIT_MB how much.",
+    )
+    cache.add_argument("--clear", action="store_true", help="remove them all")
+    cache.set_defaults(run=_cache)
 
     render = commands.add_parser(
         "render",
@@ -89,27 +134,132 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace) -> int:
     # Heavy libraries are loaded here, so that --help and a mistyped name answer at once.
-    from rich.console import Console
+    from harness.experiments.executors import ONE_THREAD, workplace
 
-    from harness.experiments.files import make_folder, write
-    from harness.experiments.run import run_experiment, write_result
-    from harness.experiments.spec import load_experiment
-    from harness.report.build import build_report
+    os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
-    console = Console()
-    experiment = load_experiment(options.experiment)
+    from harness.experiments.experiment import load_experiment
+    from harness.experiments.files import make_folder
+    from harness.experiments.run import is_reported, open_run, standing, sweep
+
+    experiment = load_experiment(options.experiment, options.set, options.axis)
+    if options.dry_run:
+        return _dry_run(experiment)
     folder = options.out or Path("results") / experiment.name
     make_folder(folder)
-    with _Progress(console) as progress:
-        result = run_experiment(experiment, progress.update)
-        progress.say("report")
-        report = build_report(result)
-    write_result(result, folder)
-    write(folder / "report.html", report)
-    console.print(_comparison(result.summary))
+    with open_run(experiment, folder) as store:
+        before = standing(experiment, store)
+        _say_foreign(before.foreign)
+        if before.done == before.total and is_reported(experiment, store, folder):
+            print(
+                f"{experiment.name}: all {before.total} trials are done and the report is made; nothing is left to do"
+            )
+            _show(json.loads((folder / "summary.json").read_text(encoding="utf-8")), folder)
+            return EXIT_OK
+        with _Progress(experiment.name, before.total, before.done) as progress:
+            try:
+                left = before.plan
+                if left.trials:
+                    place = workplace(left.total_s, len(left.trials), options.workers, options.dask)
+                    progress.say(f"{len(left.trials)} trials to run {place.name}, {before.done} done before")
+                    sweep(left, store, place, progress.update)
+            except KeyboardInterrupt:
+                progress.stop()
+                after = standing(experiment, store)
+                print(
+                    f"\nomnirange: interrupted; {after.done} of {after.total} trials are done and kept; "
+                    "run the same command to go on",
+                    file=sys.stderr,
+                )
+                return EXIT_INTERRUPTED
+            progress.finish()
+        return _write(experiment, store, folder)
+
+
+def _dry_run(experiment: "Experiment") -> int:
+    from harness.experiments.executors import cpus
+    from harness.experiments.plan import plan
+
+    whole = plan(experiment.planned)
+    seconds = whole.total_s / cpus()
+    print(
+        f"{experiment.name}: {len(whole.trials)} trials, {whole.renders} distinct renders, "
+        f"about {_duration(seconds)} on {cpus()} CPUs (a guess from the sizes of images)"
+    )
+    return EXIT_OK
+
+
+def _report(options: argparse.Namespace) -> int:
+    from harness.experiments.experiment import Experiment
+    from harness.experiments.run import DATABASE, standing
+    from harness.experiments.store import Store
+    from harness.spec import parse
+
+    database = options.folder / DATABASE
+    if not database.is_file():
+        raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
+    with Store(database) as store:
+        experiment = parse(Experiment, store.fact("experiment"), file=database)
+        now = standing(experiment, store)
+        _say_foreign(now.foreign)
+        if now.done < now.total:
+            print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
+        return _write(experiment, store, options.folder)
+
+
+def _write(experiment: "Experiment", store: "Store", folder: Path) -> int:
+    """Write everything that is made from the rows, and say what came out."""
+    from harness.experiments.run import result_of, standing, write_result, write_tables
+
+    write_tables(experiment, store, folder)
+    now = standing(experiment, store)
+    if now.done:
+        from harness.report.build import build_report
+
+        result = result_of(experiment, store)
+        write_result(result, build_report(result), store, folder)
+        _show(result.summary, folder)
+    if not now.failed:
+        return EXIT_OK
+    print(
+        f"omnirange: {now.failed} of {now.total} trials failed; {folder / 'failures.csv'} says why, "
+        "and the same command tries them again",
+        file=sys.stderr,
+    )
+    return EXIT_FAILED
+
+
+def _say_foreign(foreign: "Foreign") -> None:
+    for count, why in (
+        (foreign.other_code, "by other code or libraries"),
+        (foreign.other_scene, "of other scenes, or of this one before it was changed"),
+        (foreign.other_settings, "with other settings"),
+    ):
+        if count:
+            print(f"{count} trials in this folder were made {why}: they are set aside, and not used")
+
+
+def _show(summary: dict[str, Any], folder: Path) -> None:
+    from rich.console import Console
+
+    console = Console()
+    console.print(_comparison(summary))
     console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False)
+
+
+def _cache(options: argparse.Namespace) -> None:
+    from harness.experiments.cache import RenderCache
+
+    cache = RenderCache()
+    if options.clear:
+        cache.clear()
+    contents = cache.contents()
+    print(
+        f"{cache.folder}: {contents.files} renders, "
+        f"{contents.bytes / 2**20:.1f} MB of at most {cache.limit / 2**20:.0f} MB"
+    )
 
 
 def _render(options: argparse.Namespace) -> None:
@@ -138,42 +288,71 @@ def _render(options: argparse.Namespace) -> None:
 
 
 class _Progress:
-    """Trials done, the stage under way, rate and time left: a bar on a terminal, one line a trial elsewhere."""
+    """Trials done, failures, rate and time left: a bar on a terminal; elsewhere a line a minute, and one at the end."""
 
-    def __init__(self, console: "Console") -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    def __init__(self, name: str, total: int, done: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-        self._console = console
+        self._name, self._total, self._before = name, total, done
+        self._done, self._failed = done, 0
+        self._begun = self._said = time.monotonic()
+        self._console = Console()
         self._bar = Progress(
-            TextColumn("{task.description:<22}"),
-            BarColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
             MofNCompleteColumn(),
-            TextColumn("trials"),
-            TimeRemainingColumn(elapsed_when_finished=True),
-            console=console,
-            disable=not console.is_terminal,
+            TextColumn("{task.fields[pace]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
             transient=True,
         )
-        self._task = self._bar.add_task("starting", total=None)
-        self._done = -1
+        self._task = self._bar.add_task(name, total=total, completed=done, pace="")
 
-    def __enter__(self) -> "_Progress":
+    def __enter__(self) -> Self:
         self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
         self._bar.stop()
 
-    def update(self, done: int, total: int, stage: str) -> None:
-        self._bar.update(self._task, completed=done, total=total, description=stage)
-        if not self._console.is_terminal and done != self._done:
-            self._done = done
-            self._console.print(f"trial {done + 1} of {total}", highlight=False)
+    def say(self, text: str) -> None:
+        if self._console.is_terminal:
+            self._console.print(f"{self._name}: {text}", highlight=False)
 
-    def say(self, stage: str) -> None:
-        self._bar.update(self._task, description=stage)
-        if not self._console.is_terminal:
-            self._console.print(stage, highlight=False)
+    def update(self, rows: "Sequence[Finished]") -> None:
+        self._done += len(rows)
+        self._failed += sum(row.state == "failed" for row in rows)
+        rate = (self._done - self._before) / max(time.monotonic() - self._begun, 1e-9)
+        failed = f", {self._failed} failed" if self._failed else ""
+        pace = f"{failed.lstrip(', ')} {rate:.1f}/s, {_duration((self._total - self._done) / rate)} left".lstrip()
+        self._bar.update(self._task, completed=self._done, pace=pace)
+        if not self._console.is_terminal and time.monotonic() - self._said > _LINE_EVERY_S:
+            self._said = time.monotonic()
+            print(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}", flush=True)
+
+    def finish(self) -> None:
+        ran = self._done - self._before
+        if not ran:
+            return
+        self.stop()
+        seconds = time.monotonic() - self._begun
+        failed = f", {self._failed} of them failed" if self._failed else ""
+        before = f", {self._before} done before" if self._before else ""
+        print(
+            f"{self._name}: {ran} of {self._total} trials run{failed}, in {_duration(seconds)} "
+            f"({ran / seconds:.1f} trials/s){before}",
+            flush=True,
+        )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 99.5:
+        return f"{seconds:.3g} s" if seconds < 10 else f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _comparison(summary: dict[str, Any]) -> "Table":
@@ -184,7 +363,14 @@ def _comparison(summary: dict[str, Any]) -> "Table":
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("\npixels", no_wrap=True)
     table.add_column("\nmethod", no_wrap=True)
-    headings = ("\ndensity", "disparity\nmedian px", "bad\n> 1 px", "range\nmedian mm", "range\nRMSE mm", "range\nbias mm")
+    headings = (
+        "\ndensity",
+        "disparity\nmedian px",
+        "bad\n> 1 px",
+        "range\nmedian mm",
+        "range\nRMSE mm",
+        "range\nbias mm",
+    )
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for key, where in (("comparison_wall", "walls"), ("comparison", "all")):

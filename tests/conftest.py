@@ -2,11 +2,12 @@
 
 import pytest
 
-from harness.experiments.run import Result, run_experiment
-from harness.experiments.spec import load_experiment
-
 
 @pytest.fixture(scope="session")
-def paper() -> Result:
+def paper():
     """The paper's experiment with its shipped settings, rendered in this session."""
+    # Imported here, so that tests which do not ask for it are independent of the whole chain.
+    from harness.experiments.experiment import load_experiment
+    from harness.experiments.run import run_experiment
+
     return run_experiment(load_experiment("paper"))

@@ -14,7 +14,7 @@ import pytest
 from browser import chromium, visit
 
 from harness.experiments.run import Result, run_experiment
-from harness.experiments.spec import Experiment
+from harness.experiments.experiment import Experiment
 from harness.report import curve, law, maps, profiles, theme, words
 from harness.report.build import build_report
 from harness.report.methods import methods_of

@@ -31,12 +31,13 @@ pose.toml             where the sensor stands in the world, metres and degrees, 
 scene.glb             the scene as glTF 2.0 with textures; glTF's y is our z, glTF's -z is our y
 
 Range is the Euclidean distance from the effective viewpoint (the mirror's inner focus), not a depth along an axis.
-The centre of pixel [v, u] is at the integers (u, v). A direction (x, y, z) of unit length in the sensor's frame, z up, is
-seen at
-    u = cx + focal x / w,   v = cy + focal aspect y / w,   w = (z + 2 e / s),   s = b^2 / (a - e z),   e = sqrt(a^2 + b^2)
+The centre of pixel [v, u] is at the integers (u, v). A direction (x, y, z) of unit length in the sensor's frame, z up,
+is seen at
+    u = cx + focal x / w,   v = cy + focal aspect y / w
+    w = (z + 2 e / s),   s = b^2 / (a - e z),   e = sqrt(a^2 + b^2)
 before lens distortion. A direction in the world is R (x, y, z), R = Rz(yaw) Ry(pitch) Rx(roll).
-Panorama column j is centred at phi = -pi + (j + 0.5) 2 pi / width and row i at z_max - (i + 0.5) (z_max - z_min) / height;
-its pixel looks along (cos phi, sin phi, z).
+Panorama column j is centred at phi = -pi + (j + 0.5) 2 pi / width and row i at
+z_max - (i + 0.5) (z_max - z_min) / height; its pixel looks along (cos phi, sin phi, z).
 """
 
 

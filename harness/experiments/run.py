@@ -1,79 +1,291 @@
-"""Run all trials of an experiment and write what came out into a folder."""
+"""Run an experiment: rows of all trials in one file, the base trial in detail, and what is written for people."""
 
+import csv
 import hashlib
+import io
 import json
-import os
-import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-import harness
+from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
-from harness.experiments.files import make_folder, write
-from harness.experiments.spec import Experiment
-from harness.experiments.trial import Kept, Outcome, run_trial
+from harness.experiments import executors, worker
+from harness.experiments.environment import environment, source_hash
+from harness.experiments.experiment import Experiment, Planned, Settings, shown, text_of, value_at
+from harness.experiments.files import write
+from harness.experiments.plan import Plan, plan
+from harness.experiments.spec import Trial
+from harness.experiments.store import Finished, Foreign, Store
+from harness.experiments.sweep import run_sweep
+from harness.experiments.trial import Outcome
 from harness.simulation.fingerprint import fingerprint
-from harness.spec import dump_toml
+from harness.spec import dump_toml, parse
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
 """What `summary.json` and the report call the sub-pixel settings."""
 
+DATABASE = "run.sqlite"
+WRITTEN = (
+    "experiment.toml",
+    "environment.json",
+    "trials.csv",
+    "timings.csv",
+    "summary.json",
+    "report.html",
+)
+"""The files made from the rows; `failures.csv` too, when a trial failed."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A finished trial of an experiment."""
+
+    planned: Planned
+    finished: Finished
+
+    @property
+    def place(self) -> Settings:
+        """Where it lies on the axes."""
+        return self.planned.place
+
+    @property
+    def state(self) -> str:
+        """`done` or `failed`."""
+        return self.finished.state
+
+    @property
+    def payload(self) -> dict[str, Any]:
+        """What `row.row_of` made; empty when the trial failed."""
+        return json.loads(self.finished.payload)
+
 
 @dataclass(frozen=True)
 class Result:
-    """A finished experiment."""
+    """An experiment and what came of it."""
 
     experiment: Experiment
-    places: list[dict[str, Any]]
-    """Where each trial lies on the axes."""
-    outcomes: list[Outcome]
+    rows: list[Row]
+    """Of all trials that are finished, in the experiment's order."""
+    details: list[Outcome]
+    """The base trial, with up to two of the sub-pixel methods on the axes."""
     summary: dict[str, Any]
     environment: dict[str, Any]
 
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """The same as `details`."""
+        return self.details
 
-Observer = Callable[[int, int, str], None]
-"""Called with the number of trials done, of all trials, and the name of the stage that begins."""
+    @property
+    def places(self) -> list[Settings]:
+        """Where the details lie on the axes."""
+        columns = columns_of(self.experiment)
+        tables = [outcome.trial.model_dump(mode="json") for outcome in self.details]
+        return [{key: value_at(table, key) for key in columns} for table in tables]
 
 
-def run_experiment(experiment: Experiment, observe: Observer = lambda done, total, stage: None) -> Result:
-    """Run every trial; what they share is computed once.
+@dataclass(frozen=True)
+class Standing:
+    """How far a run has come."""
+
+    plan: Plan
+    """Of the trials that are still to be run; those that failed among them."""
+    total: int
+    done: int
+    failed: int
+    foreign: Foreign
+
+
+def open_run(experiment: Experiment, folder: Path) -> Store:
+    """Open the run of an experiment in a folder, or begin it.
 
     Raises
     ------
     InputError
-        When a trial's settings cannot be carried out.
+        When the folder holds another experiment's run, or its file cannot be used.
     """
-    expanded = experiment.trials()
-    kept = Kept()
-    outcomes = []
-    for done, (_, trial) in enumerate(expanded):
-        outcomes.append(run_trial(trial, kept, lambda stage, done=done: observe(done, len(expanded), stage)))
-    places = [place for place, _ in expanded]
-    return Result(experiment, places, outcomes, _summary(experiment, outcomes), _environment(experiment))
+    store = Store(folder / DATABASE)
+    name = store.fact("name")
+    if name not in (None, experiment.name):
+        raise InputError(
+            f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
+            file=folder,
+        )
+    store.set_fact("name", experiment.name)
+    store.set_fact("experiment", experiment.model_dump(mode="json"))
+    return store
 
 
-def write_result(result: Result, folder: Path) -> None:
-    """Write `experiment.toml`, `environment.json`, `trials.csv`, `timings.csv` and `summary.json`.
+def standing(experiment: Experiment, store: Store) -> Standing:
+    """How far a run has come, and what is left to do."""
+    states = store.states(each.key for each in experiment.planned)
+    left = [each for each in experiment.planned if states.get(each.key) != "done"]
+    scenes = {fingerprint(each.trial.scene) for each in experiment.planned}
+    return Standing(
+        plan=plan(left),
+        total=len(experiment.planned),
+        done=len(experiment.planned) - len(left),
+        failed=sum(state == "failed" for state in states.values()),
+        foreign=store.foreign((each.key for each in experiment.planned), scenes),
+    )
+
+
+def sweep(
+    left: Plan, store: Store, place: executors.Workplace, observe: Callable[[Sequence[Finished]], None] = lambda _: None
+) -> None:
+    """Run what is left to do; see `sweep.run_sweep`."""
+    # One worker takes single trials: there is nobody else to keep busy, and a kill costs one trial.
+    longest = 0.0 if place.workers == 1 and not place.elsewhere else left.total_s / (4 * place.workers)
+    run_sweep(left.batches(min(longest, 1.0)), store, place, observe)
+
+
+def result_of(experiment: Experiment, store: Store) -> Result:
+    """All that is known of a run; the details are computed.
+
+    Raises
+    ------
+    InputError
+        When no trial is done.
+    """
+    finished = store.finished(each.key for each in experiment.planned)
+    rows = [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+    done = [row for row in rows if row.state == "done"]
+    if not done:
+        raise InputError("no trial is done with the program as it is now, so there is nothing to report")
+    details = _details(experiment, done[0].planned.trial)
+    summary = _summary(experiment, details) | {
+        "trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)},
+    }
+    scenes = sorted({fingerprint(each.trial.scene) for each in experiment.planned})
+    return Result(experiment, rows, details, summary, environment() | {"scene_sha256": " ".join(scenes)})
+
+
+def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:
+    """Run all trials that are not done, in a folder or in memory, without a word.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be used, or no trial could be carried out; the first one's message.
+    """
+    with open_run(experiment, folder) if folder else Store() as store:
+        left = standing(experiment, store).plan
+        sweep(left, store, executors.workplace(left.total_s, len(left.trials), workers))
+        finished = store.finished(each.key for each in experiment.planned).values()
+        if all(row.state == "failed" for row in finished):
+            raise InputError(next(iter(finished)).message)
+        return result_of(experiment, store)
+
+
+# --- What is written ----------------------------------------------------------------------------------------------
+
+
+def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
+    """Write what needs no report: `experiment.toml`, `trials.csv`, `timings.csv`; `failures.csv` if any trial failed.
 
     Raises
     ------
     InputError
         When the folder cannot be written to.
     """
-    make_folder(folder)
-    write(folder / "experiment.toml", dump_toml(result.experiment))
+    finished = store.finished(each.key for each in experiment.planned)
+    rows = [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+    write(folder / "experiment.toml", dump_toml(experiment))
+    write(folder / "trials.csv", _trials(experiment, rows))
+    write(folder / "timings.csv", _timings(rows))
+    failures = folder / "failures.csv"
+    if any(row.state == "failed" for row in rows):
+        write(failures, _failures(experiment, rows))
+    else:
+        failures.unlink(missing_ok=True)
+
+
+def write_result(result: Result, report: str, store: Store, folder: Path) -> None:
+    """Write `environment.json`, `summary.json` and `report.html`, and keep in the store that they belong to its rows.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written to.
+    """
     write(folder / "environment.json", _json(result.environment))
-    write(folder / "trials.csv", _csv(_rows(result)))
-    write(folder / "timings.csv", _csv(_timings(result)))
     write(folder / "summary.json", _json(result.summary))
+    write(folder / "report.html", report)
+    store.set_fact("reported", _digest(result.experiment, store))
+
+
+def is_reported(experiment: Experiment, store: Store, folder: Path) -> bool:
+    """Whether all that would be written from the rows is there already."""
+    written = all((folder / name).is_file() for name in WRITTEN)
+    return written and store.fact("reported") == _digest(experiment, store)
+
+
+def columns_of(experiment: Experiment) -> list[str]:
+    """The keys that vary, in the order of the columns."""
+    return list(experiment.planned[0].place)
+
+
+def _digest(experiment: Experiment, store: Store) -> str:
+    """What the files are made from. Rows follow from their keys, the code and whether they are done."""
+    states = store.states(each.key for each in experiment.planned)
+    parts = [source_hash(), dump_toml(experiment), json.dumps(states, sort_keys=True)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _trials(experiment: Experiment, rows: list[Row]) -> str:
+    figures = [row.finished.figures for row in rows]
+    names = list(dict.fromkeys(name for each in figures for name in each))
+    return _csv(
+        ["key", "state", *columns_of(experiment), *names],
+        (
+            [row.planned.key, row.state, *row.place.values(), *(each.get(name) for name in names)]
+            for row, each in zip(rows, figures, strict=True)
+        ),
+    )
+
+
+def _timings(rows: list[Row]) -> str:
+    seconds = [json.loads(row.finished.seconds) for row in rows]
+    stages = list(dict.fromkeys(stage for each in seconds for stage in each))
+    return _csv(
+        ["key", *(f"{stage}_s" for stage in stages)],
+        (
+            [row.planned.key, *(each.get(stage) for stage in stages)]
+            for row, each in zip(rows, seconds, strict=True)
+            if row.state == "done"
+        ),
+    )
+
+
+def _failures(experiment: Experiment, rows: list[Row]) -> str:
+    return _csv(
+        ["key", *columns_of(experiment), "message", "traceback"],
+        (
+            [row.planned.key, *row.place.values(), row.finished.message, row.finished.traceback]
+            for row in rows
+            if row.state == "failed"
+        ),
+    )
+
+
+def _csv(heading: list[str], lines: Iterable[list[Any]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(heading)
+    writer.writerows([text_of(value) for value in line] for line in lines)
+    return stream.getvalue()
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+# --- The base trial in detail -------------------------------------------------------------------------------------
 
 
 def compare(outcomes: dict[str, Outcome], *, wall_only: bool) -> dict[str, Measures]:
@@ -88,8 +300,35 @@ def by_method(outcomes: list[Outcome]) -> dict[str, Outcome]:
     """The first outcome of each sub-pixel method, by the name that people read."""
     named: dict[str, Outcome] = {}
     for outcome in outcomes:
-        named.setdefault(METHODS[outcome.trial.matching.subpixel], outcome)
+        named.setdefault(METHODS.get(_subpixel(outcome.trial), "subpixel"), outcome)
     return named
+
+
+def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
+    """The base trial with whole pixels and one sub-pixel method, if both are on the axes.
+
+    A base trial that cannot be carried out gives way to the first trial that could.
+    """
+    methods = list(dict.fromkeys(_subpixel(each.trial) for each in experiment.planned))
+    refined = [method for method in methods if method != "none"]
+    chosen = [method for method in methods if method in ("none", *refined[:1])]
+    for base in (experiment.trial, first_done):
+        try:
+            return [worker.run_here(_with_subpixel(base, method)) for method in chosen]
+        except InputError:
+            continue
+    raise InputError(f"the first trial that was done cannot be carried out again: {shown(experiment.planned[0].place)}")
+
+
+def _subpixel(trial: Trial) -> str:
+    return str(getattr(trial.matching, "subpixel", "none"))
+
+
+def _with_subpixel(trial: Trial, method: str) -> Trial:
+    if _subpixel(trial) == method:
+        return trial
+    table = trial.model_dump(mode="json")
+    return parse(Trial, table | {"matching": table["matching"] | {"subpixel": method}})
 
 
 def _summary(experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
@@ -100,60 +339,3 @@ def _summary(experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
         "comparison": compare(named, wall_only=False),
         "comparison_wall": compare(named, wall_only=True),
     }
-
-
-def _rows(result: Result) -> Iterator[dict[str, Any]]:
-    for place, outcome in zip(result.places, result.outcomes, strict=True):
-        domain, wall = outcome.reference.domain, outcome.reference.wall
-        yield {
-            "trial": outcome.trial.key,
-            **place,
-            **outcome.measures(domain),
-            **{f"wall_{name}": value for name, value in outcome.measures(domain & wall).items()},
-        }
-
-
-def _timings(result: Result) -> Iterator[dict[str, Any]]:
-    for outcome in result.outcomes:
-        yield {"trial": outcome.trial.key, **{f"{stage}_s": value for stage, value in outcome.seconds.items()}}
-
-
-def _csv(rows: Iterator[dict[str, Any]]) -> str:
-    return str(pd.DataFrame(list(rows)).to_csv(index=False))
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def _environment(experiment: Experiment) -> dict[str, Any]:
-    """What the numbers may depend on besides the experiment's own settings."""
-    packages = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "pydantic", "pillow", "matplotlib")
-    return {
-        "omnirange": harness.__version__,
-        "source_sha256": source_hash(),
-        "scene_sha256": fingerprint(experiment.trial.scene),
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "cpu": _cpu_model(),
-        "cpus": len(os.sched_getaffinity(0)),
-        "packages": {name: metadata.version(name) for name in packages},
-    }
-
-
-def source_hash() -> str:
-    """SHA-256 over the program's own source files, names and contents, in alphabetical order."""
-    root = Path(harness.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
-
-
-def _cpu_model() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or "unknown"
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")

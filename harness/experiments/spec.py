@@ -1,23 +1,18 @@
-"""What an experiment is: a trial's settings, and the axes along which they vary."""
+"""The settings of a trial: one run of the pipeline."""
 
 import hashlib
-import itertools
 import json
 import math
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from harness import shipped
 from harness.camera.pose import Motion, Pose, relative_motion, translated
-from harness.camera.sensor import Sensor, load_sensor
-from harness.errors import InputError
+from harness.camera.sensor import Sensor
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator
-from harness.simulation.scene import Scene, load_scene
-from harness.spec import Finite, Positive, Spec, parse, read_toml
+from harness.simulation.scene import Scene
+from harness.spec import Finite, Positive, Spec
 from harness.stereo.matching.window import WindowMatcher
 from harness.stereo.panorama import Grid, Interpolation
 
@@ -138,77 +133,3 @@ class Trial(Spec):
     def motion(self) -> Motion:
         """From view 1 to view 2."""
         return relative_motion(*self.poses)
-
-
-class Experiment(Spec):
-    """A named set of trials: the full product of the axes over the base trial's settings."""
-
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
-    """Letters, digits, `_`, `.` and `-`: it also names the output folder."""
-    description: str = ""
-    trial: Trial
-    axes: dict[str, Annotated[list[str | int | float | bool], Field(min_length=1)]] = {}
-    """Dotted keys of the trial, such as `matching.subpixel`, and the values that each takes."""
-
-    def trials(self, *, file: Path | None = None) -> list[tuple[dict[str, Any], Trial]]:
-        """Every trial with its place on the axes, in the order of the product, the last axis fastest.
-
-        Raises
-        ------
-        InputError
-            When an axis is no key of a trial, or a value is not valid there; names `file`.
-        """
-        base = self.trial.model_dump(mode="json")
-        expanded = []
-        for values in itertools.product(*self.axes.values()):
-            place = dict(zip(self.axes, values, strict=True))
-            table = base
-            for key, value in place.items():
-                table = _with(table, key.split("."), value)
-            expanded.append((place, parse(Trial, _resolve(table, file, "axes"), file=file, key="axes")))
-        return expanded
-
-
-def load_experiment(name_or_path: str) -> Experiment:
-    """Read an experiment by shipped name or path.
-
-    `trial.scene` may be a table, a shipped name or a path; `trial.sensor` a table or a path. Paths are relative to the
-    experiment's file.
-
-    Raises
-    ------
-    InputError
-        Names the file, the key and what would be right.
-    """
-    path = shipped.find("experiments", name_or_path)
-    table = read_toml(path)
-    if isinstance(table.get("trial"), dict):
-        table = table | {"trial": _resolve(table["trial"], path, "trial")}
-    experiment = parse(Experiment, table, file=path)
-    experiment.trials(file=path)
-    return experiment
-
-
-def _resolve(trial: Mapping[str, Any], file: Path | None, key: str) -> dict[str, Any]:
-    """The table of a trial with the scene and sensor files that it names read in."""
-    resolved = dict(trial)
-    folder = file.parent if file is not None else None
-    if isinstance(resolved.get("scene"), str):
-        try:
-            resolved["scene"] = load_scene(str(shipped.find("scenes", resolved["scene"], relative_to=folder)))
-        except InputError as error:
-            if error.file != trial["scene"]:
-                raise
-            raise InputError(f"'{error.file}': {error.problem}", file=file, key=f"{key}.scene") from error
-    if isinstance(resolved.get("sensor"), str):
-        resolved["sensor"] = load_sensor((folder or Path()) / resolved["sensor"])
-    return resolved
-
-
-def _with(table: Mapping[str, Any], keys: list[str], value: Any) -> dict[str, Any]:
-    """A copy of a nested table with one place changed."""
-    first, *rest = keys
-    if not rest:
-        return {**table, first: value}
-    below = table.get(first)
-    return {**table, first: _with(below if isinstance(below, Mapping) else {}, rest, value)}

@@ -4,11 +4,9 @@ What trials share is computed once: the results of the stages are kept by the se
 """
 
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +17,7 @@ from harness.camera.sensor import in_field
 from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
 from harness.evaluation.regions import CellPixels, Region, cell_pixels, regions
+from harness.experiments.kept import Kept
 from harness.experiments.spec import Trial
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator, with_noise
@@ -31,7 +30,6 @@ from harness.stereo.panorama import Grid, Panorama, cylinder, unwrap
 from harness.stereo.ranging import triangulate
 
 Observer = Callable[[str], None]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,8 @@ class Outcome:
 
 def run_trial(
     trial: Trial,
-    kept: "Kept | None" = None,
-    observe: Observer = lambda stage: None,
+    kept: Kept | None = None,
+    observe: Observer = lambda _: None,
     *,
     threads: int | None = None,
 ) -> Outcome:
@@ -203,30 +201,6 @@ def _expected(
     return expected, parts, cell_pixels(expected)
 
 
-class Kept:
-    """The latest results of the stages, by the settings that each depends on.
-
-    Parameters
-    ----------
-    most
-        How many results of one stage are kept; the one not used for longest goes first.
-    """
-
-    def __init__(self, most: int = 8) -> None:
-        self._most = most
-        self._results: dict[str, OrderedDict[Hashable, Any]] = {}
-
-    def get(self, stage: str, key: Hashable, make: Callable[[], T]) -> T:
-        """The result of a stage with these settings, made if it is not there."""
-        results = self._results.setdefault(stage, OrderedDict())
-        if key not in results:
-            results[key] = make()
-            if len(results) > self._most:
-                results.popitem(last=False)
-        results.move_to_end(key)
-        return cast("T", results[key])
-
-
 class _Clock:
     def __init__(self, observe: Observer) -> None:
         self._observe = observe
@@ -238,4 +212,3 @@ class _Clock:
         begin = time.perf_counter()
         yield
         self.seconds[stage] = time.perf_counter() - begin
-
