@@ -1,45 +1,47 @@
-"""The error bounds that hold for wall pixels of the paper's experiment without noise, as checks on any outcome.
+"""The error bounds that hold for wall pixels of the paper's experiment without noise.
 
-Every limit is a consequence of geometry with room for what geometry does not say; the reason stands beside it.
+Every limit is a consequence of geometry, with room for what geometry does not say.
 """
 
-import numpy as np
-
-from harness.evaluation.metrics import measure
+from harness.assertions import assert_density, assert_improves, assert_unbiased, assert_within_law
 
 
 def check_pixel_level(outcome):
     """Whole-pixel matches are off by what sampling the curve makes them, and not to one side."""
-    truth, found = outcome.reference, outcome.errors
-    domain = truth.domain & truth.wall
-    scored = domain & outcome.valid
-    # Windows reach over the first and last rows and curves leave the image near the baseline: a tenth of the walls.
-    density = scored.sum() / domain.sum()
-    assert density >= 0.8, f"density {density:.3f}"
-    error = np.abs(found.range_m[scored])
-    half = (truth.law * truth.half_step)[scored]
-    # A perfect whole-pixel matcher is within half a step always. Windows straddling edges, the nearest row and the
-    # second order of the law cost some; a chain shifted by half a column leaves 50 %.
-    within = np.mean(error <= half)
-    assert within >= 0.80, f"only {within:.3f} within law x half a step"
-    within = np.mean(error <= 3 * half)
-    assert within >= 0.95, f"only {within:.3f} within law x 1.5 steps"
-    for side, sign in (("left", 1), ("right", -1)):
-        pixels = scored & (np.sign(outcome.trial.panorama.phi)[None, :] == sign)
-        bias = np.median(found.disparity_px[pixels])
-        # Fractions of a column are spread evenly over +-0.5 px on these walls: their median is 0 to within 0.05.
-        assert abs(bias) <= 0.05, f"median signed error {bias:+.3f} px on the {side} side"
+    assert_density(
+        outcome,
+        at_least=0.8,
+        surface="wall",
+        reason="windows reach over the first and last rows, and curves leave the image, on a tenth of the walls",
+    )
+    assert_within_law(
+        outcome,
+        half_steps=1,
+        share=0.80,
+        surface="wall",
+        reason="whole samples are right to half a step; windows across edges, the nearest row and the second order "
+        "of the law cost some, and a chain shifted by half a column leaves 50 %",
+    )
+    assert_within_law(
+        outcome, half_steps=3, share=0.95, surface="wall", reason="few windows on a wall prefer a sample not next to it"
+    )
+    assert_unbiased(
+        outcome,
+        at_most_px=0.05,
+        surface="wall",
+        reason="fractions of a column are spread evenly over half a pixel to both sides on these walls",
+    )
 
 
 def check_subpixel_helps(pixel, subpixel):
     """The sub-pixel median is at most 0.85 times that of whole pixels, on the same pixels."""
-    domain = pixel.reference.domain & pixel.reference.wall
-    valid = pixel.valid & subpixel.valid
-    medians = [measure(domain, valid, outcome.errors) for outcome in (pixel, subpixel)]
-    for figure in ("disparity_median_abs_px", "range_median_abs_m"):
-        ratio = medians[1][figure] / medians[0][figure]
-        # Evenly spread fractions have a median of a quarter step; a parabola that follows them at all beats that.
-        assert ratio <= 0.85, f"{figure}: sub-pixel over pixel {ratio:.2f}"
+    assert_improves(
+        subpixel,
+        pixel,
+        ratio=0.85,
+        surface="wall",
+        reason="evenly spread fractions have a median of a quarter step, which any parabola that follows them beats",
+    )
 
 
 def check_all(pixel, subpixel):
