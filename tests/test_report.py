@@ -3,7 +3,6 @@
 import itertools
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,12 @@ import numpy as np
 import pytest
 from browser import chromium, visit
 
-from harness.experiments.run import Result, run_experiment
 from harness.experiments.experiment import Experiment
+from harness.experiments.run import Result, run_experiment
 from harness.report import curve, law, maps, profiles, theme, words
 from harness.report.build import build_report
 from harness.report.methods import methods_of
-from harness.simulation.scene import load_scene
+from harness.simulation.scene import Scene, load_scene
 from harness.spec import parse
 
 SMALL: dict[str, Any] = {
@@ -30,8 +29,10 @@ BOTH = {"matching.subpixel": ["none", "parabola"]}
 MAX_BYTES = 3_000_000
 
 
-def run_small(scene: str = "box", axes: dict[str, Any] = BOTH, description: str = "", **settings: Any) -> Result:
-    table = {"scene": load_scene(scene), **SMALL, **settings}
+def run_small(
+    scene: str | Scene = "box", axes: dict[str, Any] = BOTH, description: str = "", **settings: Any
+) -> Result:
+    table = {"scene": load_scene(scene) if isinstance(scene, str) else scene, **SMALL, **settings}
     experiment = {"name": "small", "description": description, "trial": table, "axes": axes}
     return run_experiment(parse(Experiment, experiment))
 
@@ -254,11 +255,7 @@ def test_every_reason_has_words_and_a_colour_of_its_own():
 def test_what_users_write_shows_as_text():
     evil = '<script>alert(1)</script> & "quotes" {{ 7 * 7 }}'
     scene = load_scene("box").model_copy(update={"name": evil, "description": evil})
-    result = run_small(description=evil)
-    trial = result.experiment.trial.model_copy(update={"scene": scene})
-    outcomes = [replace(each, trial=each.trial.model_copy(update={"scene": scene})) for each in result.outcomes]
-    experiment = result.experiment.model_copy(update={"trial": trial})
-    html = build_report(replace(result, experiment=experiment, outcomes=outcomes))
+    html = build_report(run_small(scene, description=evil))
     document = Document(html)
     assert not list(document.every("script"))
     assert document.text.count(evil) >= 3

@@ -1,5 +1,6 @@
 """Assembles the report: one HTML file that needs nothing else."""
 
+import json
 from dataclasses import dataclass
 from string import ascii_lowercase
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
-from harness.evaluation.metrics import measure
+from harness.experiments.experiment import text_of
 from harness.experiments.run import Result
 from harness.experiments.trial import Outcome
 from harness.report import curve, distributions, images, law, maps, profiles, theme, words
@@ -45,7 +46,7 @@ class Figures:
 def build_report(result: Result) -> str:
     """The report of a finished experiment as HTML text, the same for the same result.
 
-    The axes may be any: the report is about the first trial of each method, and lists all trials in a table.
+    The axes may be any: the report is about the trials in detail, one of each method, and lists all trials in a table.
     """
     methods = methods_of(result.outcomes)
     outcome = methods[0].outcome
@@ -63,6 +64,7 @@ def build_report(result: Result) -> str:
         columns=words.COLUMNS,
         trials=trials,
         most_trials=MOST_TRIALS,
+        varied=_varied(trials),
         figures=figures,
         min_sine=MIN_SINE_ALPHA_1,
         toward=_azimuth_of_t(outcome),
@@ -138,13 +140,23 @@ def _places(result: Result, methods: list[Method]) -> list[tuple[Method, str]]:
 
 
 def _trials(result: Result) -> list[dict[str, Any]]:
-    """Key, place and measures, on its own pixels, of every trial."""
+    """Key, place, durations, and measures on all its own wall pixels, of every trial; why, of one that failed."""
     return [
         {
-            "key": outcome.trial.key,
-            "place": place,
-            "seconds": outcome.seconds,
-            "walls": measure(outcome.reference.domain & outcome.reference.wall, outcome.valid, outcome.errors),
+            "key": row.planned.key,
+            "place": {key: text_of(value) for key, value in row.place.items()},
+            "seconds": json.loads(row.finished.seconds),
+            "walls": {
+                name.removeprefix("wall_"): value
+                for name, value in row.finished.figures.items()
+                if name.startswith("wall_")
+            },
+            "failed": row.finished.message if row.state == "failed" else "",
         }
-        for place, outcome in zip(result.places, result.outcomes, strict=True)
+        for row in result.rows
     ]
+
+
+def _varied(trials: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """The keys that vary between trials, and the values that each takes."""
+    return {key: list(dict.fromkeys(each["place"][key] for each in trials)) for key in trials[0]["place"]}
