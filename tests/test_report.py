@@ -269,6 +269,7 @@ def test_what_users_write_shows_as_text():
         ("only whole pixels", {"axes": {}, "matching": {"subpixel": "none"}}),
         ("several baselines", {"axes": {"view_2.baseline_m": [0.3, 0.5], **BOTH}}),
         ("several widths", {"axes": {**BOTH, "panorama.width_px": [180, 240]}}),
+        ("a view outside the scene", {"axes": {"view_2.baseline_m": [0.5, 5.0], **BOTH}}),
         ("sampled in alpha", {"matching": {"sampling": "alpha"}}),
         ("corridor", {"scene": "corridor"}),
         ("room", {"scene": "room"}),
@@ -287,6 +288,8 @@ def test_any_experiment_has_a_report(name, settings):
         assert 'class="missing"' in html
     if name.startswith("several"):
         assert "All 4 trials" in html
+    if name == "a view outside the scene":
+        assert html.count("failed: ") == 2
 
 
 def test_panels_without_data_say_so():
