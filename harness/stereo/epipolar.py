@@ -9,7 +9,8 @@ A curve is sampled at whole numbers k of steps from infinity, k = 0, either in p
 angle to t inside the epipolar plane, which also serves where the curve is steep or n_z vanishes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -24,9 +25,12 @@ _ON_AXIS = 1e-9
 """Below this sine two directions are taken to be one: their plane is not defined to single precision."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curves:
-    """The epipolar curve of every pixel of a panorama, ready to be sampled."""
+    """The epipolar curve of every pixel of a panorama, ready to be sampled. Its arrays are read-only.
+
+    Compared by identity, so that what is derived from curves can be kept by them.
+    """
 
     grid: Grid
     sampling: Sampling
@@ -58,7 +62,7 @@ def alpha_1(grid: Grid, t: ArrayLike) -> Array:
 def epipolar_curves(
     grid: Grid, t: ArrayLike, *, d_min_m: float, d_max_m: float, sampling: Sampling = "phi", pitch_px: float = 1.0
 ) -> Curves:
-    """Lay out the curve and the search interval of every pixel.
+    """Lay out the curve and the search interval of every pixel; kept, since many trials share one geometry.
 
     Parameters
     ----------
@@ -69,7 +73,12 @@ def epipolar_curves(
     pitch_px
         Distance of samples in columns: of phi, or the same angle of alpha_2.
     """
-    t = np.asarray(t, dtype=np.float64)
+    return _curves(grid, np.asarray(t, dtype=np.float64).tobytes(), float(d_min_m), float(d_max_m), sampling, pitch_px)
+
+
+@lru_cache(maxsize=4)
+def _curves(grid: Grid, t_bytes: bytes, d_min_m: float, d_max_m: float, sampling: Sampling, pitch_px: float) -> Curves:
+    t = np.frombuffer(t_bytes)
     baseline = float(np.linalg.norm(t))
     if not baseline > 0:
         raise ValueError("the baseline |t| must be above zero")
@@ -98,7 +107,12 @@ def epipolar_curves(
     k_far, k_near = np.nan_to_num(far / pitch) - 1e-6, np.nan_to_num(near / pitch) + 1e-6
     k_first = np.ceil(k_far).astype(np.int32)
     k_last = np.where(defined, np.floor(k_near), k_first - 1).astype(np.int32)
-    return Curves(grid, sampling, t, step, a_1, m, n, k_far, k_near, k_first, k_last, defined)
+    curves = Curves(grid, sampling, t, step, a_1, m, n, k_far, k_near, k_first, k_last, defined)
+    for field in fields(curves):
+        value = getattr(curves, field.name)
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return curves
 
 
 def alpha_2_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> Array:

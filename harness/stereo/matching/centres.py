@@ -1,0 +1,30 @@
+"""Where a whole window fits into a panorama, and which pixels are searched for."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.stereo.epipolar import Curves
+from harness.stereo.matching.contract import Reason
+from harness.stereo.panorama import Panorama
+
+
+def window_centres(panorama: Panorama, window_px: int) -> NDArray[np.bool_]:
+    """Pixels whose whole window is valid. The seam at phi = ±pi is no border; the first and last row are."""
+    half = window_px // 2
+    if panorama.valid.all():
+        whole = np.ones(panorama.grid.shape, dtype=bool)
+    else:
+        whole = np.ascontiguousarray(ndimage.minimum_filter(panorama.valid, size=window_px, mode=("nearest", "wrap")))
+    if half:
+        whole[:half] = False
+        whole[-half:] = False
+    return whole
+
+
+def searchable(curves: Curves, own_windows: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.uint8]]:
+    """The pixels to search for, and the `Reason` of the others (meant only there); both `[height, width]`."""
+    reason = np.full(curves.grid.shape, Reason.NO_SAMPLE, dtype=np.uint8)
+    reason[~curves.defined] = Reason.NO_EPIPOLAR_PLANE
+    reason[~own_windows] = Reason.WINDOW_LEAVES_IMAGE
+    return own_windows & curves.defined & (curves.k_last >= curves.k_first), reason
