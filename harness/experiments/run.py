@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
 from harness.experiments import executors, worker
+from harness.experiments.analysis import cell_table, law_of
 from harness.experiments.environment import environment, source_hash
 from harness.experiments.experiment import Experiment, Planned, Settings, shown, text_of, value_at
 from harness.experiments.files import write
@@ -71,6 +73,8 @@ class Result:
     experiment: Experiment
     rows: list[Row]
     """Of all trials that are finished, in the experiment's order."""
+    cells: pd.DataFrame
+    """The cells of all trials that are done, see `analysis.cell_table`."""
     details: list[Outcome]
     """The base trial, with up to two of the sub-pixel methods on the axes."""
     summary: dict[str, Any]
@@ -161,8 +165,12 @@ def result_of(experiment: Experiment, store: Store) -> Result:
     summary = _summary(experiment, details) | {
         "trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)},
     }
+    cells = cell_table((row.planned, row.payload) for row in done)
+    law = law_of(cells)
+    if law is not None:
+        summary["law"] = law
     scenes = sorted({fingerprint(each.trial.scene) for each in experiment.planned})
-    return Result(experiment, rows, details, summary, environment() | {"scene_sha256": " ".join(scenes)})
+    return Result(experiment, rows, cells, details, summary, environment() | {"scene_sha256": " ".join(scenes)})
 
 
 def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:
