@@ -1,0 +1,45 @@
+"""Draw the README's picture from the paper's experiment: `python docs/make_pictures.py` (needs Chromium)."""
+
+import io
+import shutil
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from harness.experiments.experiment import load_experiment
+from harness.experiments.run import run_experiment
+from harness.report import images, profiles, theme
+from harness.report.methods import methods_of
+
+PICTURE = Path(__file__).parent / "images" / "paper.png"
+PAGE = """<body style="margin:0;background:white"><div id="all" style="width:1080px;padding:12px">
+<div style="display:flex;justify-content:space-between;align-items:center">{top}</div>{rest}</div></body>"""
+
+
+def main() -> None:
+    """Run the experiment, lay the report's own figures out on a page, and photograph it."""
+    outcomes = run_experiment(load_experiment("paper")).details
+    methods = methods_of(outcomes)
+    with theme.style():
+        top = [images.environment(outcomes[0]), images.mirror_image(outcomes[0])]
+        row = profiles.row_at(methods, profiles.main_row(methods))
+        span = profiles.limits(methods, row.index)
+        rest = [profiles.profile(method, row, span, letter) for method, letter in zip(methods, "ab", strict=True)]
+    page_text = PAGE.format(top="".join(map(_image, top)), rest="".join(map(_image, rest)))
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(device_scale_factor=1.5)
+        page.set_content(page_text)
+        shot = page.locator("#all").screenshot()
+        browser.close()
+    # Greys and a few colours: a palette halves the file.
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(PICTURE, optimize=True)
+
+
+def _image(picture: theme.Picture) -> str:
+    return f'<img src="{picture.source}" width="{picture.width}" height="{picture.height}" alt="">'
+
+
+if __name__ == "__main__":
+    main()
