@@ -85,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         "--axis", action="append", default=[], metavar="KEY=A,B,C", help="vary a setting, beside the axes; repeatable"
     )
     run.add_argument("--dry-run", action="store_true", help="say how many trials there are and how long they may take")
+    run.add_argument("--no-report", action="store_true", help="leave out the summary and the report: tables only")
     where = run.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=_count, metavar="N", help="processes (default: one for each CPU, where it pays)"
@@ -175,7 +176,7 @@ def _run(options: argparse.Namespace) -> int:
                 )
                 return EXIT_INTERRUPTED
             progress.finish()
-        return _write(experiment, store, folder)
+        return _write(experiment, store, folder, with_report=not options.no_report)
 
 
 def _dry_run(experiment: "Experiment") -> int:
@@ -209,13 +210,13 @@ def _report(options: argparse.Namespace) -> int:
         return _write(experiment, store, options.folder)
 
 
-def _write(experiment: "Experiment", store: "Store", folder: Path) -> int:
+def _write(experiment: "Experiment", store: "Store", folder: Path, *, with_report: bool = True) -> int:
     """Write everything that is made from the rows, and say what came out."""
     from harness.experiments.run import result_of, standing, write_result, write_tables
 
     write_tables(experiment, store, folder)
     now = standing(experiment, store)
-    if now.done:
+    if now.done and with_report:
         from harness.report.build import build_report
 
         result = result_of(experiment, store)
@@ -336,9 +337,10 @@ class _Progress:
 
     def finish(self) -> None:
         ran = self._done - self._before
-        if not ran:
-            return
         self.stop()
+        if not ran:
+            print(f"{self._name}: all {self._total} trials are done")
+            return
         seconds = time.monotonic() - self._begun
         failed = f", {self._failed} of them failed" if self._failed else ""
         before = f", {self._before} done before" if self._before else ""

@@ -23,6 +23,10 @@ from harness.simulation.fingerprint import fingerprint
 from harness.simulation.scene import assets
 
 
+_CODE = code_hash()
+"""Of the modules as they are loaded: taken now, as the files may be changed under a long run."""
+
+
 @dataclass(frozen=True)
 class Batch:
     """Trials to run one after the other, in a form that travels."""
@@ -62,7 +66,7 @@ def work(batch: Batch) -> list[Finished]:
     InputError
         When the code here is not that of who asks: its rows would not be theirs.
     """
-    if batch.code != code_hash():
+    if batch.code != _CODE:
         raise InputError("a worker has another version of omnirange or of its libraries; install the same everywhere")
     here = {path: str(_laid_down(path, content)) for path, content in batch.files.items()}
     return [_finish(key, scene, _replaced(table, here), batch.threads) for key, scene, table in batch.trials]

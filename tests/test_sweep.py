@@ -1,0 +1,270 @@
+"""Sweeps through the command line: killed, interrupted, failing, changed; and always the same bytes."""
+
+import csv
+import json
+import os
+import random
+import signal
+import sqlite3
+import time
+from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, nullcontext
+from pathlib import Path
+
+import psutil
+import pytest
+from sweeps import begin, kill_group, omnirange, rows, wait_for, write_small
+
+from harness.experiments import run
+from harness.experiments.executors import Workplace
+from harness.experiments.experiment import load_experiment
+from harness.experiments.store import Store
+
+AXES = """
+[axes]
+"view_2.baseline_m" = [0.3, 0.5]
+"noise.sigma_grey" = [0.0, 4.0]
+seed = [1, 2, 3, 4, 5, 6]
+"matching.window_px" = [5, 7]
+"matching.subpixel" = ["none", "parabola"]
+"""
+TRIALS = 2 * 2 * 6 * 2 * 2
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sweep")
+    write_small(folder / "small.toml", AXES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(room: Path) -> bytes:
+    """`trials.csv` of a run on one worker that nobody disturbed."""
+    done = omnirange(room, "run", "small.toml", "--workers", 1, "--out", "whole")
+    assert done.returncode == 0, done.stderr
+    return (room / "whole" / "trials.csv").read_bytes()
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.mark.usefixtures("whole")
+def test_tables_of_a_run(room: Path) -> None:
+    trials = table(room / "whole" / "trials.csv")
+    assert len(trials) == len({trial["key"] for trial in trials}) == TRIALS
+    assert list(trials[0])[:7] == [
+        "key",
+        "state",
+        "view_2.baseline_m",
+        "noise.sigma_grey",
+        "seed",
+        "matching.window_px",
+        "matching.subpixel",
+    ]
+    assert not [name for name in trials[0] if name.endswith("_s")]  # what differs from run to run is in timings.csv
+    assert [trial["key"] for trial in table(room / "whole" / "timings.csv")] == [trial["key"] for trial in trials]
+    with Store(room / "whole" / "run.sqlite") as store:
+        kept = store.finished(trial["key"] for trial in trials)
+    for trial in trials:  # every figure reads back to the very number
+        figures = kept[trial["key"]].figures
+        assert {name: trial[name] and float(trial[name]) for name in figures} == {
+            name: "" if value is None else value for name, value in figures.items()
+        }
+    summary = json.loads((room / "whole" / "summary.json").read_text())
+    assert summary["trials"] == {"total": TRIALS, "done": TRIALS, "failed": 0}
+    assert set(summary["comparison"]) == {"pixel", "subpixel"}
+
+
+@pytest.mark.parametrize("workers", [2, 4])
+def test_workers_change_no_bit(room: Path, whole: bytes, workers: int) -> None:
+    out = f"workers{workers}"
+    done = omnirange(room, "run", "small.toml", "--workers", workers, "--out", out, "--no-report")
+    assert done.returncode == 0, done.stderr
+    assert (room / out / "trials.csv").read_bytes() == whole
+
+
+@pytest.mark.usefixtures("whole")
+def test_the_written_experiment_gives_the_same_trials(room: Path) -> None:
+    again = load_experiment(str(room / "whole" / "experiment.toml"))
+    assert [each.key for each in again.planned] == [trial["key"] for trial in table(room / "whole" / "trials.csv")]
+
+
+def test_killed_again_and_again(room: Path, whole: bytes) -> None:
+    out = room / "killed"
+    when = random.Random(20)
+    kills = 0
+    before: dict[str, tuple[str, str]] = {}
+    while kills < 5 and len(before) < TRIALS:
+        process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
+        time.sleep(when.uniform(1.2, 2.8))
+        kill_group(process)
+        kills += process.returncode == -signal.SIGKILL
+        after = rows(out)
+        assert before.items() <= after.items()  # nothing is lost, and nothing done is done again
+        before = after
+    assert kills
+    done = omnirange(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
+    assert done.returncode == 0, done.stderr
+    assert before.items() <= rows(out).items()
+    assert len(rows(out)) == TRIALS
+    assert (out / "trials.csv").read_bytes() == whole
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
+    out = room / f"interrupted{workers}"
+    process = begin(room, "run", "small.toml", "--workers", workers, "--out", out)
+    wait_for(out, 100_000)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    done = len(rows(out))
+    assert 0 < done < TRIALS
+    last = f"omnirange: interrupted; {done} of {TRIALS} trials are done and kept; run the same command to go on"
+    assert [line for line in said.splitlines() if line] == [last]
+    resumed = omnirange(room, "run", "small.toml", "--workers", workers, "--out", out, "--no-report")
+    assert resumed.returncode == 0
+    assert f"{TRIALS - done} of {TRIALS} trials run" in resumed.stdout
+    assert (out / "trials.csv").read_bytes() == whole
+
+
+def test_workers_end_with_their_parent(room: Path) -> None:
+    out = room / "orphans"
+    process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
+    wait_for(out, 100_000)
+    children = psutil.Process(process.pid).children(recursive=True)
+    assert len(children) >= 2
+    process.kill()
+    process.communicate(timeout=20)
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+
+
+def test_killed_worker_costs_time_alone(room: Path, whole: bytes) -> None:
+    out = room / "murdered"
+    process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
+    wait_for(out, 100_000)
+    youngest = max(psutil.Process(process.pid).children(recursive=True), key=lambda child: child.create_time())
+    youngest.kill()
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 0, said
+    assert (out / "trials.csv").read_bytes() == whole
+
+
+@pytest.mark.usefixtures("whole")
+def test_nothing_left_to_do_is_quick(room: Path) -> None:
+    out = room / "whole"
+    report = (out / "report.html").stat().st_mtime_ns
+    begun = time.monotonic()
+    done = omnirange(room, "run", "small.toml", "--out", out)
+    assert time.monotonic() - begun < 3 + 2  # 3 s, and what a busy machine adds
+    assert done.returncode == 0
+    assert f"all {TRIALS} trials are done and the report is made; nothing is left to do" in done.stdout
+    assert (out / "report.html").stat().st_mtime_ns == report
+    (out / "report.html").unlink()
+    assert omnirange(room, "run", "small.toml", "--out", out).returncode == 0
+    assert (out / "report.html").is_file()
+
+
+def test_report_from_the_folder_alone(room: Path, whole: bytes) -> None:
+    out = room / "whole"
+    summary = (out / "summary.json").read_bytes()
+    for name in ("experiment.toml", "report.html", "summary.json", "trials.csv"):
+        (out / name).unlink()
+    done = omnirange(room, "report", out)
+    assert done.returncode == 0, done.stderr
+    assert (out / "trials.csv").read_bytes() == whole
+    assert (out / "summary.json").read_bytes() == summary
+    assert (out / "report.html").is_file()
+
+
+def test_a_trial_that_fails(room: Path) -> None:
+    write_small(
+        room / "failing.toml",
+        '[[cases]]\n"view_2.baseline_m" = 0.3\n[[cases]]\n"view_2.baseline_m" = 50.0\n[[cases]]\nseed = 7\n',
+        name="failing",
+    )
+    out = room / "failing"
+    done = omnirange(room, "run", "failing.toml", "--out", out)
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"omnirange: 1 of 3 trials failed; {out / 'failures.csv'} says why, and the same command tries them again\n"
+    )
+    trials = table(out / "trials.csv")
+    assert [trial["state"] for trial in trials] == ["done", "failed", "done"]
+    assert [trial["view_2.baseline_m"] for trial in trials] == ["0.3", "50.0", "0.5"]  # a case's own, or the base's
+    assert [trial["density"] != "" for trial in trials] == [True, False, True]
+    failures = table(out / "failures.csv")
+    assert len(failures) == 1
+    assert "box" in failures[0]["message"]
+    assert failures[0]["traceback"].startswith("Traceback")
+    assert (out / "report.html").is_file()
+
+    again = omnirange(room, "run", "failing.toml", "--out", out, "--no-report")
+    assert again.returncode == 1
+    assert "1 of 3 trials run, 1 of them failed" in again.stdout
+    assert "2 done before" in again.stdout
+
+
+def test_rows_of_other_code_are_set_aside(tmp_path: Path) -> None:
+    write_small(tmp_path / "code.toml", "[axes]\nseed = [1, 2]\n", name="code")
+    out = tmp_path / "out"
+    assert omnirange(tmp_path, "run", "code.toml", "--out", out, "--no-report").returncode == 0
+    trials = (out / "trials.csv").read_bytes()
+    with closing(sqlite3.connect(out / "run.sqlite")) as connection, connection:
+        forged = '{"figures": {"density": 123}}'
+        connection.execute("UPDATE trials SET code = 'older', payload = ?", (forged,))
+    done = omnirange(tmp_path, "run", "code.toml", "--out", out, "--no-report")
+    assert (
+        "2 trials in this folder were made by other code or libraries: they are set aside, and not used" in done.stdout
+    )
+    assert "2 of 2 trials run" in done.stdout
+    assert (out / "trials.csv").read_bytes() == trials
+
+
+def test_a_scene_changed_since(tmp_path: Path) -> None:
+    scene = tmp_path / "room.toml"
+    text = (Path(__file__).parent.parent / "scenes" / "box.toml").read_text()
+    scene.write_text(text)
+    experiment = write_small(tmp_path / "changed.toml", "[axes]\nseed = [1, 2]\n", name="changed").read_text()
+    (tmp_path / "changed.toml").write_text(experiment.replace('scene = "box"', 'scene = "./room.toml"'))
+    out = tmp_path / "out"
+    assert omnirange(tmp_path, "run", "changed.toml", "--out", out, "--no-report").returncode == 0
+    before = (out / "trials.csv").read_bytes()
+    scene.write_text(text + "\n# the same\n")
+    same = omnirange(tmp_path, "run", "changed.toml", "--out", out, "--no-report")
+    assert same.stdout == "changed: all 2 trials are done\n"
+    scene.write_text(text.replace("6.0", "6.5", 1))
+    done = omnirange(tmp_path, "run", "changed.toml", "--out", out, "--no-report")
+    assert "2 trials in this folder were made of other scenes, or of this one before it was changed" in done.stdout
+    assert len(table(out / "trials.csv")) == 2
+    assert (out / "trials.csv").read_bytes() != before
+
+
+class _Brittle(Executor):
+    """Breaks, as a pool does, on the trial with one seed; runs all others at once."""
+
+    def submit(self, fn, /, batch):
+        future = Future()
+        if any(table["seed"] == 3 for _, _, table in batch.trials):
+            future.set_exception(BrokenProcessPool("gone"))
+        else:
+            future.set_result(fn(batch))
+        return future
+
+
+def test_a_trial_that_kills_its_worker_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path))
+    experiment = load_experiment(str(write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2, 3, 4, 5]\n")))
+    place = Workplace(lambda: nullcontext(_Brittle()), workers=2, slots=2, threads=1)
+    with Store() as store:
+        run.sweep(run.standing(experiment, store).plan, store, place)
+        kept = store.finished(each.key for each in experiment.planned)
+    states = {each.trial.seed: kept[each.key].state for each in experiment.planned}
+    assert states == {1: "done", 2: "done", 3: "failed", 4: "done", 5: "done"}
+    message = next(row.message for row in kept.values() if row.state == "failed")
+    assert message == "the worker that ran this trial died: BrokenProcessPool: gone"
