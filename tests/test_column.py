@@ -64,32 +64,35 @@ def differences(first, second, t, parts, k):
     return answer
 
 
+def window_at(i, j, half, width):
+    """The places of a window, around the seam."""
+    for row in range(i - half, i + half + 1):
+        for column in range(j - half, j + half + 1):
+            yield row, column % width
+
+
+def window_cost(known, window, power):
+    """Sum over a window; NaN where one of its differences is missing."""
+    found = [known.get(place) for place in window]
+    return np.nan if None in found else sum(d**power for d in found) / PER_GREY**power
+
+
 def by_definition(first, second, t, matcher):
     """Reasons, best samples and the costs around them, by loops over everything."""
     grid, half, parts = first.grid, matcher.window_px // 2, matcher.samples_per_column
-    power = {"sad": 1, "ssd": 2}[matcher.cost]
-    curves = epipolar_curves(grid, t, d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m, pitch_px=matcher.pitch_px)
+    limits = {"d_min_m": matcher.d_min_m, "d_max_m": matcher.d_max_m}
+    curves = epipolar_curves(grid, t, **limits, pitch_px=matcher.pitch_px)
+    own = {place: 0 for place in np.ndindex(grid.shape) if first.valid[place]}
     known = {}
 
     def cost(i, j, k):
         if k not in known:
             known[k] = differences(first, second, t, parts, k)
-        total = 0
-        for row in range(i - half, i + half + 1):
-            for column in range(j - half, j + half + 1):
-                d = known[k].get((row, column % grid.width_px))
-                if d is None:
-                    return np.nan
-                total += d**power
-        return total / PER_GREY**power
-
-    def whole(i, j):
-        columns = np.arange(j - half, j + half + 1) % grid.width_px
-        return half <= i < grid.height_px - half and first.valid[i - half : i + half + 1][:, columns].all()
+        return window_cost(known[k], window_at(i, j, half, grid.width_px), {"sad": 1, "ssd": 2}[matcher.cost])
 
     def search(i, j):
         samples = range(curves.k_first[i, j], curves.k_last[i, j] + 1)
-        if not whole(i, j):
+        if np.isnan(window_cost(own, window_at(i, j, half, grid.width_px), 1)):
             return Reason.WINDOW_LEAVES_IMAGE
         if not curves.defined[i, j]:
             return Reason.NO_EPIPOLAR_PLANE

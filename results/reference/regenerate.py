@@ -1,7 +1,7 @@
 """Write the reference numbers anew: `python results/reference/regenerate.py`.
 
-`paper.json` holds the paper's experiment in each of the shipped scenes, and what made the numbers. Tests compare with it (see
-`tests/test_reference.py`); a change of these numbers belongs into the same commit as the change that caused it.
+`paper.json` holds the paper's experiment in each of the shipped scenes, and what made the numbers. Tests compare with
+it (see `tests/test_reference.py`); a change of these numbers belongs into the same commit as the change that caused it.
 """
 
 import json
