@@ -10,7 +10,7 @@ from harness.simulation.scene import Scene, assets
 
 @lru_cache(maxsize=64)
 def fingerprint(scene: Scene) -> str:
-    """SHA-256 (hexadecimal) of all that makes the scene: its settings, and the contents of its files in place of their paths.
+    """SHA-256 (hexadecimal) of what makes the scene: its settings, and its files' contents in place of their paths.
 
     Kept for the life of the process: a file is not expected to change under a running experiment.
     """

@@ -11,8 +11,8 @@ from harness.camera.sensor import Sensor, pixel_directions
 def generator(seed: int, *purpose: str) -> np.random.Generator:
     """A random generator for one purpose: a hash of the seed and of the words that name it.
 
-    Two purposes never share draws, and a purpose's draws depend on nothing else: not on the order of trials, on workers,
-    or on settings that are not named.
+    Two purposes never share draws, and a purpose's draws depend on nothing else: not on the order of trials, on
+    workers, or on settings that are not named.
     """
     words = "\0".join((str(seed), *purpose))
     return np.random.default_rng(int.from_bytes(hashlib.sha256(words.encode()).digest()[:16], "little"))
