@@ -180,6 +180,14 @@ def test_parabola_recovers_a_parabola():
     np.testing.assert_allclose(offset, true, atol=1e-12)
 
 
+def test_equal_costs_have_no_minimum():
+    costs = np.full((3, 7), 4.125)  # eighths, as the column matcher gives them: every sum is exact
+    costs[1, :2], costs[2] = np.nan, 0
+    offset, refined = parabola_minimum(costs)
+    assert not refined.any()
+    assert not offset.any()
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

@@ -326,3 +326,47 @@ def match_columns(
                 if searched[row, centre]:
                     reason[row, centre] = LEAVES_IMAGE
                 costs[row, centre] = math.nan
+
+
+# -- Sub-pixel step ----------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def parabola_minima(costs, offset, refined):
+    """The least-squares parabola a x² + b x + c through the finite samples of each row, x = 0 in the middle.
+
+    Where its minimum lies among those samples, its place and True are written to `offset` and `refined`, both `[rows]`.
+    The 3x3 normal equations are solved by Cramer's rule. Of whole numbers, or of parts of a power of two, all sums are
+    exact, and so a row of equal costs has no curvature at all.
+    """
+    rows, samples = costs.shape
+    reach = samples // 2
+    all_s2, all_s4 = 0.0, 0.0
+    for x in range(-reach, reach + 1):
+        all_s2 += x**2
+        all_s4 += x**4
+    for row in range(rows):
+        s0, s1, s2, s3, s4 = float(samples), 0.0, all_s2, 0.0, all_s4
+        first, last = -reach, reach
+        t0, t1, t2 = 0.0, 0.0, 0.0
+        for i in range(samples):
+            x, y = i - reach, costs[row, i]
+            t0 += y
+            t1 += x * y
+            t2 += x * x * y
+        if not math.isfinite(t0):
+            s0, s1, s2, s3, s4, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            first, last = reach, -reach
+            for i in range(samples):
+                x, y = i - reach, costs[row, i]
+                if math.isfinite(y):
+                    first, last = min(first, x), x
+                    s0, s1, s2, s3, s4 = s0 + 1, s1 + x, s2 + x**2, s3 + x**3, s4 + x**4
+                    t0, t1, t2 = t0 + y, t1 + x * y, t2 + x * x * y
+            if s0 < 3:
+                continue
+        # The determinant that a and b share is positive, and cancels in -b / 2a.
+        a = t2 * (s2 * s0 - s1 * s1) - s3 * (t1 * s0 - s1 * t0) + s2 * (t1 * s1 - s2 * t0)
+        b = s4 * (t1 * s0 - s1 * t0) - t2 * (s3 * s0 - s1 * s2) + s2 * (s3 * t0 - s2 * t1)
+        if a > 0 and first <= -b / (2 * a) <= last:
+            offset[row], refined[row] = -b / (2 * a), True

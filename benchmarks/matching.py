@@ -1,0 +1,117 @@
+"""How long the column matcher takes, beside OpenCV's StereoSGBM and StereoBM on the same pair of views.
+
+Prints ratios: the median over interleaved repetitions, so that a busy machine slows all down alike. All use the same
+number of threads (StereoSGBM's default mode works on one, whatever it is given; its three-way mode on all). What
+depends on the geometry alone is made beforehand: epipolar tables for ours, rectification maps for OpenCV. Ours is timed
+from the filtered panoramas to the best sample of every pixel, moved to the minimum of the parabola; OpenCV's from the
+rectified 8-bit images to disparities, which are sub-pixel as well.
+
+The rectification is OpenCV's LONGLATI: columns are angles to the baseline, 0 to 180 degrees, rows half planes around
+it, 0 to 360 degrees, both in steps of a panorama's column. No smaller rectangle holds the panorama, for every such half
+plane crosses it; the panorama itself covers 57 % of it. `a pixel` divides both times by the number of pixels, which
+takes that advantage away again.
+
+    pip install 'omnirange[bench]'
+    python benchmarks/matching.py [repetitions]
+"""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from harness.camera.angles import normalise
+from harness.camera.sensor import project
+from harness.experiments.experiment import load_experiment
+from harness.experiments.trial import Outcome, run_trial
+from harness.stereo.matching.subpixel import refine
+from harness.stereo.matching.window import WindowMatcher, match_whole_pixels
+from harness.stereo.panorama import cylinder
+
+THREADS = 2
+WINDOWS = (7, 9, 11, 13, 15)
+DISPARITIES = 64
+"""1 m to infinity half a metre apart is 0 to 30 degrees, 60 steps; OpenCV takes multiples of 16."""
+
+
+def rectified(outcome: Outcome) -> list[np.ndarray]:
+    """Both views on the LONGLATI rectangle, 8 bits; the baseline is along x, and both views have one orientation."""
+    steps = outcome.trial.panorama.width_px
+    alpha, around = (np.arange(steps // 2) + 0.5) * 2 * np.pi / steps, (np.arange(steps) + 0.5) * 2 * np.pi / steps
+    sine = np.sin(alpha)
+    # Angles to -t: a nearer point then moves to the left from the first image to the second, as OpenCV has it.
+    directions = np.stack(
+        np.broadcast_arrays(-np.cos(alpha), sine * np.cos(around)[:, None], sine * np.sin(around)[:, None]), axis=-1
+    )
+    pixels, seen = project(outcome.trial.sensor, directions)
+    places = np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1)
+    return [
+        np.where(seen, ndimage.map_coordinates(image, places, order=1, mode="nearest"), 0).astype(np.uint8)
+        for image in outcome.images
+    ]
+
+
+def opencv_matchers(window: int) -> dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]]:
+    """The penalties are those of OpenCV's own sample, 8 and 32 times the window's area."""
+    area = window**2
+    semi = {
+        name: cv2.StereoSGBM.create(0, DISPARITIES, window, 8 * area, 32 * area, mode=mode)
+        for name, mode in (("SGBM", cv2.StereoSGBM_MODE_SGBM), ("SGBM 3-way", cv2.StereoSGBM_MODE_SGBM_3WAY))
+    }
+    return {name: matcher.compute for name, matcher in {**semi, "BM": cv2.StereoBM.create(DISPARITIES, window)}.items()}
+
+
+def seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 25
+    cv2.setNumThreads(THREADS)
+    trial = load_experiment("paper").trial
+    outcome = run_trial(trial)
+    pair = rectified(outcome)
+    first, second = outcome.filtered
+    share = first.values.size / pair[0].size
+    print(f"panorama {first.values.shape[1]} x {first.values.shape[0]}, 1 m to infinity in steps of a column")
+    print(
+        f"LONGLATI {pair[0].shape[1]} x {pair[0].shape[0]}, {DISPARITIES} disparities of the same step;"
+        f" StereoSGBM's median error on walls {median_error_px(pair, outcome):.2f} px"
+    )
+    print(f"{THREADS} threads, {repetitions} interleaved repetitions; time of ours over OpenCV's, and the same a pixel")
+    names = list(opencv_matchers(7))
+    print(f"{'window':>6} {'ours ms':>8}" + "".join(f"{'/ ' + name:>13} {'a pixel':>8}" for name in names))
+    for window in WINDOWS:
+        matcher = WindowMatcher(kind="column", window_px=window, d_min_m=1.0, d_max_m=np.inf)
+
+        def ours(matcher: WindowMatcher = matcher) -> None:
+            whole = match_whole_pixels(first, second, trial.motion.t_v1, matcher, threads=THREADS)
+            refine(whole.costs, "parabola")
+
+        theirs = {name: lambda f=compute: f(*pair) for name, compute in opencv_matchers(window).items()}
+        ours()
+        times = [(seconds(ours), *(seconds(work) for work in theirs.values())) for _ in range(repetitions)]
+        ratios = [statistics.median(row[0] / row[i + 1] for row in times) for i in range(len(theirs))]
+        mine = statistics.median(row[0] for row in times)
+        print(f"{window:6} {1e3 * mine:8.1f}" + "".join(f"{ratio:13.2f} {ratio / share:8.2f}" for ratio in ratios))
+
+
+def median_error_px(pair: list[np.ndarray], outcome: Outcome) -> float:
+    """Median error of StereoSGBM on walls: shows that it was given what it is made for."""
+    truth, steps = outcome.reference, outcome.trial.panorama.width_px
+    x, y, z = np.moveaxis(normalise(cylinder(outcome.trial.panorama)), -1, 0)
+    column = (np.arccos(-x) / (2 * np.pi) * steps).astype(int)
+    row = (np.arctan2(z, y) % (2 * np.pi) / (2 * np.pi) * steps).astype(int)
+    found = opencv_matchers(7)["SGBM"](*pair)[row, column] / 16  # fixed point; negative where there is none
+    error = found - (truth.alpha_2 - truth.alpha_1) / (2 * np.pi) * steps
+    return float(np.median(np.abs(error[truth.domain & truth.wall & (found > 0)])))
+
+
+if __name__ == "__main__":
+    main()
