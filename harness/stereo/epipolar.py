@@ -122,18 +122,12 @@ def alpha_2_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> Arr
     if curves.sampling == "alpha":
         return np.asarray(a_1 + k * step)
     phi = np.broadcast_to(curves.grid.phi[None, :], curves.grid.shape)[where] + k * step
-    n = curves.n[where]
-    # On the curve n · [cos phi, sin phi, z] = 0; multiplied by |n_z| this needs no division where n_z is small.
-    direction = np.stack(
-        [
-            np.cos(phi) * np.abs(n[..., 2]),
-            np.sin(phi) * np.abs(n[..., 2]),
-            -np.sign(n[..., 2]) * (n[..., 0] * np.cos(phi) + n[..., 1] * np.sin(phi)),
-        ],
-        axis=-1,
-    )
-    t_hat = curves.t / np.linalg.norm(curves.t)
-    alpha = np.arctan2(np.sum(direction * curves.m[where], axis=-1), direction @ t_hat)
+    c, s, m = np.cos(phi), np.sin(phi), curves.m[where]
+    # On the curve w = [c, s, z] with n · w = 0. t, m and n are at right angles, so that n_z w · m = t_x s - t_y c and
+    # n_z w · t = m_y c - m_x s: no z, and no division where n_z is small.
+    t_x, t_y, _ = curves.t / np.linalg.norm(curves.t)
+    side = np.sign(curves.n[..., 2])[where]
+    alpha = np.arctan2(side * (t_x * s - t_y * c), side * (m[..., 1] * c - m[..., 0] * s))
     # Sample 0 is the direction of x_1 itself: infinity is exactly there, not within rounding of it.
     return np.where(k == 0, a_1, alpha)
 
