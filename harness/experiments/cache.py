@@ -10,6 +10,7 @@ import os
 import time
 import uuid
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,7 @@ class RenderCache:
             partial.write_bytes(hashlib.sha256(data).digest() + data)
             partial.replace(path)
         except OSError:  # a full or read-only disk costs time, not the run
-            partial.unlink(missing_ok=True)
+            _remove(partial)
             return
         self._room -= len(data)
         if self._room < 0:
@@ -117,7 +118,7 @@ class RenderCache:
         for _, path, size in files:
             if total <= self.limit * 15 / 16:
                 break
-            path.unlink(missing_ok=True)
+            _remove(path)
             total -= size
         # Other processes write too: none takes more than a share of what is left before it looks again.
         self._room = (self.limit - total) // 8
@@ -133,8 +134,13 @@ class RenderCache:
             if path.suffix == ".npy":
                 found.append((status.st_mtime, path, status.st_size))
             elif path.suffix == ".partial" and time.time() - status.st_mtime > _STALE_S:
-                path.unlink(missing_ok=True)
+                _remove(path)
         return found
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):  # another process has done so, or it is not ours to remove
+        path.unlink()
 
 
 def _read(path: Path) -> NDArray[np.float32] | None:

@@ -22,7 +22,6 @@ from harness.experiments.trial import Outcome, run_trial
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.scene import assets
 
-
 _CODE = code_hash()
 """Of the modules as they are loaded: taken now, as the files may be changed under a long run."""
 

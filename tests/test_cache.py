@@ -1,0 +1,172 @@
+"""The cache of renders: never a wrong image, never more than the limit, and shared by processes."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sweeps import omnirange, write_small
+
+from harness.camera.pose import Pose
+from harness.errors import InputError
+from harness.experiments.cache import RenderCache, cache_folder, limit_bytes
+from harness.experiments.experiment import load_experiment
+from harness.experiments.kept import Kept
+from harness.experiments.trial import run_trial
+
+IMAGE = np.arange(12, dtype=np.float32).reshape(3, 4) + np.float32(0.1)
+
+
+class Maker:
+    """Counts how often it is asked."""
+
+    def __init__(self, image: np.ndarray = IMAGE) -> None:
+        self.image, self.calls = image, 0
+
+    def __call__(self) -> np.ndarray:
+        self.calls += 1
+        return self.image
+
+
+def only_file(folder: Path) -> Path:
+    (path,) = (folder / "renders").iterdir()
+    return path
+
+
+def test_made_once_and_read_back_to_the_bit(tmp_path: Path) -> None:
+    make = Maker()
+    first = RenderCache(tmp_path, 10**6).get("key", make)
+    again = RenderCache(tmp_path, 10**6).get("key", make)
+    assert make.calls == 1
+    assert first.tobytes() == again.tobytes()
+    assert (again.dtype, again.shape, again.flags.writeable) == (IMAGE.dtype, IMAGE.shape, False)
+
+
+def test_keys_are_told_apart(tmp_path: Path) -> None:
+    cache = RenderCache(tmp_path, 10**6)
+    keys = ["scene", ("scene", 1), ("scene", "1"), Pose(), Pose(yaw_deg=1e-12)]
+    for number, key in enumerate(keys):
+        cache.get(key, Maker(IMAGE + number))
+    assert [float(cache.get(key, Maker())[0, 0] - IMAGE[0, 0]) for key in keys] == pytest.approx(range(len(keys)))
+
+
+@pytest.mark.parametrize("harm", ["truncated", "empty", "bit", "other"])
+def test_a_file_that_is_harmed_is_made_anew(tmp_path: Path, harm: str) -> None:
+    make = Maker()
+    RenderCache(tmp_path, 10**6).get("key", make)
+    path = only_file(tmp_path)
+    data = bytearray(path.read_bytes())
+    data[-3] ^= 1
+    path.write_bytes(
+        {"truncated": bytes(data[:-10]), "empty": b"", "bit": bytes(data), "other": b"not an image" * 99}[harm]
+    )
+    assert np.array_equal(RenderCache(tmp_path, 10**6).get("key", make), IMAGE)
+    assert make.calls == 2
+    RenderCache(tmp_path, 10**6).get("key", make)
+    assert make.calls == 2
+
+
+def test_a_failure_is_not_kept(tmp_path: Path) -> None:
+    def fail() -> np.ndarray:
+        raise InputError("inside a wall")
+
+    cache = RenderCache(tmp_path, 10**6)
+    with pytest.raises(InputError):
+        cache.get("key", fail)
+    assert cache.contents().files == 0
+    assert np.array_equal(cache.get("key", Maker()), IMAGE)
+
+
+def test_the_least_recently_used_goes_first(tmp_path: Path) -> None:
+    image = np.zeros(1000, dtype=np.float32)
+    cache = RenderCache(tmp_path, 50_000)
+    for number in range(40):
+        cache.get(number, Maker(image))
+        cache.get(0, Maker(image))  # in use all the time
+        for age, path in enumerate(sorted((tmp_path / "renders").iterdir(), key=lambda each: each.stat().st_mtime_ns)):
+            os.utime(path, ns=(age * 10**9, age * 10**9))  # clocks of file systems are coarse
+        assert cache.contents().bytes <= 50_000
+    assert cache.contents().files >= 5
+    kept, old = Maker(image), Maker(image)
+    cache.get(0, kept)
+    cache.get(1, old)
+    assert (kept.calls, old.calls) == (0, 1)
+
+
+def test_an_image_beyond_the_limit_is_not_kept(tmp_path: Path) -> None:
+    cache = RenderCache(tmp_path, 100)
+    assert np.array_equal(cache.get("key", Maker()), IMAGE)
+    assert cache.contents().files == 0
+
+
+def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path: Path) -> None:
+    (tmp_path / "renders").write_text("in the way")
+    assert np.array_equal(RenderCache(tmp_path, 10**6).get("key", Maker()), IMAGE)
+
+
+def test_what_dead_processes_left_is_cleared_away(tmp_path: Path) -> None:
+    cache = RenderCache(tmp_path, 10**6)
+    cache.get("key", Maker())
+    old, new = (tmp_path / "renders" / f"{name}.partial" for name in ("old", "new"))
+    old.write_bytes(b"half")
+    new.write_bytes(b"half")
+    os.utime(old, (0, time.time() - 7200))
+    assert cache.contents().files == 1
+    assert (old.exists(), new.exists()) == (False, True)
+
+
+def test_processes_share_it(tmp_path: Path) -> None:
+    """Four processes write and read the same thirty images, under a limit that holds ten of them."""
+    program = """
+import sys, numpy as np
+from pathlib import Path
+from harness.experiments.cache import RenderCache
+cache = RenderCache(Path(sys.argv[1]), 45_000)
+draws = np.random.default_rng(int(sys.argv[2]))
+for _ in range(300):
+    number = int(draws.integers(30))
+    image = cache.get(number, lambda: np.full(1000, number, dtype=np.float32))
+    assert image.shape == (1000,) and (image == number).all()
+"""
+    processes = [
+        subprocess.Popen([sys.executable, "-c", program, str(tmp_path), str(seed)], stderr=subprocess.PIPE)
+        for seed in range(4)
+    ]
+    assert [process.communicate(timeout=60)[1] for process in processes] == [b""] * 4
+    assert RenderCache(tmp_path, 45_000).contents().bytes <= 2 * 45_000
+    assert not list((tmp_path / "renders").glob("*.partial"))
+
+
+def test_place_and_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path / "own"))
+    assert cache_folder() == tmp_path / "own"
+    monkeypatch.delenv("OMNIRANGE_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "omnirange"
+    monkeypatch.setenv("OMNIRANGE_CACHE_LIMIT_MB", "1.5")
+    assert limit_bytes() == 1.5 * 2**20
+    monkeypatch.setenv("OMNIRANGE_CACHE_LIMIT_MB", "much")
+    with pytest.raises(InputError, match="OMNIRANGE_CACHE_LIMIT_MB: must be a number of megabytes; found 'much'"):
+        limit_bytes()
+
+
+def test_a_trial_does_not_know_of_it(tmp_path: Path) -> None:
+    trial = load_experiment(str(write_small(tmp_path / "small.toml"))).trial
+    plain = run_trial(trial, Kept())
+    for _ in range(2):  # filling it, and filled
+        cached = run_trial(trial, Kept(beneath={"render": RenderCache(tmp_path, 10**7)}))
+        assert all(a.tobytes() == b.tobytes() for a, b in zip(plain.images, cached.images, strict=True))
+        assert plain.range_m.tobytes() == cached.range_m.tobytes()
+
+
+def test_command(tmp_path: Path) -> None:
+    write_small(tmp_path / "small.toml")
+    assert "0 renders, 0.0 MB of at most 2048 MB" in omnirange(tmp_path, "cache").stdout
+    assert omnirange(tmp_path, "run", "small.toml", "--no-report").returncode == 0
+    shown = omnirange(tmp_path, "cache").stdout
+    assert shown.startswith(f"{tmp_path / 'cache' / 'renders'}: 2 renders, 0.1 MB")
+    assert "0 renders" in omnirange(tmp_path, "cache", "--clear").stdout
+    assert not list((tmp_path / "cache" / "renders").iterdir())

@@ -1,0 +1,253 @@
+"""The command line: what is planned, what is refused and in which words, and how it exits."""
+
+from pathlib import Path
+
+import pytest
+from sweeps import begin, omnirange, wait_for, write_small
+
+from harness import shipped
+from harness.cli import main
+from harness.errors import InputError
+from harness.experiments.experiment import load_experiment
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    return write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2]\n")
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line that a bad input is answered with."""
+    code = main([str(argument) for argument in arguments])
+    said = capsys.readouterr()
+    assert code == 2
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    return said.err.removeprefix("omnirange: ").strip()
+
+
+# --- Which trials --------------------------------------------------------------------------------------------------
+
+
+def test_the_product_runs_through_the_last_axis_first(tmp_path: Path) -> None:
+    path = write_small(tmp_path / "e.toml", '[axes]\nseed = [3, 1]\n"noise.sigma_grey" = [0.0, 2.0]\n')
+    planned = load_experiment(str(path)).planned
+    assert [tuple(each.place.values()) for each in planned] == [(3, 0.0), (3, 2.0), (1, 0.0), (1, 2.0)]
+    assert [(each.trial.seed, each.trial.noise.sigma_grey) for each in planned] == [(3, 0), (3, 2), (1, 0), (1, 2)]
+
+
+def test_every_kind_of_key_can_be_an_axis(tmp_path: Path) -> None:
+    axes = {
+        "view_2.baseline_m": [0.25, 0.5],
+        "matching.window_px": [5, 7],
+        "noise.sigma_grey": [1, 2],
+        "scene.scale": [1.0, 2.0],
+        "scene.objects.0.size_m": [[6.0, 6.0, 3.0], [8.0, 8.0, 3.0]],
+        "matching.subpixel": ["none", "parabola"],
+        "matching.pitch_px": [1.0, 0.5],
+        "filter.log_sigma_px": [1.0, 1.5],
+        "panorama.width_px": [180, 360],
+        "render.samples": [4, 16],
+        "matching.d_min_m": [0.5, 1.0],
+        "view_2.yaw_deg": [0.0, 30.0],
+        "view_1.position_m": [[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]],
+        "placement.offset_m": [0.0, 0.1],
+        "placement.random_yaw": [False, True],
+        "sensor.mirror.a_m": [0.0281, 0.03],
+        "seed": [1, 2],
+    }
+    small = str(write_small(tmp_path / "e.toml"))
+    for key, values in axes.items():
+        text = ",".join(str(value).lower() for value in values)
+        planned = load_experiment(small, axes=[f"{key}={text}"]).planned
+        assert [each.place for each in planned] == [{key: value} for value in values]
+        assert planned[0].key != planned[1].key
+
+
+def test_scenes_as_an_axis_with_a_key_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text((shipped.folder("scenes") / "box.toml").read_text().replace("6.0", "7.0"))
+    path = write_small(tmp_path / "e.toml", '[axes]\n"scene.scale" = [1.0, 2.0]\nscene = ["box", "./mine.toml"]\n')
+    planned = load_experiment(str(path)).planned
+    assert len({each.key for each in planned}) == 4
+    assert [each.trial.scene.scale for each in planned] == [1, 1, 2, 2]
+    assert planned[0].place["scene"] == "box"  # a shipped name stays
+    assert planned[1].place["scene"] == str((tmp_path / "mine.toml").resolve())  # so that it is found from anywhere
+
+
+def test_cases_are_taken_as_they_are_and_multiplied_by_axes(tmp_path: Path) -> None:
+    rest = '[axes]\nseed = [1, 2]\n[[cases]]\n"noise.sigma_grey" = 5\n[[cases]]\n"view_2.baseline_m" = 0.2\n'
+    planned = load_experiment(str(write_small(tmp_path / "e.toml", rest))).planned
+    assert [tuple(each.place.values()) for each in planned] == [(1, 5, 0.5), (2, 5, 0.5), (1, 0.0, 0.2), (2, 0.0, 0.2)]
+
+
+def test_set_and_axis(small: Path) -> None:
+    experiment = load_experiment(
+        str(small),
+        sets=["matching.subpixel=none", "seed = 9"],
+        axes=["matching.window_px=5,9", "matching.cost=sad,ssd"],
+    )
+    assert list(experiment.axes) == ["matching.window_px", "matching.cost"]  # a setting ends the axis over its key
+    assert [(each.trial.matching.window_px, each.trial.matching.cost) for each in experiment.planned] == [
+        (5, "sad"),
+        (5, "ssd"),
+        (9, "sad"),
+        (9, "ssd"),
+    ]
+    assert {(each.trial.seed, each.trial.matching.subpixel) for each in experiment.planned} == {(9, "none")}
+
+
+def test_dry_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["run", str(small), "--axis", "view_2.baseline_m=0.2,0.3", "--dry-run", "--out", str(tmp_path / "no")]
+    assert main(arguments) == 0
+    assert capsys.readouterr().out.startswith("small: 4 trials, 3 distinct renders, about ")
+    assert not (tmp_path / "no").exists()
+
+
+def test_set_and_axis_are_folded_into_what_is_written(small: Path, tmp_path: Path) -> None:
+    changed = ("--set", "noise.sigma_grey=3", "--axis", "matching.window_px=5,9")
+    assert omnirange(tmp_path, "run", small, *changed, "--out", "one", "--no-report").returncode == 0
+    assert omnirange(tmp_path, "run", "one/experiment.toml", "--out", "two", "--no-report").returncode == 0
+    assert (tmp_path / "one" / "trials.csv").read_bytes() == (tmp_path / "two" / "trials.csv").read_bytes()
+
+
+# --- What is refused -----------------------------------------------------------------------------------------------
+
+
+def test_an_unknown_experiment_is_answered_with_those_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    said = refusal(capsys, "run", "papre")
+    assert said.startswith("papre: no such experiment; give the path of a TOML file or one of the shipped names: ")
+    assert all(name in said for name in shipped.names("experiments"))
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"),
+    [
+        (
+            "[trial.matching]\nwindw_px = 7\n",
+            "trial.matching.windw_px: unknown key 'windw_px'; did you mean 'window_px'?",
+        ),
+        (
+            '[axes]\n"matching.windw_px" = [7]\n',
+            "axes.matching.windw_px: unknown key 'windw_px'; did you mean 'window_px'?",
+        ),
+        (
+            '[axes]\n"matchin.window_px" = [7]\n',
+            "axes.matchin.window_px: unknown key 'matchin'; did you mean 'matching'?",
+        ),
+        ('[axes]\n"matching.window_px" = [7, "x"]\n', "axes.matching.window_px: must be a whole number; found 'x'"),
+        (
+            '[axes]\n"matching.window_px" = []\n',
+            'axes."matching.window_px": must be a list of at least 1; found a list of 0',
+        ),
+        ('[axes]\n"matching.window_px" = 7\n', 'axes."matching.window_px": must be a list; found 7'),
+        ('[axes]\n"view_2.baseline_m" = [0]\n', "axes.view_2.baseline_m: must be above 0; found 0"),
+        (
+            '[axes]\n"scene.objects.4.size_m" = [[1, 1, 1]]\n',
+            "axes.scene.objects.4.size_m: '4' is no item of a list of 1",
+        ),
+        ('[axes]\n"seed.a" = [1]\n', "axes.seed.a: there is no key 'a' in 1, which is a plain value"),
+        (
+            '[axes]\nscene = ["bx"]\n',
+            "axes.scene: 'bx': no such scene; give the path of a TOML file or one of the shipped",
+        ),
+        ("[axes]\nseed = [1, 2, 1]\n", "axes: two trials are the same: seed = 1, and seed = 1; remove one"),
+        ('[[cases]]\n"noise.sigma" = 3\n', "cases[0].noise.sigma: unknown key 'sigma'; did you mean 'sigma_grey'?"),
+        ("[[cases]]\nseed = 2\n[[cases]]\nseed = -1\n", "cases[1].seed: must be at least 0; found -1"),
+        ("[[cases]]\nseed = 2\n[[cases]]\nseed = 2\n", "cases[1]: two trials are the same: seed = 2, and seed = 2"),
+        (
+            "[axes]\nseed = [1]\n[[cases]]\nseed = 2\n",
+            "cases[0].seed: this key is an axis too; give it in one of the two",
+        ),
+        ("[[cases]]\n", "cases[0]: "),
+    ],
+)
+def test_a_bad_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str], rest: str, said: str) -> None:
+    path = write_small(tmp_path / "bad.toml", rest)
+    assert refusal(capsys, "run", path, "--out", tmp_path / "out").startswith(f"{path}: {said}")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["--set", "matching.windw_px=7"],
+            "--set: matching.windw_px: unknown key 'windw_px'; did you mean 'window_px'?",
+        ),
+        (["--set", "matching.window_px=8"], "--set: matching: window_px must be odd"),
+        (["--set", "view_2.baseline_m=0"], "--set: view_2.baseline_m: must be above 0; found 0"),
+        (["--set", "seed"], "--set: must be written key=value; found 'seed'"),
+        (["--set", "seed=x"], "--set: seed: must be a whole number; found 'x'"),
+        (["--set", "scene=bx"], "--set: scene: 'bx': no such scene"),
+        (["--axis", "matching.windw_px=7,9"], "--axis: matching.windw_px: unknown key 'windw_px'; did you mean"),
+        (
+            ["--axis", "matching.subpixel=none,parabla"],
+            "--axis: matching.subpixel: 'parabla' is not valid; did you mean",
+        ),
+        (["--axis", "noise.sigma_grey=a,b"], "--axis: noise.sigma_grey: must be a number; found 'a'"),
+        (["--axis", "noise.sigma_grey="], "--axis: noise.sigma_grey: give at least one value"),
+        (["--dask", "nowhere"], "--dask: no scheduler answers at 'nowhere'; give its address, such as tcp://"),
+    ],
+)
+def test_a_bad_option(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert refusal(capsys, "run", small, "--out", tmp_path / "out", *arguments).startswith(said)
+
+
+def test_a_case_cannot_be_overruled(tmp_path: Path) -> None:
+    path = str(write_small(tmp_path / "e.toml", "[[cases]]\nseed = 2\n"))
+    with pytest.raises(InputError, match=r"--set: seed: cases\[0\] gives this key"):
+        load_experiment(path, sets=["seed=3"])
+    with pytest.raises(InputError, match=r"--axis: seed: cases\[0\] gives this key"):
+        load_experiment(path, axes=["seed=3"])
+
+
+@pytest.mark.parametrize("workers", ["0", "-1", "two"])
+def test_a_bad_number_of_workers(small: Path, capsys: pytest.CaptureFixture[str], workers: str) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["run", str(small), "--workers", workers])
+    assert exit_.value.code == 2
+    assert f"--workers: must be a whole number of at least 1; found '{workers}'" in capsys.readouterr().err
+
+
+def test_a_file_as_the_output_folder(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("here first")
+    assert "cannot be used as the output folder" in refusal(capsys, "run", small, "--out", tmp_path / "out")
+
+
+def test_a_folder_with_another_experiments_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert omnirange(tmp_path, "run", small, "--out", out, "--no-report").returncode == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    other = write_small(tmp_path / "other.toml", name="other")
+    said = refusal(capsys, "run", other, "--out", out)
+    assert said == f"{out}: holds a run of the experiment 'small', not of 'other'; give another folder with --out"
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_damaged_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "run.sqlite").write_text("not a database, but longer than the header of one would be" * 10)
+    assert "is not a run of omnirange, or is damaged" in refusal(capsys, "run", small, "--out", out)
+    assert "is not a run of omnirange, or is damaged" in refusal(capsys, "report", out)
+
+
+def test_a_report_of_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert refusal(capsys, "report", tmp_path) == f"{tmp_path}: holds no run: there is no run.sqlite in it"
+
+
+def test_two_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small = write_small(tmp_path / "long.toml", f"[axes]\nseed = {list(range(200))}\n", name="long")
+    out = tmp_path / "out"
+    first = begin(tmp_path, "run", small, "--out", out, "--workers", 1, "--no-report")
+    wait_for(out, 50_000)
+    assert "another omnirange is at work in this folder" in refusal(capsys, "run", small, "--out", out)
+    first.kill()
+    first.communicate()
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "papre", "--debug"]) == 2
+    assert "Traceback (most recent call last)" in capsys.readouterr().err

@@ -1,0 +1,109 @@
+"""The file of a run: what is kept, what is refused, and who may hold it."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from harness.errors import InputError
+from harness.experiments import store as module
+from harness.experiments.store import Finished, Foreign, Store
+
+DONE = Finished("a", "scene", "done", payload='{"figures": {"x": 0.1}}', seconds='{"render": 1.5}')
+FAILED = Finished("b", "scene", "failed", message="no view", traceback="Traceback ...")
+
+
+def test_rows_come_back(tmp_path: Path) -> None:
+    with Store(tmp_path / "run.sqlite") as store:
+        store.add([DONE, FAILED])
+    with Store(tmp_path / "run.sqlite") as store:
+        assert store.finished("abc") == {"a": DONE, "b": FAILED}
+        assert store.states("b") == {"b": "failed"}
+        assert store.finished("a")["a"].figures == {"x": 0.1}
+
+
+def test_a_failed_trial_may_be_done_later_and_a_done_one_stays() -> None:
+    with Store() as store:
+        store.add([DONE, FAILED])
+        store.add([Finished("a", "scene", "failed"), Finished("b", "scene", "done")])
+        assert store.finished("ab") == {"a": DONE, "b": Finished("b", "scene", "done")}
+
+
+def test_all_of_a_batch_or_none() -> None:
+    with Store() as store:
+        with pytest.raises(InputError):
+            store.add([DONE, Finished("b", "scene", "half-way")])
+        assert store.finished("ab") == {}
+        store.add([DONE])
+        assert store.finished("ab") == {"a": DONE}
+
+
+def test_facts() -> None:
+    with Store() as store:
+        assert store.fact("name") is None
+        store.set_fact("name", {"a": [1, float("inf")]})
+        store.set_fact("name", {"a": [2, float("inf")]})
+        assert store.fact("name") == {"a": [2, float("inf")]}
+
+
+def test_rows_of_other_code_are_counted_and_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Store(tmp_path / "run.sqlite") as store:
+        store.add([DONE, FAILED])
+    monkeypatch.setattr(module, "code_hash", lambda: "newer")
+    with Store(tmp_path / "run.sqlite") as store:
+        assert store.finished("ab") == {}
+        newer = [Finished(key, scene, "done") for key, scene in (("a", "scene"), ("c", "other"), ("d", "scene"))]
+        store.add(newer)
+        assert store.foreign("ab", ["scene"]) == Foreign(other_code=2, other_scene=1, other_settings=1)
+        assert store.states("abcd") == {"a": "done", "c": "done", "d": "done"}
+    monkeypatch.undo()
+    with Store(tmp_path / "run.sqlite") as store:
+        assert store.finished("ab") == {"a": DONE, "b": FAILED}
+
+
+def test_held_by_one_at_a_time(tmp_path: Path) -> None:
+    with Store(tmp_path / "run.sqlite"), pytest.raises(InputError, match="another omnirange is at work in this folder"):
+        Store(tmp_path / "run.sqlite")
+    Store(tmp_path / "run.sqlite").__exit__(None, None, None)
+
+
+def test_no_database_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.sqlite"
+    path.write_text("key,state\n" * 1000)
+    with pytest.raises(InputError, match=r"run\.sqlite: is not a run of omnirange, or is damaged"):
+        Store(path)
+    assert path.read_text() == "key,state\n" * 1000
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
+    path = tmp_path / "run.sqlite"
+    with Store(path) as store:
+        store.add([Finished(f"{i}", "scene", "done", payload=f'"{"x" * 3000}"') for i in range(50)])
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    with pytest.raises(InputError, match="damaged"):
+        Store(path)
+
+
+def test_another_programs_database_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.sqlite"
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("CREATE TABLE notes (text)")
+    with pytest.raises(InputError, match="is not a run of omnirange; give another folder"):
+        Store(path)
+
+
+def test_another_schema_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.sqlite"
+    Store(path).__exit__(None, None, None)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA user_version = 99")
+    with pytest.raises(InputError, match="another version of omnirange"):
+        Store(path)
+
+
+def test_a_folder_in_its_place_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.sqlite").mkdir()
+    with pytest.raises(InputError, match="cannot be opened for writing"):
+        Store(tmp_path / "run.sqlite")
