@@ -25,33 +25,42 @@ def _pixel_of_sample(mode, k, phi_1, alpha_1, step, t_hat, m, n, z_max, z_pitch,
     return int(row), math.floor((phi + math.pi) / phi_pitch) % width
 
 
-# Only the order of additions is left to the compiler, so that it may add several pixels of a window at a time.
-@njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
-def _window_cost(cost, first, second, row_1, column_1, row_2, column_2, half):
-    """Dissimilarity of two square windows. The images are padded by `half` columns on both sides, around the seam."""
-    total = np.float32(0)
+@njit(cache=True, nogil=True)
+def _window_cost(cost, first, second, row_1, column_1, row_2, column_2, half, sums):
+    """Dissimilarity of two square windows. The images are padded by `half` columns on both sides, around the seam.
+
+    Every column of the window has a sum of its own in `sums`: additions of different columns may be done at a time, and
+    yet each is done in one order, whatever the compiler makes of it.
+    """
     size = np.uint64(2 * half + 1)
+    for j in range(size):
+        sums[j] = 0.0
     for i in range(size):
         row_a, row_b = np.uint64(row_1 - half) + i, np.uint64(row_2 - half) + i
-        part = np.float32(0)
-        for j in range(size):
-            d = first[row_a, np.uint64(column_1) + j] - second[row_b, np.uint64(column_2) + j]
-            part += abs(d) if cost == SAD else d * d
-        total += part
+        if cost == SAD:
+            for j in range(size):
+                sums[j] += abs(first[row_a, np.uint64(column_1) + j] - second[row_b, np.uint64(column_2) + j])
+        else:
+            for j in range(size):
+                d = first[row_a, np.uint64(column_1) + j] - second[row_b, np.uint64(column_2) + j]
+                sums[j] += d * d
+    total = 0.0
+    for j in range(size):
+        total += sums[j]
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sample_cost(
     k, mode, cost, first, second, matchable_2, row, column, half, phi_1, alpha_1, step, t_hat, m, n,
-    z_max, z_pitch, phi_pitch,
+    z_max, z_pitch, phi_pitch, sums,
 ):  # fmt: skip
     """Cost of sample k, NaN where the window of the second image is not all there."""
     height, width = matchable_2.shape
     row_2, column_2 = _pixel_of_sample(mode, k, phi_1, alpha_1, step, t_hat, m, n, z_max, z_pitch, phi_pitch, width)
     if row_2 < 0 or row_2 >= height or not matchable_2[row_2, column_2]:
         return math.nan
-    return _window_cost(cost, first, second, row, column, row_2, column_2, half)
+    return _window_cost(cost, first, second, row, column, row_2, column_2, half, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -86,6 +95,7 @@ def match_rows(
     searched, matchable_2 : `[height, width]`; pixels to search for, and window centres allowed in the second image.
     reason, k_best, costs : written; `[height, width]`, and `[height, width, 2 reach + 1]`.
     """
+    sums = np.empty(2 * half + 1, dtype=np.float32)
     for row in rows:
         for column in range(searched.shape[1]):
             if not searched[row, column]:
@@ -96,7 +106,7 @@ def match_rows(
                 value = _sample_cost(
                     k, mode, cost, first, second, matchable_2, row, column, half, phi[column],
                     alpha_1[row, column], step[row, column], t_hat, m[row, column], n[row, column],
-                    z_max, z_pitch, phi_pitch,
+                    z_max, z_pitch, phi_pitch, sums,
                 )  # fmt: skip
                 if math.isnan(value):
                     complete = False
@@ -112,7 +122,7 @@ def match_rows(
                 costs[row, column, i + reach] = _sample_cost(
                     best_k + i, mode, cost, first, second, matchable_2, row, column, half, phi[column],
                     alpha_1[row, column], step[row, column], t_hat, m[row, column], n[row, column],
-                    z_max, z_pitch, phi_pitch,
+                    z_max, z_pitch, phi_pitch, sums,
                 )  # fmt: skip
 
 
@@ -122,10 +132,11 @@ def costs_along_curve(
     z_max, z_pitch, phi_pitch, out,
 ):  # fmt: skip
     """The costs of the samples `ks` of one pixel's curve."""
+    sums = np.empty(2 * half + 1, dtype=np.float32)
     for i in range(ks.size):
         out[i] = _sample_cost(
             ks[i], mode, cost, first, second, matchable_2, row, column, half, phi_1,
-            alpha_1, step, t_hat, m, n, z_max, z_pitch, phi_pitch,
+            alpha_1, step, t_hat, m, n, z_max, z_pitch, phi_pitch, sums,
         )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ def search(
     rows = np.arange(grid.height_px)
     with ThreadPoolExecutor(threads) as pool:
         # Near rows cost more than far ones: deal the rows out like cards.
-        list(pool.map(work, [rows[i :: 4 * threads] for i in range(4 * threads)]))
+        list(pool.map(work, [np.ascontiguousarray(rows[i :: 4 * threads]) for i in range(4 * threads)]))
     return WholePixelMatches(curves, k_best, costs, reason)
 
 
