@@ -176,7 +176,7 @@ def _run(options: argparse.Namespace) -> int:
                 )
                 return EXIT_INTERRUPTED
             progress.finish()
-        return _write(experiment, store, folder, with_report=not options.no_report)
+        return _write(experiment, store, folder, given=options.experiment, with_report=not options.no_report)
 
 
 def _dry_run(experiment: "Experiment") -> int:
@@ -207,11 +207,16 @@ def _report(options: argparse.Namespace) -> int:
         _say_foreign(now.foreign)
         if now.done < now.total:
             print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
-        return _write(experiment, store, options.folder)
+        return _write(experiment, store, options.folder, given=options.folder)
 
 
-def _write(experiment: "Experiment", store: "Store", folder: Path, *, with_report: bool = True) -> int:
-    """Write everything that is made from the rows, and say what came out."""
+def _write(
+    experiment: "Experiment", store: "Store", folder: Path, *, given: str | Path, with_report: bool = True
+) -> int:
+    """Write everything that is made from the rows, and say what came out.
+
+    Where no trial could be carried out because of what was `given`, that is the user's to mend, like a wrong key.
+    """
     from harness.experiments.run import result_of, standing, write_result, write_tables
 
     write_tables(experiment, store, folder)
@@ -224,6 +229,11 @@ def _write(experiment: "Experiment", store: "Store", folder: Path, *, with_repor
         _show(result.summary, folder)
     if not now.failed:
         return EXIT_OK
+    failures = [
+        row for row in store.finished(each.key for each in experiment.planned).values() if row.state == "failed"
+    ]
+    if len(failures) == now.total and all(row.is_refused for row in failures):
+        raise InputError(failures[0].message, file=given)
     print(
         f"omnirange: {now.failed} of {now.total} trials failed; {folder / 'failures.csv'} says why, "
         "and the same command tries them again",

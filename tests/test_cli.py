@@ -1,5 +1,7 @@
 """The command line: what is planned, what is refused and in which words, and how it exits."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -251,3 +253,28 @@ def test_two_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "papre", "--debug"]) == 2
     assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (
+            "[trial.view_1]\nposition_m = [0, 0, 9]",
+            "trial.view_1.position_m: scene box: the view at (0, 0, 9) m is outside",
+        ),
+        ("[trial.view_2]\nbaseline_m = 4", "trial.view_2: scene box: the view at (4, 0, 1) m is outside"),
+    ],
+)
+def test_views_that_see_nothing_are_the_users_to_mend(tmp_path, settings, says):
+    """No trial could be carried out, for one reason: that is bad input, not a sweep with failures."""
+    (tmp_path / "own.toml").write_text(f'name = "own"\n[trial]\nscene = "box"\n{settings}\n')
+    done = subprocess.run(
+        [sys.executable, "-m", "harness", "run", "own.toml", "--out", "out"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"omnirange: own.toml: {says}")
+    assert done.stderr.count("\n") == 1

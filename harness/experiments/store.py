@@ -51,6 +51,12 @@ class Finished:
     traceback: str = ""
 
     @property
+    def is_refused(self) -> bool:
+        """Whether it failed because something given to the program is wrong, rather than the program."""
+        lines = self.traceback.strip().splitlines()
+        return bool(lines) and lines[-1].startswith(f"{InputError.__module__}.{InputError.__name__}")
+
+    @property
     def figures(self) -> dict[str, float | None]:
         """The flat figures, by name."""
         return json.loads(self.payload).get("figures", {})

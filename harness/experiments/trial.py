@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 from harness.camera.angles import Array, normalise
 from harness.camera.pose import Pose
 from harness.camera.sensor import in_field
+from harness.errors import InputError
 from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
 from harness.evaluation.regions import CellPixels, Region, cell_pixels, regions
 from harness.experiments.kept import Kept
 from harness.experiments.spec import Trial
 from harness.simulation.fingerprint import fingerprint
+from harness.simulation.geometry import check_viewpoint, geometry_of
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
+from harness.simulation.scene import Scene
 from harness.simulation.truth import Truth, truth
 from harness.stereo.epipolar import Curves
 from harness.stereo.filter import laplacian_of_gaussian
@@ -100,6 +103,8 @@ def run_trial(
     filtered = [(key, trial.filter) for key in unwrapped]
     searched = (*filtered, poses, trial.matching.model_copy(update={"subpixel": "none"}))
 
+    for pose, key in zip(poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
+        _check_view(trial.scene, pose, key)
     with clock("render"):
         pictures = [
             kept.get(
@@ -190,6 +195,15 @@ def run_trial(
         errors=found,
         seconds=clock.seconds,
     )
+
+
+def _check_view(scene: Scene, pose: Pose, key: str) -> None:
+    """Say which view it is that stands where there is nothing to see."""
+    geometry = geometry_of(scene)
+    try:
+        check_viewpoint(geometry, pose.position_m)
+    except InputError as error:
+        raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
 
 
 def _expected(
