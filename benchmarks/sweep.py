@@ -4,6 +4,9 @@
     python benchmarks/sweep.py --trials 200 --pair-trials 84 --pairs 3
 
 The number of trials is set by the number of seeds. Every measured sweep begins with an empty cache of renders.
+
+Where others use the machine too, the ratio of times says little; the CPU time that two workers take together,
+against that of one, then bounds what they would gain on idle cores.
 """
 
 import argparse
@@ -15,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOM = tempfile.TemporaryDirectory(prefix="omnirange-benchmark-")
@@ -41,21 +45,27 @@ def main() -> None:
     warm = sized(options.experiment, 1)
     sweep(warm, 1, most=4)
 
-    ratios = []
+    ratios, bounds = [], []
     for i in range(options.pairs):
         pair = sized(options.experiment, options.pair_trials)
         order = (1, 2) if i % 2 == 0 else (2, 1)  # interleaved, so that a busy machine slows both alike
-        seconds = {workers: sweep(pair, workers)[0] for workers in order}
-        ratios.append(seconds[1] / seconds[2])
+        took = {workers: sweep(pair, workers) for workers in order}
+        ratios.append(took[1].seconds / took[2].seconds)
+        bounds.append(2 * took[1].cpu_s / took[2].cpu_s)
         print(
-            f"{len(pair.planned)} trials: {seconds[1]:.1f} s with 1 worker, {seconds[2]:.1f} s with 2: {ratios[-1]:.2f}"
+            f"{len(pair.planned)} trials: {took[1].seconds:.1f} s with 1 worker, {took[2].seconds:.1f} s with 2: "
+            f"{ratios[-1]:.2f}; CPU {took[1].cpu_s:.1f} s and {took[2].cpu_s:.1f} s: at most {bounds[-1]:.2f}"
         )
     print(f"two workers against one: {statistics.median(ratios):.2f} (median of {len(ratios)}; at least 1.7 wanted)")
+    print(f"on idle cores at most: {statistics.median(bounds):.2f}")
 
     short, long = (sized(options.experiment, n) for n in (options.trials // 10, options.trials))
-    short_s, _ = sweep(short, 2)
+    if len(short.planned) == len(long.planned):
+        parser.error("--trials is too small: the short sweep and the long one are the same")
+    short_s = sweep(short, 2).seconds
     folder = Path(ROOM.name) / "long"
-    long_s, memory = sweep(long, 2, folder=folder)
+    whole = sweep(long, 2, folder=folder)
+    long_s, memory = whole.seconds, whole.memory
     exponent = math.log(long_s / short_s) / math.log(len(long.planned) / len(short.planned))
     print(f"{len(short.planned)} trials in {short_s:.1f} s, {len(long.planned)} in {long_s:.1f} s")
     print(f"time grows with trials to the power of {exponent:.3f} (at most 1.05 wanted)")
@@ -90,15 +100,23 @@ def sized(name: str, trials: int) -> Experiment:
     return load_experiment(name, axes=[f"seed={seeds}"])
 
 
-def sweep(
-    experiment: Experiment, workers: int, *, folder: Path | None = None, most: int | None = None
-) -> tuple[float, list[int]]:
-    """Seconds of a sweep with an empty cache, and the resident bytes of its largest worker, twice a second."""
+@dataclass
+class Took:
+    """What a sweep took."""
+
+    seconds: float = 0.0
+    cpu_s: float = 0.0
+    """Of this process and of its workers."""
+    memory: list[int] = field(default_factory=list)
+    """Resident bytes of the largest worker, twice a second."""
+
+
+def sweep(experiment: Experiment, workers: int, *, folder: Path | None = None, most: int | None = None) -> Took:
+    """Run a sweep with an empty cache."""
     RenderCache().clear()
     worker.forget()
-    memory: list[int] = []
-    ended = threading.Event()
-    watch = threading.Thread(target=_watch, args=(memory, ended))
+    took, ended = Took(), threading.Event()
+    watch = threading.Thread(target=_watch, args=(took, ended))
     with tempfile.TemporaryDirectory(dir=ROOM.name) as room:
         folder = folder or Path(room)
         folder.mkdir(exist_ok=True)
@@ -109,22 +127,26 @@ def sweep(
             watch.start()
             begin = time.perf_counter()
             run.sweep(left, store, workplace(left.total_s, len(left.trials), workers))
-            seconds = time.perf_counter() - begin
+            took.seconds = time.perf_counter() - begin
             ended.set()
             watch.join()
-    return seconds, memory
+    return took
 
 
-def _watch(memory: list[int], ended: threading.Event) -> None:
+def _watch(took: Took, ended: threading.Event) -> None:
     own = psutil.Process()
+    cpu: dict[int, float] = {}
+    before = sum(own.cpu_times()[:2])
     while not ended.wait(0.5):
         sizes = [own.memory_info().rss]
         for child in own.children(recursive=True):
             try:
                 sizes.append(child.memory_info().rss)
+                cpu[child.pid] = sum(child.cpu_times()[:2])
             except psutil.Error:  # it has just ended
                 continue
-        memory.append(max(sizes[1:] or sizes))
+        took.memory.append(max(sizes[1:] or sizes))
+    took.cpu_s = sum(own.cpu_times()[:2]) - before + sum(cpu.values())
 
 
 if __name__ == "__main__":
