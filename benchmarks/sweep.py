@@ -123,7 +123,7 @@ def sweep(experiment: Experiment, workers: int, *, folder: Path | None = None, m
         with run.open_run(experiment, folder) as store:
             left = run.standing(experiment, store).plan
             if most:
-                left = type(left)(left.trials[:most], left.seconds[:most])
+                left = type(left)(left.trials[:most], left.seconds[:most], left.new_geometry[:most])
             watch.start()
             begin = time.perf_counter()
             run.sweep(left, store, workplace(left.total_s, len(left.trials), workers))

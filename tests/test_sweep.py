@@ -19,6 +19,7 @@ from sweeps import begin, kill_group, omnirange, rows, wait_for, write_small
 from harness.experiments import run
 from harness.experiments.executors import Workplace
 from harness.experiments.experiment import load_experiment
+from harness.experiments.plan import plan
 from harness.experiments.store import Store
 
 AXES = """
@@ -243,6 +244,22 @@ def test_a_scene_changed_since(tmp_path: Path) -> None:
     assert "2 trials in this folder were made of other scenes, or of this one before it was changed" in done.stdout
     assert len(table(out / "trials.csv")) == 2
     assert (out / "trials.csv").read_bytes() != before
+
+
+def test_trials_that_share_a_geometry_go_together() -> None:
+    """They are next to each other whatever the order of the axes, and cut apart only when they are many."""
+    experiment = load_experiment("smoke")
+    turned = experiment.model_copy(update={"axes": dict(reversed(experiment.axes.items()))})
+    whole = plan(turned.planned)
+    assert sorted(each.key for each in whole.trials) == sorted(each.key for each in experiment.planned)
+    assert sum(whole.new_geometry) == 2  # one a baseline
+    assert whole.renders == 3  # of which the first view is common
+    for batch_s in (0.0, 0.01, 0.1, 100.0):
+        batches = whole.batches(batch_s)
+        assert tuple(each for batch in batches for each in batch) == whole.trials
+    assert len(whole.batches(0.0)) == len(whole.trials)
+    assert len(whole.batches(whole.total_s / 2 - 1e-9)) == 2
+    assert len(whole.batches(100.0)) == 1
 
 
 class _Brittle(Executor):

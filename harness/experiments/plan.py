@@ -19,6 +19,8 @@ class Plan:
     trials: tuple[Planned, ...]
     seconds: tuple[float, ...]
     """Of each trial after the one before it, on one thread; a rough guess, from the sizes of images."""
+    new_geometry: tuple[bool, ...]
+    """Whether a trial has other renders than the one before it."""
 
     @property
     def total_s(self) -> float:
@@ -31,11 +33,14 @@ class Plan:
         return len({key for each in self.trials for key in _render_keys(each.trial)})
 
     def batches(self, batch_s: float = BATCH_S) -> list[tuple[Planned, ...]]:
-        """The trials in runs of about `batch_s` seconds, in order; single ones when it is 0."""
+        """The trials in runs of about `batch_s` seconds, in order; single ones when it is 0.
+
+        Trials of one geometry stay together up to three times as long: each worker that gets some must render it.
+        """
         batches: list[list[Planned]] = []
         filled = 0.0
-        for trial, cost in zip(self.trials, self.seconds, strict=True):
-            if not batches or filled + cost > batch_s:
+        for trial, cost, is_new in zip(self.trials, self.seconds, self.new_geometry, strict=True):
+            if not batches or filled + cost > (batch_s if is_new else 3 * batch_s):
                 batches.append([])
                 filled = 0.0
             batches[-1].append(trial)
@@ -57,12 +62,13 @@ def plan(trials: Sequence[Planned]) -> Plan:
     ]  # trials that share a stage share its rank
     order = sorted(range(len(trials)), key=lambda i: (places[i], i))
     done: dict[str, Hashable] = {}
-    seconds = []
+    seconds, new_geometry = [], []
     for i in order:
         new = {stage for stage, key in keys[i].items() if done.get(stage) != key}
         seconds.append(_seconds(trials[i].trial, new))
+        new_geometry.append("render" in new)
         done = keys[i]
-    return Plan(tuple(trials[i] for i in order), tuple(seconds))
+    return Plan(tuple(trials[i] for i in order), tuple(seconds), tuple(new_geometry))
 
 
 def _seconds(trial: Trial, new: Iterable[str]) -> float:
