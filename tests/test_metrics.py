@@ -5,6 +5,7 @@ import pytest
 
 from harness.evaluation.cells import MIN_PIXELS, NORMAL, cells
 from harness.evaluation.errors import Errors
+from harness.evaluation.groups import ascending, counts, grouped, means, medians
 from harness.evaluation.metrics import (
     ERROR_EDGES_PX,
     FRACTION_BINS,
@@ -14,14 +15,20 @@ from harness.evaluation.metrics import (
     measure_by_solid_angle,
     measure_more,
     measure_regions,
+    ranked,
 )
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.experiments.row import row_of
+from harness.stereo.panorama import Grid
 
 
 @pytest.fixture
 def outcome(paper):
     return paper.outcomes[-1]
+
+
+def errors_of(outcome):
+    return ranked(outcome.valid, outcome.errors, outcome.trial.panorama)
 
 
 def test_core_figures_are_their_definitions(outcome):
@@ -46,7 +53,7 @@ def test_core_figures_are_their_definitions(outcome):
 
 def test_more_figures_are_their_definitions(outcome):
     truth, found = outcome.reference, outcome.errors
-    figures = measure_more(truth.domain, outcome.valid, found, truth)
+    figures = measure_more(truth.domain, errors_of(outcome), truth)
     pixels = truth.domain & outcome.valid
     absolute = np.abs(found.disparity_px[pixels])
     estimate, true = outcome.range_m[pixels], truth.range_m[pixels]
@@ -64,7 +71,7 @@ def test_more_figures_are_their_definitions(outcome):
 
 def test_solid_angle_figures_are_those_of_pixels_repeated_by_their_weight(outcome):
     truth, found, grid = outcome.reference, outcome.errors, outcome.trial.panorama
-    figures = measure_by_solid_angle(truth.domain, outcome.valid, found, grid)
+    figures = measure_by_solid_angle(truth.domain, errors_of(outcome), grid)
     weight = np.broadcast_to((1 + grid.z[:, None] ** 2) ** -1.5, grid.shape)
     pixels = truth.domain & outcome.valid
     w, absolute = weight[pixels], np.abs(found.disparity_px[pixels])
@@ -84,11 +91,11 @@ def test_nothing_valid_gives_none_not_nan(outcome):
     assert measure(outcome.reference.domain, nothing, outcome.errors)["density"] == 0
     assert measure(outcome.reference.domain, nothing, outcome.errors)["range_rmse_m"] is None
     assert measure(nothing, outcome.valid, outcome.errors)["density"] is None
-    assert measure_more(nothing, nothing, outcome.errors, outcome.reference)["range_silog"] is None
+    assert measure_more(nothing, errors_of(outcome), outcome.reference)["range_silog"] is None
 
 
 def test_regions_split_the_domain(outcome):
-    table = measure_regions(outcome.regions, outcome.valid, outcome.errors)
+    table = measure_regions(outcome.layout, errors_of(outcome))
     domain = int(outcome.reference.domain.sum())
     for split in ("surface", "alpha_1", "elevation", "range"):
         assert sum(row["pixels"] for row in table if row["split"] == split) == domain, split
@@ -101,7 +108,7 @@ def test_cells_hold_each_pixel_of_the_domain_once_and_figures_of_their_own_pixel
     truth = outcome.reference
     everything = np.concatenate([part.pixels for part in outcome.cells])
     np.testing.assert_array_equal(np.sort(everything), np.flatnonzero(truth.domain))
-    table = cells(outcome.cells, truth, outcome.errors, outcome.valid, 0.5)
+    table = cells(outcome.layout, truth, errors_of(outcome), 0.5)
     assert len(table) > 20
     alpha_deg = np.degrees(truth.alpha_1)
     for cell in table:
@@ -121,16 +128,37 @@ def test_cells_hold_each_pixel_of_the_domain_once_and_figures_of_their_own_pixel
 
 def test_histograms_count_every_pixel():
     rng = np.random.default_rng(17)
-    shape = (40, 50)
-    disparity = rng.normal(size=shape) * 10 ** rng.uniform(-4, 3, shape)
-    found = Errors(disparity, disparity, disparity)
-    everywhere = np.ones(shape, bool)
-    assert sum(error_histogram(everywhere, found)) == 2000
-    assert len(error_histogram(everywhere, found)) == len(ERROR_EDGES_PX) - 1
-    whole = fraction_histogram(everywhere, np.full(shape, 7.0))
+    grid = Grid(width_px=50, height_px=40)
+    disparity = rng.normal(size=grid.shape) * 10 ** rng.uniform(-4, 3, grid.shape)
+    everywhere = np.ones(grid.shape, bool)
+    errors = ranked(everywhere, Errors(disparity, disparity, disparity), grid)
+    expected, _ = np.histogram(np.minimum(np.abs(disparity), ERROR_EDGES_PX[-1]), ERROR_EDGES_PX)
+    assert error_histogram(everywhere, errors) == expected.tolist()
+    part = disparity > 0
+    assert sum(error_histogram(part, errors)) == part.sum()
+    whole = fraction_histogram(everywhere, np.full(grid.shape, 7.0))
     assert whole == [2000] + [0] * (FRACTION_BINS - 1)
-    half = fraction_histogram(everywhere, np.full(shape, -3.5))
+    half = fraction_histogram(everywhere, np.full(grid.shape, -3.5))
     assert half[FRACTION_BINS // 2] == 2000
+
+
+def test_grouped_statistics_are_those_of_each_group():
+    rng = np.random.default_rng(18)
+    values, seen = rng.normal(size=5000), rng.random(5000) < 0.7
+    members = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 3000, 4999)] + [np.array([], int)]
+    groups = grouped(members, 5000)
+    count = counts(groups, seen)
+    found_means = means(groups, seen, count, values)
+    found_medians = medians(groups, seen, count, values, ascending(seen, values))
+    for i, part in enumerate(members):
+        chosen = values[part][seen[part]]
+        assert count[i] == chosen.size
+        if chosen.size:
+            assert found_medians[i] == np.median(chosen)
+            assert found_means[i] == pytest.approx(chosen.mean(), rel=1e-12)  # sums in another order
+        else:
+            assert np.isnan(found_medians[i])
+            assert np.isnan(found_means[i])
 
 
 def test_a_row_is_strict_json(outcome):

@@ -4,11 +4,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from harness.camera.angles import Array
-from harness.evaluation.errors import Errors, Reference
-from harness.evaluation.regions import CellPixels
+from harness.evaluation.errors import Reference
+from harness.evaluation.groups import counts, means, medians
+from harness.evaluation.metrics import Ranked
+from harness.evaluation.regions import Layout
 from harness.stereo.ranging import paper_law
 
 MIN_PIXELS = 200
@@ -47,41 +47,35 @@ class Cell:
     """Share of the estimates that are off by more than one pixel."""
 
 
-def cells(
-    parts: tuple[CellPixels, ...], truth: Reference, found: Errors, valid: NDArray[np.bool_], baseline_m: float
-) -> list[dict[str, Any]]:
-    """The cells of one trial with enough estimates, as JSON-able tables in a fixed order.
-
-    Parameters
-    ----------
-    valid
-        `[height, width]`: pixels with an estimate of the range.
-    """
-    seen, angle, distance = valid.ravel(), found.alpha_2.ravel(), found.range_m.ravel()
-    disparity, range_m, law = found.disparity_px.ravel(), truth.range_m.ravel(), truth.law.ravel()
-    table = []
-    for part in parts:
-        have = part.pixels[seen[part.pixels]]
-        if have.size < MIN_PIXELS:
-            continue
-        ranges = range_m[have]
-        cell = Cell(
-            surface=part.surface,
-            alpha_bin=part.alpha_bin,
-            range_bin=part.range_bin,
-            pixels=int(have.size),
-            range_m=_median(ranges),
-            spread_m=NORMAL * _median(np.abs(distance[have])),
-            sigma_alpha=NORMAL * _median(np.abs(angle[have])),
-            law_exact=_median(law[have]),
-            law_paper=_median(paper_law(ranges, baseline_m)),
-            disparity_bias_px=_median(disparity[have]),
-            missing=1 - have.size / part.pixels.size,
-            gross=float(np.mean(np.abs(disparity[have]) > 1)),
+def cells(layout: Layout, truth: Reference, errors: Ranked, baseline_m: float) -> list[dict[str, Any]]:
+    """The cells of one trial with enough estimates, as JSON-able tables in a fixed order."""
+    groups, seen = layout.cell_groups, errors.seen
+    count = counts(groups, seen)
+    range_m = medians(groups, seen, count, truth.range_m.ravel(), layout.by_range)
+    spread_m = NORMAL * medians(groups, seen, count, errors.off_m, errors.by_off)
+    spread_px = NORMAL * medians(groups, seen, count, errors.absolute_px, errors.by_absolute)
+    law = medians(groups, seen, count, truth.law.ravel(), layout.by_law)
+    bias_px = medians(groups, seen, count, errors.disparity_px, errors.by_disparity)
+    gross = means(groups, seen, count, (errors.absolute_px > 1).astype(np.float64))
+    # The median of d²/|t| is that of d, squared, but for the mean of two middle values.
+    law_paper = paper_law(range_m, baseline_m)
+    return [
+        asdict(
+            Cell(
+                surface=part.surface,
+                alpha_bin=part.alpha_bin,
+                range_bin=part.range_bin,
+                pixels=int(count[i]),
+                range_m=float(range_m[i]),
+                spread_m=float(spread_m[i]),
+                sigma_alpha=float(spread_px[i] * errors.pixel_rad),
+                law_exact=float(law[i]),
+                law_paper=float(law_paper[i]),
+                disparity_bias_px=float(bias_px[i]),
+                missing=float(1 - count[i] / part.pixels.size),
+                gross=float(gross[i]),
+            )
         )
-        table.append(asdict(cell))
-    return table
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values))
+        for i, part in enumerate(layout.cells)
+        if count[i] >= MIN_PIXELS
+    ]

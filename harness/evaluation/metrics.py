@@ -1,5 +1,6 @@
 """The figures that sum up an estimate. A pixel without an estimate counts in the density and nowhere else."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,8 @@ from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.evaluation.errors import Errors, Reference
-from harness.evaluation.regions import Region
+from harness.evaluation.groups import Indices, ascending, counts, means, medians
+from harness.evaluation.regions import Layout
 from harness.stereo.panorama import Grid
 
 Measures = dict[str, float | None]
@@ -80,62 +82,106 @@ def _core(disparity: Array, distance: Array) -> Measures:
     return dict(zip(CORE, map(float, values), strict=True))
 
 
-def measure_more(domain: Mask, valid: Mask, found: Errors, truth: Reference) -> Measures:
+@dataclass(frozen=True)
+class Ranked:
+    """A trial's errors `[pixels]`, flat and in order: sorted once for all that needs medians of them."""
+
+    seen: Mask
+    """Pixels with an estimate and a true point."""
+    disparity_px: Array
+    distance_m: Array
+    """Signed errors."""
+    absolute_px: Array
+    off_m: Array
+    """Absolute errors."""
+    pixel_rad: float
+    """One pixel of disparity in radians."""
+    by_disparity: Indices
+    by_absolute: Indices
+    by_off: Indices
+    """Seen pixels by ascending error."""
+
+
+def ranked(valid: Mask, found: Errors, grid: Grid) -> Ranked:
+    """Sort a trial's errors."""
+    disparity, distance = found.disparity_px.ravel(), found.range_m.ravel()
+    seen = valid.ravel() & np.isfinite(disparity)
+    absolute, off = np.abs(disparity), np.abs(distance)
+    by_absolute = ascending(seen, absolute)
+    # Negative ones from the largest down, then the others up: no need to sort again.
+    negative = disparity[by_absolute] < 0
+    by_disparity = np.concatenate([by_absolute[negative][::-1], by_absolute[~negative]])
+    return Ranked(
+        seen,
+        disparity,
+        distance,
+        absolute,
+        off,
+        grid.phi_pitch,
+        by_disparity=by_disparity,
+        by_absolute=by_absolute,
+        by_off=ascending(seen, off),
+    )
+
+
+def measure_more(domain: Mask, errors: Ranked, truth: Reference) -> Measures:
     """The rest of the field's usual figures.
 
     Disparity: mean absolute error, median signed error, shares of absolute errors above 0.5, 2 and 4 px, and the values
     that 50, 90, 95 and 99 % of them do not exceed. Range: mean relative absolute error, the scale-invariant
     logarithmic error (standard deviation of `log(estimate/truth)`), and the shares with
-    `max(estimate/truth, truth/estimate)` below 1.05,
-    1.1 and 1.25.
+    `max(estimate/truth, truth/estimate)` below 1.05, 1.1 and 1.25.
     """
-    pixels = domain & valid
-    disparity = found.disparity_px[pixels]
-    if not disparity.size:
+    inside = domain.ravel()
+    chosen = errors.by_absolute[inside[errors.by_absolute]]
+    if not chosen.size:
         return dict.fromkeys(MORE)
-    true_m = truth.range_m[pixels]
-    relative = found.range_m[pixels] / true_m
-    ratio = np.abs(np.log1p(relative))
-    absolute = np.sort(np.abs(disparity))
+    absolute = errors.absolute_px[chosen]
+    relative = errors.distance_m[chosen] / truth.range_m.ravel()[chosen]
+    logarithm = np.log1p(relative)
+    ratio = np.abs(logarithm)
+    signed = errors.by_disparity[inside[errors.by_disparity]]
     quantiles = absolute[np.minimum((np.array([0.5, 0.9, 0.95, 0.99]) * absolute.size).astype(int), absolute.size - 1)]
     above = 1 - np.searchsorted(absolute, [0.5, 2, 4], side="right") / absolute.size
     within = [float(np.mean(ratio < np.log(limit))) for limit in (1.05, 1.1, 1.25)]
     values = [
         float(np.mean(absolute)),
-        float(np.median(disparity)),
+        float(np.mean(errors.disparity_px[signed[[(signed.size - 1) // 2, signed.size // 2]]])),
         *above.tolist(),
         *quantiles.tolist(),
         float(np.mean(np.abs(relative))),
-        float(np.std(np.log1p(relative))),
+        float(np.std(logarithm)),
         *within,
     ]
     return dict(zip(MORE, values, strict=True))
 
 
-def measure_by_solid_angle(domain: Mask, valid: Mask, found: Errors, grid: Grid) -> Measures:
+def measure_by_solid_angle(domain: Mask, errors: Ranked, grid: Grid) -> Measures:
     """Core figures with every pixel weighted by the solid angle that it covers, `dphi dz/(1 + z²)^(3/2)`.
 
     A panorama's pixels do not cover the sphere evenly: near its lower border they are a fifth of those at the horizon.
     """
-    weight = np.broadcast_to((1 + grid.z[:, None] ** 2) ** -1.5, grid.shape)
-    pixels = domain & valid
-    measures: Measures = {"density": _share(pixels, domain, weight)}
+    weight = np.repeat((1 + grid.z**2) ** -1.5, grid.width_px)
+    inside = domain.ravel()
+    whole, pixels = float(weight[inside].sum()), inside & errors.seen
+    measures: Measures = {"density": float(weight[pixels].sum() / whole) if whole else None}
     if not pixels.any():
         return measures | dict.fromkeys(CORE)
     w = weight[pixels] / weight[pixels].sum()
-    disparity, distance = found.disparity_px[pixels], found.range_m[pixels]
-    return measures | {
-        "disparity_median_abs_px": _weighted_median(np.abs(disparity), w),
-        "disparity_rmse_px": float(np.sqrt(w @ disparity**2)),
-        "bad_1px": float(w @ (np.abs(disparity) > 1)),
-        "range_median_abs_m": _weighted_median(np.abs(distance), w),
-        "range_mae_m": float(w @ np.abs(distance)),
-        "range_rmse_m": float(np.sqrt(w @ distance**2)),
-        "range_bias_m": float(w @ distance),
-    }
+    disparity, distance = errors.disparity_px[pixels], errors.distance_m[pixels]
+    values = [
+        _weighted_median(errors.absolute_px, weight, errors.by_absolute[inside[errors.by_absolute]]),
+        np.sqrt(np.sum(w * disparity**2)),
+        np.sum(w * (np.abs(disparity) > 1)),
+        _weighted_median(errors.off_m, weight, errors.by_off[inside[errors.by_off]]),
+        np.sum(w * np.abs(distance)),
+        np.sqrt(np.sum(w * distance**2)),
+        np.sum(w * distance),
+    ]
+    return measures | dict(zip(CORE, map(float, values), strict=True))
 
 
-def measure_regions(parts: tuple[Region, ...], valid: Mask, found: Errors) -> list[dict[str, Any]]:
+def measure_regions(layout: Layout, errors: Ranked) -> list[dict[str, Any]]:
     """Core figures and the number of pixels of each part of the picture.
 
     Returns
@@ -143,27 +189,35 @@ def measure_regions(parts: tuple[Region, ...], valid: Mask, found: Errors) -> li
     list
         Of tables: `split` (`surface`, `alpha_1`, ...), `part`, `pixels`, and the figures of `measure`.
     """
-    seen, disparity, distance = valid.ravel(), found.disparity_px.ravel(), found.range_m.ravel()
-    table = []
-    for region in parts:
-        have = region.pixels[seen[region.pixels]]
-        density = have.size / region.pixels.size
-        table.append(
-            {
-                "split": region.split,
-                "part": region.part,
-                "pixels": int(region.pixels.size),
-                "density": density,
-                **_core(disparity[have], distance[have]),
-            }
-        )
-    return table
+    groups, seen = layout.region_groups, errors.seen
+    count = counts(groups, seen)
+    columns = [
+        medians(groups, seen, count, errors.absolute_px, errors.by_absolute),
+        np.sqrt(means(groups, seen, count, errors.disparity_px**2)),
+        means(groups, seen, count, (errors.absolute_px > 1).astype(np.float64)),
+        medians(groups, seen, count, errors.off_m, errors.by_off),
+        means(groups, seen, count, errors.off_m),
+        np.sqrt(means(groups, seen, count, errors.distance_m**2)),
+        means(groups, seen, count, errors.distance_m),
+    ]
+    return [
+        {
+            "split": region.split,
+            "part": region.part,
+            "pixels": int(region.pixels.size),
+            "density": float(number / region.pixels.size),
+            **{name: float(value) if number else None for name, value in zip(CORE, values, strict=True)},
+        }
+        for region, number, values in zip(layout.regions, count, np.stack(columns, axis=1), strict=True)
+    ]
 
 
-def error_histogram(pixels: Mask, found: Errors) -> list[int]:
+def error_histogram(pixels: Mask, errors: Ranked) -> list[int]:
     """Counts of absolute disparity errors between `ERROR_EDGES_PX`; the last bin holds all larger ones."""
-    absolute = np.minimum(np.abs(found.disparity_px[pixels]), ERROR_EDGES_PX[-1])
-    return [int(count) for count in np.histogram(absolute, ERROR_EDGES_PX)[0]]
+    chosen = errors.by_absolute[pixels.ravel()[errors.by_absolute]]
+    below = np.searchsorted(errors.absolute_px[chosen], ERROR_EDGES_PX, side="left")
+    below[-1] = chosen.size
+    return [int(count) for count in np.diff(below)]
 
 
 def fraction_histogram(pixels: Mask, k: Array) -> list[int]:
@@ -171,28 +225,15 @@ def fraction_histogram(pixels: Mask, k: Array) -> list[int]:
 
     Shifted by half a bin, so that whole samples fall into the middle of the first one.
     """
-    fraction = np.mod(k[pixels] + 0.5 / FRACTION_BINS, 1.0)
-    return [int(count) for count in np.histogram(fraction, FRACTION_BINS, (0.0, 1.0))[0]]
+    bins = np.floor(k[pixels] * FRACTION_BINS + 0.5).astype(np.int64) % FRACTION_BINS
+    return [int(count) for count in np.bincount(bins, minlength=FRACTION_BINS)]
 
 
-def _share(part: Mask, whole: Mask, weight: Array | None = None) -> float | None:
-    if not whole.any():
-        return None
-    if weight is None:
-        return float(np.count_nonzero(part) / np.count_nonzero(whole))
-    return float(weight[part].sum() / weight[whole].sum())
+def _share(part: Mask, whole: Mask) -> float | None:
+    return float(np.count_nonzero(part) / np.count_nonzero(whole)) if whole.any() else None
 
 
-def _weighted_median(values: Array, weights: Array) -> float:
-    """The value (none negative) up to which half of the weight lies, without sorting them all.
-
-    The leading bits of a positive float are in its order, so they serve as bins; only the median's bin is sorted.
-    """
-    bins = values.astype(np.float32).view(np.uint32) >> np.uint32(15)
-    below = np.cumsum(np.bincount(bins, weights))
-    chosen = int(np.searchsorted(below, 0.5 * below[-1]))
-    inside = bins == chosen
-    order = np.argsort(values[inside], kind="stable")
-    reached = np.cumsum(weights[inside][order]) + (below[chosen - 1] if chosen else 0.0)
-    place = min(int(np.searchsorted(reached, 0.5 * below[-1])), order.size - 1)
-    return float(values[inside][order[place]])
+def _weighted_median(values: Array, weights: Array, order: Indices) -> float:
+    """The value up to which half of the weight lies. order : pixels by ascending value."""
+    reached = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(reached, 0.5 * reached[-1])]])

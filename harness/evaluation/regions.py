@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.evaluation.errors import MIN_SINE_ALPHA_1, Reference
+from harness.evaluation.groups import Groups, ascending, grouped
 from harness.simulation.truth import Truth
 from harness.stereo.panorama import Grid
 
@@ -45,6 +46,33 @@ class CellPixels:
     alpha_bin: int
     range_bin: int
     pixels: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All that scoring needs of the truth but the truth itself, ready for many trials of one geometry."""
+
+    regions: tuple[Region, ...]
+    cells: tuple[CellPixels, ...]
+    region_groups: Groups
+    cell_groups: Groups
+    by_range: NDArray[np.intp]
+    by_law: NDArray[np.intp]
+    """The domain's pixels in ascending order of true range, and of the law."""
+
+
+def layout(reference: Reference, truth: Truth, grid: Grid, directions_world: Array) -> Layout:
+    """Divide a picture into regions and cells; see `regions` and `cell_pixels`."""
+    parts, cells = regions(reference, truth, grid, directions_world), cell_pixels(reference)
+    domain = reference.domain.ravel()
+    return Layout(
+        regions=parts,
+        cells=cells,
+        region_groups=grouped([part.pixels for part in parts], domain.size),
+        cell_groups=grouped([part.pixels for part in cells], domain.size),
+        by_range=ascending(domain, reference.range_m.ravel()),
+        by_law=ascending(domain, reference.law.ravel()),
+    )
 
 
 def regions(reference: Reference, truth: Truth, grid: Grid, directions_world: Array) -> tuple[Region, ...]:

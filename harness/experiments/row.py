@@ -6,12 +6,13 @@ import numpy as np
 
 from harness.evaluation.cells import cells
 from harness.evaluation.metrics import (
+    CORE,
     error_histogram,
     fraction_histogram,
-    measure,
     measure_by_solid_angle,
     measure_more,
     measure_regions,
+    ranked,
 )
 from harness.experiments.trial import Outcome
 
@@ -25,22 +26,29 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor.
     """
-    truth, found, valid = outcome.reference, outcome.errors, outcome.valid
-    grid = outcome.trial.panorama
-    wall, floor = truth.domain & truth.wall, truth.domain & ~truth.wall
-    surfaces = {"wall": wall, "floor": floor}
+    truth, grid = outcome.reference, outcome.trial.panorama
+    errors = ranked(outcome.valid, outcome.errors, grid)
+    surfaces = {"wall": truth.domain & truth.wall, "floor": truth.domain & ~truth.wall}
+    scored = {where: mask & outcome.valid for where, mask in surfaces.items()}
+    regions = measure_regions(outcome.layout, errors)
+    everywhere = truth.domain & outcome.valid
     return {
         "figures": {
-            **measure(truth.domain, valid, found),
-            **measure_more(truth.domain, valid, found, truth),
-            **{f"{where}_{k}": v for where, mask in surfaces.items() for k, v in measure(mask, valid, found).items()},
-            **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(truth.domain, valid, found, grid).items()},
-            "refined": float(np.mean(outcome.matches.refined[truth.domain & valid]))
-            if (truth.domain & valid).any()
-            else None,
+            **_figures(regions, "visible in both views"),
+            **measure_more(truth.domain, errors, truth),
+            **{f"wall_{k}": v for k, v in _figures(regions, "wall").items()},
+            **{f"floor_{k}": v for k, v in _figures(regions, "floor or ceiling").items()},
+            **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(truth.domain, errors, grid).items()},
+            "refined": float(np.mean(outcome.matches.refined[everywhere])) if everywhere.any() else None,
         },
-        "regions": measure_regions(outcome.regions, valid, found),
-        "cells": cells(outcome.cells, truth, found, valid, outcome.trial.view_2.baseline_m),
-        "errors": {where: error_histogram(mask & valid, found) for where, mask in surfaces.items()},
-        "fractions": {where: fraction_histogram(mask & valid, outcome.matches.k) for where, mask in surfaces.items()},
+        "regions": regions,
+        "cells": cells(outcome.layout, truth, errors, outcome.trial.view_2.baseline_m),
+        "errors": {where: error_histogram(mask, errors) for where, mask in scored.items()},
+        "fractions": {where: fraction_histogram(mask, outcome.matches.k) for where, mask in scored.items()},
     }
+
+
+def _figures(regions: list[dict[str, Any]], part: str) -> dict[str, float | None]:
+    """The core figures of one region; None each where the picture has no such part."""
+    region: dict[str, Any] = next((each for each in regions if each["part"] == part), {})
+    return {name: region.get(name) for name in ("density", *CORE)}

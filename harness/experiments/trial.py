@@ -17,7 +17,7 @@ from harness.camera.sensor import in_field
 from harness.errors import InputError
 from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
-from harness.evaluation.regions import CellPixels, Region, cell_pixels, regions
+from harness.evaluation.regions import CellPixels, Layout, Region, layout
 from harness.experiments.kept import Kept
 from harness.experiments.spec import Trial
 from harness.simulation.fingerprint import fingerprint
@@ -53,8 +53,7 @@ class Outcome:
     reason: NDArray[np.uint8]
     """`Reason`: why there is no range."""
     reference: Reference
-    regions: tuple[Region, ...]
-    cells: tuple[CellPixels, ...]
+    layout: Layout
     errors: Errors
     seconds: dict[str, float]
     """Wall time of each stage, in the order of the pipeline."""
@@ -63,6 +62,16 @@ class Outcome:
     def valid(self) -> NDArray[np.bool_]:
         """Pixels with an estimate of the range."""
         return np.isfinite(self.range_m)
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """The parts of the picture that errors are reported by."""
+        return self.layout.regions
+
+    @property
+    def cells(self) -> tuple[CellPixels, ...]:
+        """The cells of surface, direction and range."""
+        return self.layout.cells
 
     def measures(self, domain: NDArray[np.bool_]) -> Measures:
         """The figures of this trial over some pixels."""
@@ -173,7 +182,7 @@ def run_trial(
         lost = np.isnan(range_m) & (matches.reason == Reason.MATCHED)
         reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reason)
     with clock("score"):
-        expected, parts, cells = kept.get(
+        expected, parts = kept.get(
             "reference",
             (scene, trial.sensor, poses, grid, trial.matching.sampling, trial.matching.pitch_px),
             lambda: _expected(seen, directions, poses[0], grid, whole.curves),
@@ -190,8 +199,7 @@ def run_trial(
         range_m=range_m,
         reason=reason,
         reference=expected,
-        regions=parts,
-        cells=cells,
+        layout=parts,
         errors=found,
         seconds=clock.seconds,
     )
@@ -206,13 +214,10 @@ def _check_view(scene: Scene, pose: Pose, key: str) -> None:
         raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
 
 
-def _expected(
-    seen: Truth, directions: Array, pose: Pose, grid: Grid, curves: Curves
-) -> tuple[Reference, tuple[Region, ...], tuple[CellPixels, ...]]:
+def _expected(seen: Truth, directions: Array, pose: Pose, grid: Grid, curves: Curves) -> tuple[Reference, Layout]:
     """All that scoring needs of the truth."""
     expected = reference(seen, directions, curves)
-    parts = regions(expected, seen, grid, directions @ pose.R_world_from_view.T)
-    return expected, parts, cell_pixels(expected)
+    return expected, layout(expected, seen, grid, directions @ pose.R_world_from_view.T)
 
 
 class _Clock:

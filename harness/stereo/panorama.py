@@ -111,23 +111,25 @@ def unwrap(
             f"the image is {image.shape}, the sensor {(camera.height_px, camera.width_px)} (rows, columns)"
         )
     rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
-    pixels, in_view = _sampling_table(sensor, grid, rotation.tobytes())
-    seen = pixel_directions(sensor)[1]
     order = {"bilinear": 1, "cubic": 3}[interpolation]
+    coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
     # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
-    source = image if order == 1 else _extend(image, seen)
-    coordinates = np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1)
+    source = image if order == 1 else _extend(image, pixel_directions(sensor)[1])
     values = ndimage.map_coordinates(source, coordinates, order=order, mode="nearest", output=np.float32)
-    valid = in_view & _all_taps_seen(seen, coordinates, order)
     values.flags.writeable = False
-    valid.flags.writeable = False
     return Panorama(grid, values, valid)
 
 
-@lru_cache(maxsize=16)
-def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
+@lru_cache(maxsize=8)
+def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Where on the mirror image each pixel of the panorama is sampled, (rows, columns), and whether it can be."""
     R = np.frombuffer(rotation).reshape(3, 3)
-    return project(sensor, cylinder(grid) @ R.T)
+    pixels, in_view = project(sensor, cylinder(grid) @ R.T)
+    coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
+    valid = in_view & _all_taps_seen(pixel_directions(sensor)[1], coordinates, order)
+    coordinates.flags.writeable = False
+    valid.flags.writeable = False
+    return coordinates, valid
 
 
 def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
