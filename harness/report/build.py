@@ -1,6 +1,5 @@
 """Assembles the report: one HTML file that needs nothing else."""
 
-import json
 from dataclasses import dataclass
 from string import ascii_lowercase
 from typing import Any
@@ -9,17 +8,30 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
-from harness.experiments.experiment import text_of
 from harness.experiments.run import Result
 from harness.experiments.trial import Outcome
-from harness.report import curve, distributions, images, law, maps, profiles, theme, words
+from harness.report import (
+    curve,
+    distributions,
+    downloads,
+    images,
+    law,
+    law_sections,
+    locking,
+    maps,
+    measures,
+    profiles,
+    regions,
+    sweeps,
+    theme,
+    words,
+)
 from harness.report.curve import Curve
 from harness.report.methods import Method, methods_of
+from harness.report.statistics import FEW_SEEDS
+from harness.report.sweep import Sweep, sweep_of, value_text
 from harness.report.theme import Picture
 from harness.spec import dump_toml
-
-MOST_TRIALS = 60
-"""Rows of the tables of trials; a sweep of thousands is not read on a page."""
 
 
 @dataclass(frozen=True)
@@ -46,39 +58,107 @@ class Figures:
 def build_report(result: Result) -> str:
     """The report of a finished experiment as HTML text, the same for the same result.
 
-    The axes may be any: the report is about the trials in detail, one of each method, and lists all trials in a table.
+    What is said of all trials comes from their rows. The base trial is shown in detail, once for each method.
     """
     methods = methods_of(result.outcomes)
     outcome = methods[0].outcome
     reference = outcome.reference
-    trials = _trials(result)
+    swept = sweep_of(result)
+    column_deg = float(np.degrees(outcome.trial.panorama.phi_pitch))
     with theme.style():
         figures = draw(methods)
-    return _template().render(
+        over_all = _over_all_trials(result, swept, methods, column_deg)
+    return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
         trial=outcome.trial,
         methods=methods,
         places=_places(result, methods),
         abstract=list(words.abstract(result, methods)),
+        overview=list(words.overview(result, swept)),
         columns=words.COLUMNS,
-        trials=trials,
-        most_trials=MOST_TRIALS,
-        varied=_varied(trials),
+        varied=_varied(result),
         figures=figures,
+        downloads=downloads.of_base_trial(methods, figures.search, figures.row),
         min_sine=MIN_SINE_ALPHA_1,
         toward=_azimuth_of_t(outcome),
         domain_px=int(reference.domain.sum()),
         domain_share=float(reference.domain.mean()),
         wall_px=int((reference.domain & reference.wall).sum()),
-        column_deg=float(np.degrees(outcome.trial.panorama.phi_pitch)),
+        column_deg=column_deg,
         law=law,
         example=law.worked_example(),
         within=[law.within_steps(method.outcome, method.label) for method in methods],
         settings=words.settings(outcome.trial),
         toml=dump_toml(result.experiment),
-        stages=list(dict.fromkeys(stage for each in trials for stage in each["seconds"])),
+        sweep=swept,
+        surfaces=sweeps.SURFACES,
+        few_seeds=len(swept.seeds) < FEW_SEEDS,
+        sections=_sections(result, swept, over_all),
+        **over_all,
     )
+
+
+def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column_deg: float) -> dict[str, Any]:
+    """Figures and tables that are made from the rows of all trials."""
+    figures = sweeps.swept_figures(swept, column_deg)
+    locking_pictures, locking_data, near = locking.histograms(swept)
+    region_pictures, regions_table = regions.over_trials(swept)
+    found: dict[str, Any] = {
+        "swept": figures,
+        "swept_key": sweeps.key_picture(swept, laws=any(each.law for each in figures)),
+        "line_key": sweeps.key_picture(swept, laws=False),
+        "locking": locking_pictures,
+        "locking_data": locking_data,
+        "near": near,
+        "regions": region_pictures,
+        "regions_table": regions_table,
+        "regions_base": regions.of_base_trial(methods),
+        "measures": measures.all_measures(swept),
+        "failures": measures.failures(result),
+        "durations": measures.durations(result),
+        "findings": [],
+    }
+    tested = result.summary.get("law")
+    if tested:
+        found |= {
+            "findings": law_sections.findings(swept, tested),
+            "geometry": law_sections.geometry(),
+            "images": law_sections.images(swept, tested["images"]),
+            "decomposition": law_sections.decomposition(swept, tested, column_deg),
+        }
+    return found
+
+
+def _sections(result: Result, swept: Sweep, over_all: dict[str, Any]) -> dict[str, str]:
+    """Identifiers and titles, in the order of the page."""
+    of_all = {
+        "sweeps": "Errors over every axis" if swept.axes else "Errors over the range",
+        "locking": "Pixel locking",
+        "regions": "Errors by region",
+        "measures": "All figures",
+    }
+    if not over_all["swept"]:
+        del of_all["sweeps"]
+    if over_all["findings"]:
+        of_all = {
+            "verdict": "The law of the range error, tested",
+            "law-geometry": "The law: geometry alone",
+            "law-images": "The law: images",
+            "law-decomposition": "The law: decomposition",
+        } | of_all
+    of_base = {
+        "comparison": "The base trial: methods compared" if swept.several else "Comparison of methods",
+        "data": "From scene to filtered panorama",
+        "matching": "Matching along one curve",
+        "profiles": "Range profiles",
+        "maps": "Range-error maps",
+        "distributions": "Error distributions",
+        "law": "The law of the range error: worked example" if over_all["findings"] else "The law of the range error",
+    }
+    last = {"failures": "Failures"} if result.summary["trials"]["failed"] else {}
+    last |= {"settings": "Settings", "environment": "Provenance and durations"}
+    return (of_all | of_base if swept.several else of_base | of_all) | last
 
 
 def draw(methods: list[Method]) -> Figures:
@@ -110,7 +190,8 @@ def draw(methods: list[Method]) -> Figures:
     )
 
 
-def _template() -> Template:
+def template(name: str) -> Template:
+    """A template of a whole page; its figures and tables are numbered from 1."""
     environment = Environment(
         loader=PackageLoader("harness.report"),
         autoescape=True,
@@ -119,7 +200,7 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     environment.filters["figure"] = words.figure
-    return environment.get_template("report.html.j2")
+    return environment.get_template(name)
 
 
 def _azimuth_of_t(outcome: Outcome) -> float | None:
@@ -139,24 +220,10 @@ def _places(result: Result, methods: list[Method]) -> list[tuple[Method, str]]:
     ]
 
 
-def _trials(result: Result) -> list[dict[str, Any]]:
-    """Key, place, durations, and measures on all its own wall pixels, of every trial; why, of one that failed."""
-    return [
-        {
-            "key": row.planned.key,
-            "place": {key: text_of(value) for key, value in row.place.items()},
-            "seconds": json.loads(row.finished.seconds),
-            "walls": {
-                name.removeprefix("wall_"): value
-                for name, value in row.finished.figures.items()
-                if name.startswith("wall_")
-            },
-            "failed": row.finished.message if row.state == "failed" else "",
-        }
-        for row in result.rows
-    ]
-
-
-def _varied(trials: list[dict[str, Any]]) -> dict[str, list[str]]:
+def _varied(result: Result) -> dict[str, list[str]]:
     """The keys that vary between trials, and the values that each takes."""
-    return {key: list(dict.fromkeys(each["place"][key] for each in trials)) for key in trials[0]["place"]}
+    found: dict[str, dict[str, None]] = {}
+    for row in result.rows:
+        for key, value in row.place.items():
+            found.setdefault(key, {})[value_text(value)] = None
+    return {key: list(values) for key, values in found.items()}

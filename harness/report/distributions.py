@@ -1,5 +1,8 @@
 """How errors are distributed."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, PercentFormatter
@@ -12,6 +15,7 @@ from harness.report.theme import HALF, Picture
 
 _POINTS = 300
 """Points of a cumulative curve: more cannot be seen at its size."""
+SIGNED_EDGES_PX = np.linspace(-1.5, 1.5, 121)
 
 
 def cumulative(methods: list[Method]) -> list[Picture]:
@@ -30,7 +34,7 @@ def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
     there = common(methods) & reference.domain & (reference.wall == wall)
     surface = "wall" if wall else "floor or ceiling"
     means = []
-    edges = np.linspace(-1.5, 1.5, 121)
+    edges = SIGNED_EDGES_PX
     for method in methods:
         error = method.outcome.errors.disparity_px[there]
         if error.size:
@@ -49,6 +53,37 @@ def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
         theme.note(ax, f"no {surface} pixel has an estimate")
     alt = f"Histogram of the signed disparity error of {surface} pixels: {'; '.join(means) or 'no estimate'}."
     return theme.picture(fig, alt, title)
+
+
+def curves(methods: list[Method]) -> Iterator[list[Any]]:
+    """The numbers of the cumulative distributions, a hundred points a curve."""
+    reference = methods[0].outcome.reference
+    found = common(methods) & reference.domain
+    share = np.linspace(0, 1, 101)
+    for name, unit in (("disparity_px", "disparity_px"), ("range_m", "range_m")):
+        for where, surface in ((reference.wall, "wall"), (~reference.wall, "floor")):
+            for method in methods:
+                error = np.abs(getattr(method.outcome.errors, name)[found & where])
+                if error.size:
+                    values = np.quantile(error, share, method="inverted_cdf")
+                    yield from (
+                        ["at_most", unit, method.key, surface, *each] for each in zip(values, share, strict=True)
+                    )
+
+
+def histograms(methods: list[Method]) -> Iterator[list[Any]]:
+    """The numbers of the histograms of signed errors; the value is the middle of a bin."""
+    reference = methods[0].outcome.reference
+    for wall, surface in ((True, "wall"), (False, "floor")):
+        there = common(methods) & reference.domain & (reference.wall == wall)
+        for method in methods:
+            error = method.outcome.errors.disparity_px[there]
+            if error.size:
+                share = np.histogram(error, SIGNED_EDGES_PX)[0] / error.size
+                middle = (SIGNED_EDGES_PX[:-1] + SIGNED_EDGES_PX[1:]) / 2
+                yield from (
+                    ["signed", "disparity_px", method.key, surface, *each] for each in zip(middle, share, strict=True)
+                )
 
 
 def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title: str, label: str) -> Picture:

@@ -1,5 +1,6 @@
 """The law of the range error: the paper's worked example, and what was measured."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,10 @@ from harness.stereo.ranging import exact_alpha_2, paper_law, sensitivity_to_alph
 
 BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
 """The paper's worked example (section 6): half a metre of baseline, a wall 3 m away, one degree."""
+
+
+EDGES_DEG = np.arange(30.0, 151.0, 10.0)
+"""Of the bins of alpha_1."""
 
 
 @dataclass(frozen=True)
@@ -95,21 +100,14 @@ def measured_chart(methods: list[Method]) -> Picture:
     """Measured errors over alpha_1 beside what rounding to whole samples predicts."""
     fig = theme.figure(HALF, 320)
     ax = theme.axes(fig, 58, 12, HALF - 70, 258)
-    reference = methods[0].outcome.reference
-    edges = np.arange(30.0, 151.0, 10.0)
-    middle = (edges[:-1] + edges[1:]) / 2
+    middle = (EDGES_DEG[:-1] + EDGES_DEG[1:]) / 2
     told = []
     for method in methods:
-        there = _walls(method.outcome)
-        angle = np.degrees(reference.alpha_1[there])
-        median = _binned(angle, 1000 * np.abs(method.outcome.errors.range_m[there]), edges)
+        median = _measured(method)
         ax.plot(middle, median, "o-", color=method.colour, markersize=4, label=f"measured, {method.label}")
         if np.isfinite(median).any():
             told.append(f"{method.label} between {np.nanmin(median):.0f} and {np.nanmax(median):.0f} mm")
-    there = _walls(methods[0].outcome)
-    expected = 500 * reference.law[there] * reference.half_step[there]
-    level = _binned(np.degrees(reference.alpha_1[there]), expected, edges)
-    ax.plot(middle, level, color=FAINT, linestyle=(0, (4, 2)), label=r"law $\times$ ¼ step")
+    ax.plot(middle, _expected(methods[0]), color=FAINT, linestyle=(0, (4, 2)), label=r"law $\times$ ¼ step")
     ax.set_xlim(30, 150)
     ax.set_xticks(range(30, 151, 20))
     ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
@@ -124,6 +122,32 @@ def measured_chart(methods: list[Method]) -> Picture:
         "beside the median that rounding to the nearest whole sample alone would give."
     )
     return theme.picture(fig, alt, "(b) measured on walls")
+
+
+def numbers(methods: list[Method]) -> Iterator[list[object]]:
+    """What both charts draw: what it is, alpha_1 in degrees, metres."""
+    angle = np.arange(10.0, 171.0, 2.0)
+    short = float(paper_law(RANGE_M, BASELINE_M) * np.radians(ERROR_DEG))
+    yield from (["example_exact", *each] for each in zip(angle, _exact(angle), strict=True))
+    yield from (["example_short_form", each, short] for each in angle)
+    middle = (EDGES_DEG[:-1] + EDGES_DEG[1:]) / 2
+    for method in methods:
+        yield from ([f"measured_{method.key}", *each] for each in zip(middle, _measured(method) / 1000, strict=True))
+    yield from (["law_times_quarter_step", *each] for each in zip(middle, _expected(methods[0]) / 1000, strict=True))
+
+
+def _measured(method: Method) -> Array:
+    """Median absolute range error on walls in each bin of alpha_1, millimetres."""
+    there = _walls(method.outcome)
+    angle = np.degrees(method.outcome.reference.alpha_1[there])
+    return _binned(angle, 1000 * np.abs(method.outcome.errors.range_m[there]), EDGES_DEG)
+
+
+def _expected(method: Method) -> Array:
+    """The law times a quarter of a step on walls in each bin of alpha_1, millimetres."""
+    there, reference = _walls(method.outcome), method.outcome.reference
+    expected = 500 * reference.law[there] * reference.half_step[there]
+    return _binned(np.degrees(reference.alpha_1[there]), expected, EDGES_DEG)
 
 
 def _exact(alpha_1_deg: Array) -> Array:

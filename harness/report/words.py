@@ -1,5 +1,6 @@
 """Numbers in words and cells. What is said here follows from the numbers, and says no more than they do."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 from harness.experiments.run import Result
 from harness.experiments.spec import Trial
 from harness.report.methods import Method
+from harness.report.sweep import Sweep
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,11 @@ def figure(value: float, form: str) -> str:
     return text.replace("-", "−")
 
 
+def typeset(text: str) -> str:
+    """Plain text with true minus signs, and a space before each percent sign."""
+    return re.sub(r"(?<=\d)%", "\u00a0%", re.sub(r"(?<![\w.])-(?=[\d.])", "−", text))
+
+
 def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
     """Sentences for the head of the report."""
     trial = methods[0].outcome.trial
@@ -60,6 +67,23 @@ def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
     walls, everything = result.summary["comparison_wall"], result.summary["comparison"]
     yield from _compared("On wall pixels", walls, methods)
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
+
+
+def overview(result: Result, sweep: Sweep) -> Iterator[str]:
+    """What was varied, and how much of it is done."""
+    counts = result.summary["trials"]
+    axes = [f"{axis.label} ({_few(axis.texts)})" for axis in sweep.axes]
+    ways = ", ".join(way.label for way in sweep.ways)
+    over = f" over {'; '.join(axes)}" if axes else ""
+    seeds = f", {len(sweep.seeds)} seeds" if len(sweep.seeds) > 1 else ""
+    yield f"{counts['done']} trials{over}{seeds}; methods: {ways}."
+    if counts["done"] < counts["total"]:
+        failed = f", {counts['failed']} of them failed" if counts["failed"] else ""
+        yield f"{counts['total'] - counts['done']} of {counts['total']} trials are missing{failed}."
+
+
+def _few(texts: list[str]) -> str:
+    return ", ".join(texts) if len(texts) <= 8 else f"{len(texts)} values from {texts[0]} to {texts[-1]}"
 
 
 def _compared(where: str, measures: dict[str, Any], methods: list[Method], *, gross: bool = False) -> Iterator[str]:

@@ -1,0 +1,112 @@
+"""The numbers behind figures and tables: CSV inside the page, and cells that sort by their values."""
+
+import csv
+import io
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from harness.report.words import figure
+
+
+@dataclass(frozen=True)
+class Data:
+    """A table of plain numbers to download."""
+
+    name: str
+    """Of the file, without its ending."""
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+    @cached_property
+    def csv(self) -> str:
+        """Five significant digits; nothing where there is no number."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(self.headings)
+        writer.writerows([_plain(value) for value in row] for row in self.rows)
+        return stream.getvalue()
+
+    @property
+    def address(self) -> str:
+        """A data URI."""
+        return f"data:text/csv;charset=utf-8;base64,{b64encode(self.csv.encode()).decode()}"
+
+    @property
+    def size(self) -> str:
+        """For people."""
+        return f"{max(1, round(len(self.csv.encode()) / 1000))}\u00a0kB"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float | np.floating):
+        return f"{value:.5g}" if np.isfinite(value) else ""
+    return "" if value is None else value
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Of a column."""
+
+    name: str
+    unit: str = ""
+    text: bool = False
+    """Words, not numbers: set flush left."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a table shows, and what it sorts by."""
+
+    text: str
+    value: float | str | None = None
+    """None sorts last."""
+    colour: str = ""
+    """Of a method's key beside the text."""
+    below: str = ""
+    """A second, smaller line."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table for the page; its numbers may be downloaded in full."""
+
+    headings: list[Heading]
+    rows: list[list[Cell]]
+    data: Data | None = None
+    left_out: int = 0
+    """Rows that are in the data only."""
+
+
+def words(text: str, colour: str = "") -> Cell:
+    """A cell of text."""
+    return Cell(text, text, colour)
+
+
+def number(value: float | None, form: str, scale: float = 1.0, between: tuple[float, float] | None = None) -> Cell:
+    """A cell of a number, with its interval below it; a dash where there is none."""
+    if value is None or not np.isfinite(value):
+        return Cell("–")
+    below = "" if between is None else interval(between, form, scale)
+    return Cell(figure(scale * value, form), scale * value, below=below)
+
+
+def interval(between: tuple[float, float] | Sequence[float], form: str, scale: float = 1.0) -> str:
+    """`[low, high]`, not to be broken over lines."""
+    low, high = (figure(scale * each, form) for each in between)
+    return f"[{low},\u00a0{high}]"
+
+
+def count(value: int) -> Cell:
+    """A cell of a whole number."""
+    return Cell(f"{value:,}".replace(",", "\u202f"), value)
+
+
+def listed(names: Iterable[str], last: str = "and") -> str:
+    """Names in a row of words."""
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}" if names else "none"

@@ -1,0 +1,238 @@
+"""Errors by part of the picture, per pixel and per solid angle."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.report import theme
+from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.report.methods import Method
+from harness.report.statistics import mean_over_seeds, weighted_median
+from harness.report.sweep import Sweep, Way
+from harness.report.theme import WIDE, Picture
+
+SPLITS = {
+    "visibility": "Visibility",
+    "surface": "Surface",
+    "kind": "Kind of place",
+    "alpha_1": "Angle to the baseline α₁",
+    "elevation": "Elevation",
+    "range": "True range",
+}
+_MEASURES = (
+    ("disparity_median_abs_px", "Disparity, median |error|", "px", ".3f", 1.0),
+    ("bad_1px", "Error above 1\u00a0px", "%", ".1f", 100.0),
+    ("range_median_abs_m", "Range, median |error|", "mm", ".1f", 1000.0),
+)
+_KEYS = ("density", *(name for name, *_ in _MEASURES))
+
+
+@dataclass(frozen=True)
+class _Part:
+    split: str
+    part: str
+
+
+def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
+    """Means over all trials of each way, with intervals by bootstrap over seeds."""
+    records = [
+        {"way": (matcher, subpixel), "seed": seed, "trial": index, **region}
+        for index, (matcher, subpixel, seed, payload) in enumerate(
+            zip(sweep.trials["matcher"], sweep.trials["subpixel"], sweep.trials["seed"], sweep.payloads, strict=True)
+        )
+        for region in payload["regions"]
+    ]
+    table = pd.DataFrame(records)
+    table["part"] = [_part_text(part) for part in table["part"]]
+    parts = _ordered(table)
+    rows: list[list[Cell]] = []
+    plain: list[list[Any]] = []
+    curves: dict[tuple[Way, str], dict[_Part, tuple[float, float, float]]] = {}
+    for way in sweep.ways:
+        mine = table[[pair == (way.matcher, way.subpixel) for pair in table["way"]]]
+        for key in _KEYS:
+            values = mine.assign(value=pd.to_numeric(mine[key])).pivot_table(
+                index=["seed", "trial"], columns=["split", "part"], values="value", aggfunc="mean"
+            )
+            if values.empty:
+                continue
+            curve = mean_over_seeds(values, logarithmic="median" in key)
+            for place, *found in zip(curve.x, curve.mean, curve.low, curve.high, strict=True):
+                mean, low, high = map(float, found)
+                curves.setdefault((way, key), {})[_Part(*place)] = (mean, low, high)  # type: ignore[misc]
+    pixels = table.groupby(["split", "part"])["pixels"].mean()
+    for part in parts:
+        for way in sweep.ways:
+            figures = {key: curves[way, key][part] for key in _KEYS if part in curves.get((way, key), {})}
+            if not figures:
+                continue
+            rows.append(
+                [
+                    words(SPLITS.get(part.split, part.split)),
+                    words(part.part.replace("-", "−")),
+                    words(way.label, way.colour),
+                    count(round(float(pixels[part.split, part.part]))),
+                    _cell(figures.get("density"), ".1f", 100),
+                    *(_cell(figures.get(name), form, scale) for name, _, _, form, scale in _MEASURES),
+                ]
+            )
+            plain.append([way.matcher, way.subpixel, part.split, part.part])
+            for key in _KEYS:
+                plain[-1] += figures.get(key, (np.nan,) * 3)
+    headings = [f"{key}{end}" for key in _KEYS for end in ("", "_ci95_low", "_ci95_high")]
+    data = Data("regions", ["matcher", "subpixel", "split", "part", *headings], plain)
+    head = [
+        Heading("Split", text=True),
+        Heading("Part", text=True),
+        Heading("Method", text=True),
+        Heading("Pixels", "mean"),
+        Heading("Density", "%"),
+    ]
+    head += [Heading(name, unit) for _, name, unit, _, _ in _MEASURES]
+    return [_picture(sweep, parts, curves)], Table(head, rows, data)
+
+
+def _cell(found: tuple[float, float, float] | None, form: str, scale: float) -> Cell:
+    if found is None:
+        return Cell("–")
+    mean, low, high = found
+    return number(mean, form, scale, (low, high) if np.isfinite(low) else None)
+
+
+def _part_text(part: str) -> str:
+    """A range without an end in words."""
+    low, to, high = part.partition(" to inf")
+    return f"over {low}{high}" if to else part
+
+
+def _ordered(table: pd.DataFrame) -> list[_Part]:
+    """Parts in the order in which trials name them; those of one split together, ranges and angles ascending."""
+    found = list(dict.fromkeys(zip(table["split"], table["part"], strict=True)))
+    splits = list(dict.fromkeys([*SPLITS, *(split for split, _ in found)]))
+
+    def place(each: tuple[str, str]) -> tuple[int, float, int]:
+        split, part = each
+        first = part.removeprefix("over ").split(" ")[0]
+        try:
+            lowest = float(first)
+        except ValueError:
+            lowest = 0.0
+        return splits.index(split), lowest, found.index(each)
+
+    return [_Part(*each) for each in sorted(found, key=place)]
+
+
+def _picture(
+    sweep: Sweep, parts: list[_Part], curves: dict[tuple[Way, str], dict[_Part, tuple[float, float, float]]]
+) -> Picture:
+    """Dots in lines, one line a part."""
+    gaps = np.cumsum([0.0, *(1.9 if a.split != b.split else 1.0 for a, b in pairwise(parts))])
+    height = round(17 * (gaps[-1] + 1) + 110)
+    fig = theme.figure(WIDE, height)
+    axes = [theme.axes(fig, 260, 40, 360, height - 86), theme.axes(fig, 650, 40, 360, height - 86)]
+    for ax, (key, label, scale) in zip(
+        axes,
+        (
+            ("disparity_median_abs_px", "median |disparity error| (px)", 1.0),
+            ("range_median_abs_m", "median |range error| (mm)", 1000.0),
+        ),
+        strict=True,
+    ):
+        seen = []
+        for index, way in enumerate(sweep.ways):
+            found = curves.get((way, key), {})
+            shift = 0.16 * (index - (len(sweep.ways) - 1) / 2)
+            y = np.array([gaps[i] + shift for i, part in enumerate(parts) if part in found])
+            values = scale * np.array([found[part] for part in parts if part in found]).reshape(-1, 3)
+            ax.hlines(y, values[:, 1], values[:, 2], color=way.colour, linewidth=1.2)
+            ax.plot(
+                values[:, 0], y, way.marker, color=way.colour, markersize=4.6, markerfacecolor=way.face, label=way.label
+            )
+            seen.append(values[values > 0])
+        known = np.concatenate([np.array([]), *seen])
+        known = known[np.isfinite(known)]
+        if known.size:
+            theme.logarithmic(ax, "x", float(known.min()) / 1.2, float(known.max()) * 1.2, most=7)
+        ax.set_ylim(gaps[-1] + 0.7, -0.7)
+        ax.set_yticks(gaps)
+        ax.grid(color="#E8E8E8", linewidth=0.5)
+        ax.set_axisbelow(True)
+        ax.tick_params(axis="y", length=0, labelleft=ax is axes[0])
+        ax.set_xlabel(label)
+    axes[0].set_yticklabels([_name(part) for part in parts])
+    axes[0].legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncol=len(sweep.ways),
+        columnspacing=1.4,
+        borderaxespad=0.3,
+        handletextpad=0.3,
+    )
+    worst = [
+        f"{way.label} largest for {_name(max(found, key=lambda part: found[part][0]))}"
+        for (way, key), found in curves.items()
+        if key == "range_median_abs_m" and found
+    ]
+    return theme.picture(
+        fig, f"Median disparity and range errors in {len(parts)} parts of the picture; range error: {'; '.join(worst)}."
+    )
+
+
+def _name(part: _Part) -> str:
+    prefix = {"alpha_1": "α₁ ", "elevation": "elevation ", "range": "range "}.get(part.split, "")
+    return f"{prefix}{part.part}".replace("-", "−").replace("α₁", r"$\alpha_1$")
+
+
+def of_base_trial(methods: list[Method]) -> Table:
+    """The trials that the report shows in detail: every part per pixel and per solid angle."""
+    outcome = methods[0].outcome
+    grid = outcome.trial.panorama
+    solid_angle = np.broadcast_to((1 + grid.z[:, None] ** 2) ** -1.5, grid.shape).ravel()
+    head = [Heading("Split", text=True), Heading("Part", text=True), Heading("Method", text=True), Heading("Pixels")]
+    head += [Heading("Density", "% of pixels"), Heading("Density", "% of solid angle")]
+    for _, name, unit, _, _ in _MEASURES:
+        head += [Heading(name, f"{unit}, per pixel"), Heading(name, f"{unit}, per solid angle")]
+    rows: list[list[Cell]] = []
+    plain: list[list[Any]] = []
+    for region in outcome.regions:
+        for method in methods:
+            weights = solid_angle[region.pixels]
+            figures = [_measured(method, region.pixels, w) for w in (np.ones_like(weights), weights)]
+            part = _part_text(region.part)
+            rows.append(
+                [
+                    words(SPLITS.get(region.split, region.split)),
+                    words(part.replace("-", "−")),
+                    words(method.label, method.colour),
+                    count(region.pixels.size),
+                    *(number(measures["density"], ".1f", 100) for measures in figures),
+                ]
+            )
+            plain.append([region.split, part, method.key, region.pixels.size, float(weights.sum())])
+            plain[-1] += [measures["density"] for measures in figures]
+            for key, _, _, form, scale in _MEASURES:
+                rows[-1] += [number(measures[key], form, scale) for measures in figures]
+                plain[-1] += [measures[key] for measures in figures]
+    headings = ["split", "part", "method", "pixels", "solid_angle_weight", "density", "density_solid_angle"]
+    headings += [f"{key}{end}" for key, *_ in _MEASURES for end in ("", "_solid_angle")]
+    return Table(head, rows, Data("regions-base-trial", headings, plain))
+
+
+def _measured(method: Method, pixels: NDArray[np.intp], weights: Array) -> dict[str, float]:
+    """The figures of the columns with every pixel counted by its weight."""
+    outcome = method.outcome
+    seen = outcome.valid.ravel()[pixels]
+    disparity = np.abs(outcome.errors.disparity_px.ravel()[pixels][seen])
+    distance = np.abs(outcome.errors.range_m.ravel()[pixels][seen])
+    w = weights[seen]
+    return {
+        "density": float(w.sum() / weights.sum()),
+        "disparity_median_abs_px": weighted_median(disparity, w),
+        "bad_1px": float(w[disparity > 1].sum() / w.sum()) if w.size else np.nan,
+        "range_median_abs_m": weighted_median(distance, w),
+    }

@@ -1,0 +1,193 @@
+"""A sweep as tables: its methods, its axes, and the figures of all its trials."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.experiments.experiment import text_of
+from harness.experiments.run import Result
+from harness.report import theme
+
+NOT_AN_AXIS = ("seed", "matching.kind", "matching.subpixel")
+"""Keys that vary, but are averaged over or drawn as methods."""
+
+_NAMES = {
+    "view_2.baseline_m": ("baseline |t|", "m"),
+    "matching.window_px": ("window", "px"),
+    "noise.sigma_grey": ("noise σ", "grey levels"),
+    "filter.log_sigma_px": ("LoG σ", "px"),
+    "scene.objects.0.size_m": ("size of the first object", "m"),
+}
+_STEPS = {"none": ("pixel level", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
+_STROKES: tuple[tuple[Any, str], ...] = (
+    ("solid", "o"),
+    ((0, (4, 1.8)), "s"),
+    ((0, (1, 1.3)), "^"),
+    ((0, (5, 1.5, 1, 1.5)), "D"),
+)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to match, a matcher with a sub-pixel step: colours stand for the step, strokes for the matcher."""
+
+    matcher: str
+    subpixel: str
+    label: str
+    colour: str
+    stroke: Any
+    marker: str
+    filled: bool
+
+    def of(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Its rows of a table with the columns `matcher` and `subpixel`."""
+        return table[(table["matcher"] == self.matcher) & (table["subpixel"] == self.subpixel)]
+
+    @property
+    def face(self) -> str:
+        """The colour inside its markers."""
+        return self.colour if self.filled else theme.PAPER
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A setting that varies."""
+
+    key: str
+    values: list[Any]
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return _NAMES.get(self.key, (self.key, ""))[0]
+
+    @property
+    def label(self) -> str:
+        """With its unit."""
+        name, unit = _NAMES.get(self.key, (self.key, ""))
+        return f"{name} ({unit})" if unit else name
+
+    @property
+    def texts(self) -> list[str]:
+        """Its values in words."""
+        return [value_text(value) for value in self.values]
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its values lie on a line."""
+        return all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values)
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether its values spread over more than a factor of four, zero not among them."""
+        return self.numeric and min(self.values) > 0 and max(self.values) / min(self.values) > 4
+
+    @property
+    def positions(self) -> list[float]:
+        """Where its values are drawn."""
+        return [float(value) for value in self.values] if self.numeric else [float(i) for i in range(len(self.values))]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The done trials of a run."""
+
+    ways: list[Way]
+    axes: list[Axis]
+    """Without seeds and methods."""
+    seeds: list[int]
+    trials: pd.DataFrame
+    """One row a trial: `matcher`, `subpixel`, `seed`, a column of text for every axis, and all its figures."""
+    payloads: list[dict[str, Any]]
+    """What is kept of each of them, see `row.row_of`."""
+    cells: pd.DataFrame
+
+    @cached_property
+    def several(self) -> bool:
+        """Whether there is more to it than the trials that the report shows in detail."""
+        return bool(self.axes) or len(self.seeds) > 1 or len({way.matcher for way in self.ways}) > 1
+
+    @property
+    def surfaces(self) -> list[str]:
+        """Those that cells lie on: `wall`, `floor`."""
+        return [] if self.cells.empty else [s for s in ("wall", "floor") if (self.cells["surface"] == s).any()]
+
+
+def sweep_of(result: Result) -> Sweep:
+    """The tables of a run."""
+    done = [row for row in result.rows if row.state == "done"]
+    payloads = [row.payload for row in done]
+    keys = [key for key in result.rows[0].place if key not in NOT_AN_AXIS]
+    values: dict[str, dict[str, Any]] = {key: {} for key in keys}
+    for row in result.rows:
+        for key in keys:
+            values[key].setdefault(value_text(row.place[key]), row.place[key])
+    axes = [Axis(key, _ordered(list(found.values()))) for key, found in values.items() if len(found) > 1]
+    records = []
+    for row, payload in zip(done, payloads, strict=True):
+        trial = row.planned.trial
+        records.append(
+            {
+                "matcher": str(getattr(trial.matching, "kind", "matcher")),
+                "subpixel": str(getattr(trial.matching, "subpixel", "none")),
+                "seed": trial.seed,
+                **{axis.key: value_text(row.place[axis.key]) for axis in axes},
+                **{name: math.nan if value is None else value for name, value in payload["figures"].items()},
+            }
+        )
+    trials = pd.DataFrame(records)
+    return Sweep(
+        ways=_ways(trials),
+        axes=axes,
+        seeds=sorted(int(seed) for seed in trials["seed"].unique()),
+        trials=trials,
+        payloads=payloads,
+        cells=result.cells,
+    )
+
+
+def value_text(value: Any) -> str:
+    """A value on an axis in words: lengths of a box as `4 × 4 × 6`."""
+    if isinstance(value, list) and all(isinstance(each, int | float) for each in value):
+        return " × ".join(f"{each:g}" for each in value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = text_of(value) or "none"
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def in_words(place: str) -> str:
+    """A place on the axes with the names that people use."""
+    for key, (name, unit) in _NAMES.items():
+        place = place.replace(f"{key} = ", f"{name}{f' ({unit})' if unit else ''} = ")
+    return place
+
+
+def _ordered(values: list[Any]) -> list[Any]:
+    axis = Axis("", values)
+    return sorted(values) if axis.numeric else values
+
+
+def _ways(trials: pd.DataFrame) -> list[Way]:
+    pairs = list(dict.fromkeys(zip(trials["matcher"], trials["subpixel"], strict=True)))
+    matchers, steps = (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True))
+    spare = iter(theme.SPARE * len(steps))
+    known = {step: _STEPS.get(step) or (step, next(spare)) for step in steps}
+    ways = []
+    for matcher, step in pairs:
+        label, colour = known[step]
+        place = matchers.index(matcher)
+        stroke, marker = _STROKES[place % len(_STROKES)]
+        if len(matchers) > 1:
+            label = f"{matcher}, {label}"
+        ways.append(Way(matcher, step, label, colour, stroke, marker, filled=place % 2 == 0))
+    return sorted(ways, key=lambda way: (matchers.index(way.matcher), steps.index(way.subpixel)))
+
+
+def log_edges(values: "pd.Series[float]", count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Edges of bins of equal width in the logarithm over all values."""
+    return np.geomspace(float(values.min()) * (1 - 1e-9), float(values.max()) * (1 + 1e-9), count + 1)

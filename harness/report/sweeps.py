@@ -1,0 +1,265 @@
+"""Errors over every axis that was swept, and over the range."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from harness.camera.angles import Array
+from harness.evaluation.cells import NORMAL
+from harness.evaluation.regions import RANGE_RATIO
+from harness.report import theme
+from harness.report.data import Data
+from harness.report.statistics import Curve, balanced, mean_over_seeds
+from harness.report.sweep import Axis, Sweep, Way
+from harness.report.theme import FAINT, HALF, Picture
+
+SURFACES = {"wall": "walls", "floor": "floor, ceiling"}
+BASELINE = "view_2.baseline_m"
+LAWS = {"law_exact": ("exact law", (0, (5, 2))), "law_paper": ("$d^2/|t|$", (0, (1, 1.6)))}
+
+
+@dataclass(frozen=True)
+class Swept:
+    """One figure: errors over one axis."""
+
+    id: str
+    title: str
+    label: str
+    """Of the axis, with its unit."""
+    pictures: list[Picture]
+    data: Data
+    law: bool
+    """Whether the law says anything of this axis."""
+    unbalanced: bool
+    """Whether the means are over different places at different values, because that cannot be otherwise."""
+
+
+@dataclass(frozen=True)
+class _Line:
+    way: Way
+    surface: str
+    measure: str
+    x: list[float]
+    texts: list[str]
+    curve: Curve
+
+
+_MEASURES = {
+    "range": ("range_median_abs_m", 1000.0, "median |range error| (mm)", "(a) range"),
+    "disparity": ("disparity_median_abs_px", 1.0, "median |disparity error| (px)", "(b) disparity"),
+}
+
+
+def swept_figures(sweep: Sweep, column_deg: float) -> list[Swept]:
+    """A figure for each axis, and one for the range where cells lie at different ranges.
+
+    Parameters
+    ----------
+    column_deg
+        One pixel of disparity.
+    """
+    figures = [_over_axis(sweep, axis) for axis in sweep.axes]
+    if not sweep.cells.empty and sweep.cells["range_bin"].min() < sweep.cells["range_bin"].max():
+        figures.append(_over_range(sweep, column_deg))
+    return figures
+
+
+def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
+    others = [each.key for each in sweep.axes if each.key != axis.key]
+    lines = []
+    for name, (measure, _, _, _) in _MEASURES.items():
+        for surface in SURFACES:
+            for way in sweep.ways:
+                table = way.of(sweep.trials).pivot_table(
+                    index=["seed", *others],
+                    columns=axis.key,
+                    values=f"{surface}_{measure}",
+                    aggfunc="mean",
+                    dropna=False,
+                )
+                present = [i for i, text in enumerate(axis.texts) if text in table and table[text].notna().any()]
+                if not present:
+                    continue
+                table = balanced(table[[axis.texts[i] for i in present]])
+                curve = mean_over_seeds(table, logarithmic=True)
+                x = [axis.positions[i] for i in present]
+                lines.append(_Line(way, surface, name, x, [axis.texts[i] for i in present], curve))
+    shapes = _law_over_baselines(sweep) if axis.key == BASELINE else {}
+    slug = f"sweep-{axis.key.replace('.', '-').replace('_', '-')}"
+    pictures = [_picture(name, lines, axis, shapes) for name in _MEASURES]
+    return Swept(slug, axis.name, axis.label, pictures, _data(slug, axis.key, lines), bool(shapes), unbalanced=False)
+
+
+def _over_range(sweep: Sweep, column_deg: float) -> Swept:
+    bins = sorted(sweep.cells["range_bin"].unique())
+    middle = {index: RANGE_RATIO ** (index + 0.5) for index in bins}
+    axis = Axis("range_m", [round(middle[index], 3) for index in bins])
+    lines = []
+    shapes: dict[str, dict[str, tuple[Array, Array]]] = {}
+    for surface in sweep.surfaces:
+        there = sweep.cells[sweep.cells["surface"] == surface]
+        for way in sweep.ways:
+            cells = way.of(there)
+            if cells.empty:
+                continue
+            for name, column, scale in (
+                ("range", "spread_m", 1 / NORMAL),
+                ("disparity", "sigma_alpha", math.degrees(1 / NORMAL) / column_deg),
+            ):
+                table = _pivot(cells, "range_bin", cells[column] * scale)
+                x = [middle[index] for index in table.columns]
+                texts = [f"{each:.2f}" for each in x]
+                lines.append(_Line(way, surface, name, x, texts, mean_over_seeds(table, logarithmic=True)))
+        found = [way.of(there) for way in sweep.ways]
+        largest = max(found, key=len)
+        shapes[surface] = {
+            law: _shape(
+                _pivot(largest, "range_bin", largest[law]), [middle[i] for i in sorted(largest["range_bin"].unique())]
+            )
+            for law in LAWS
+        }
+    pictures = [_picture(name, lines, axis, shapes, "true range $d$ (m)") for name in _MEASURES]
+    return Swept(
+        "sweep-range",
+        "range",
+        "true range (m)",
+        pictures,
+        _data("sweep-range", "range_m", lines),
+        True,
+        unbalanced=True,
+    )
+
+
+def _pivot(cells: pd.DataFrame, columns: str, values: "pd.Series[float]") -> pd.DataFrame:
+    places = [name for name in ("seed", "condition", "baseline_m", "alpha_bin") if name != columns]
+    return cells.assign(value=values).pivot_table(index=places, columns=columns, values="value", aggfunc="mean")
+
+
+def _shape(table: pd.DataFrame, x: list[float]) -> tuple[Array, Array]:
+    return np.array(x), mean_over_seeds(table, logarithmic=True).mean
+
+
+def _law_over_baselines(sweep: Sweep) -> dict[str, dict[str, tuple[Array, Array]]]:
+    """How the laws grow and shrink with the baseline, over the places that every baseline has."""
+    shapes = {}
+    for surface in sweep.surfaces:
+        cells = max((way.of(sweep.cells[sweep.cells["surface"] == surface]) for way in sweep.ways), key=len)
+        places = ["seed", "condition", "alpha_bin", "range_bin"]
+        laws = {}
+        for law in LAWS:
+            table = balanced(cells.pivot_table(index=places, columns="baseline_m", values=law, aggfunc="mean"))
+            if table.shape[1] > 1:
+                laws[law] = _shape(table, [float(value) for value in table.columns])
+        if laws:
+            shapes[surface] = laws
+    return shapes
+
+
+def _picture(
+    name: str,
+    lines: list[_Line],
+    axis: Axis,
+    shapes: dict[str, dict[str, tuple[Array, Array]]],
+    label: str = "",
+) -> Picture:
+    _, scale, ordinate, title = _MEASURES[name]
+    mine = [line for line in lines if line.measure == name]
+    fig, panels = theme.pair()
+    span = [scale * each for line in mine for each in (line.curve.low, line.curve.high, line.curve.mean)]
+    known = np.concatenate(span) if span else np.array([])
+    known = known[np.isfinite(known) & (known > 0)]
+    told = []
+    for ax, (surface, words) in zip(panels, SURFACES.items(), strict=True):
+        here = [line for line in mine if line.surface == surface]
+        _abscissa(ax, axis, label)
+        ax.set_title(words)
+        if known.size:
+            theme.logarithmic(ax, "y", float(known.min()) / 1.25, float(known.max()) * 1.25)
+        if not here:
+            theme.note(ax, "no estimate")
+            continue
+        for line in here:
+            draw_line(ax, line.way, line.x, line.curve, scale)
+            first, last = (f"{scale * line.curve.mean[i]:.3g}" for i in (0, -1))
+            told.append(f"{line.way.label} on {words} from {first} at {line.texts[0]} to {last} at {line.texts[-1]}")
+        level = np.exp(np.mean([np.mean(np.log(scale * line.curve.mean)) for line in here]))
+        for law, (x, shape) in shapes.get(surface, {}).items():
+            if name == "range":
+                anchored = level * shape / np.exp(np.mean(np.log(shape)))
+                ax.plot(x, anchored, color=FAINT, linestyle=LAWS[law][1], linewidth=1.0, zorder=1)
+        if name == "disparity" and shapes:
+            ax.axhline(level, color=FAINT, linestyle=LAWS["law_exact"][1], linewidth=1.0, zorder=1)
+    panels[0].set_ylabel(ordinate)
+    return theme.picture(fig, f"{ordinate} against {axis.label}: {'; '.join(told) or 'no estimate'}.", title)
+
+
+def draw_line(ax: Axes, way: Way, x: "list[float] | Array", curve: Curve, scale: float = 1.0) -> None:
+    """A curve with its intervals as a band."""
+    known = np.isfinite(curve.low)
+    if known.any():
+        low, high = scale * curve.low, scale * curve.high
+        ax.fill_between(x, low, high, where=known, color=way.colour, alpha=0.18, linewidth=0)
+    ax.plot(
+        x,
+        scale * curve.mean,
+        color=way.colour,
+        linestyle=way.stroke,
+        marker=way.marker,
+        markersize=4,
+        markerfacecolor=way.face,
+        linewidth=1.3,
+    )
+
+
+def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
+    positions = axis.positions
+    ax.set_xlabel(label or axis.label)
+    if axis.logarithmic:
+        theme.logarithmic(ax, "x", min(positions) / 1.12, max(positions) * 1.12, most=5)
+        return
+    margin = 0.07 * ((max(positions) - min(positions)) or 1)
+    ax.set_xlim(min(positions) - margin, max(positions) + margin)
+    if not axis.numeric:
+        ax.set_xlim(min(positions) - 0.35, max(positions) + 0.35)
+        ax.set_xticks(positions, [text if len(text) < 16 else f"{text[:14]}…" for text in axis.texts])
+    elif len(positions) <= 6 and _apart(positions):
+        ax.set_xticks(positions, [f"{value:g}" for value in positions])
+
+
+def _apart(positions: list[float]) -> bool:
+    """Whether labels at these places do not run into each other."""
+    ordered = np.sort(positions)
+    return len(ordered) < 2 or float(np.diff(ordered).min()) > 0.09 * float(ordered[-1] - ordered[0])
+
+
+def key_picture(sweep: Sweep, *, laws: bool) -> Picture:
+    """A legend for all figures of a section."""
+    handles = [
+        Line2D(
+            [], [], color=way.colour, linestyle=way.stroke, marker=way.marker, markersize=4.5, markerfacecolor=way.face
+        )
+        for way in sweep.ways
+    ]
+    labels = [way.label for way in sweep.ways]
+    if laws:
+        handles += [Line2D([], [], color=FAINT, linestyle=dashes) for _, dashes in LAWS.values()]
+        labels += [name for name, _ in LAWS.values()]
+    fig = theme.figure(HALF, 26 * math.ceil(len(labels) / 2))
+    fig.legend(handles, labels, loc="center left", ncol=2, handlelength=2.6)
+    return theme.picture(fig, f"Key to the lines: {', '.join(labels)}.")
+
+
+def _data(name: str, key: str, lines: list[_Line]) -> Data:
+    rows = [
+        [line.way.matcher, line.way.subpixel, line.surface, line.measure, text, mean, low, high]
+        for line in lines
+        for text, mean, low, high in zip(line.texts, line.curve.mean, line.curve.low, line.curve.high, strict=True)
+    ]
+    headings = ["matcher", "subpixel", "surface", "error", key, "median_abs", "ci95_low", "ci95_high"]
+    return Data(
+        name, [*headings], [[*row[:3], f"{row[3]}_{'m' if row[3] == 'range' else 'px'}", *row[4:]] for row in rows]
+    )
