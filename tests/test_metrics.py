@@ -148,17 +148,18 @@ def test_grouped_statistics_are_those_of_each_group():
     members = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 3000, 4999)] + [np.array([], int)]
     groups = grouped(members, 5000)
     count = counts(groups, seen)
-    found_means = means(groups, seen, count, values)
+    found_means = means(groups, seen, count, np.stack([values, values**2], axis=1))
     found_medians = medians(groups, seen, count, values, ascending(seen, values))
     for i, part in enumerate(members):
         chosen = values[part][seen[part]]
         assert count[i] == chosen.size
         if chosen.size:
             assert found_medians[i] == np.median(chosen)
-            assert found_means[i] == pytest.approx(chosen.mean(), rel=1e-12)  # sums in another order
+            # Sums in another order.
+            assert found_means[i] == pytest.approx([chosen.mean(), np.mean(chosen**2)], rel=1e-12)
         else:
             assert np.isnan(found_medians[i])
-            assert np.isnan(found_means[i])
+            assert np.isnan(found_means[i]).all()
 
 
 def test_a_row_is_strict_json(outcome):

@@ -14,11 +14,13 @@ def count(labels, seen, counts):
 
 @njit(cache=True, nogil=True)
 def add(labels, seen, values, sums):
-    """Sums of values over the seen pixels of each group. values : `[pixels]`; sums : written, `[groups]`."""
+    """Sums over the seen pixels of each group. values : `[pixels, kinds]`; sums : written, `[groups, kinds]`."""
     for layer in range(labels.shape[0]):
         for pixel in range(labels.shape[1]):
-            if seen[pixel] and labels[layer, pixel] >= 0:
-                sums[labels[layer, pixel]] += values[pixel]
+            group = labels[layer, pixel]
+            if seen[pixel] and group >= 0:
+                for kind in range(values.shape[1]):
+                    sums[group, kind] += values[pixel, kind]
 
 
 @njit(cache=True, nogil=True)

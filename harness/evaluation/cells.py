@@ -56,7 +56,7 @@ def cells(layout: Layout, truth: Reference, errors: Ranked, baseline_m: float) -
     spread_px = NORMAL * medians(groups, seen, count, errors.absolute_px, errors.by_absolute)
     law = medians(groups, seen, count, truth.law.ravel(), layout.by_law)
     bias_px = medians(groups, seen, count, errors.disparity_px, errors.by_disparity)
-    gross = means(groups, seen, count, (errors.absolute_px > 1).astype(np.float64))
+    gross = means(groups, seen, count, (errors.absolute_px > 1).astype(np.float64)[:, None])[:, 0]
     # The median of d²/|t| is that of d, squared, but for the mean of two middle values.
     law_paper = paper_law(range_m, baseline_m)
     return [

@@ -49,14 +49,14 @@ def counts(groups: Groups, seen: Mask) -> NDArray[np.int64]:
 
 
 def means(groups: Groups, seen: Mask, count: NDArray[np.int64], values: Array) -> Array:
-    """Means over the seen pixels of each group `[groups]`, of which there are `count`; NaN for none.
+    """Means over the seen pixels of each group `[groups, kinds]`, of which there are `count`; NaN for none.
 
-    values : `[pixels]`; anything where not seen.
+    values : `[pixels, kinds]`; anything where not seen.
     """
-    sums = np.zeros(groups.sizes.size)
+    sums = np.zeros((groups.sizes.size, values.shape[1]))
     _kernels.add(groups.labels, seen, values, sums)
     with np.errstate(invalid="ignore"):
-        return sums / count
+        return sums / count[:, None]
 
 
 def medians(groups: Groups, seen: Mask, count: NDArray[np.int64], values: Array, order: Indices) -> Array:

@@ -191,14 +191,17 @@ def measure_regions(layout: Layout, errors: Ranked) -> list[dict[str, Any]]:
     """
     groups, seen = layout.region_groups, errors.seen
     count = counts(groups, seen)
+    disparity, distance = errors.disparity_px, errors.distance_m
+    kinds = np.stack([disparity**2, errors.absolute_px > 1, errors.off_m, distance**2, distance], axis=1)
+    square_px, gross, off_m, square_m, bias_m = means(groups, seen, count, kinds).T
     columns = [
         medians(groups, seen, count, errors.absolute_px, errors.by_absolute),
-        np.sqrt(means(groups, seen, count, errors.disparity_px**2)),
-        means(groups, seen, count, (errors.absolute_px > 1).astype(np.float64)),
+        np.sqrt(square_px),
+        gross,
         medians(groups, seen, count, errors.off_m, errors.by_off),
-        means(groups, seen, count, errors.off_m),
-        np.sqrt(means(groups, seen, count, errors.distance_m**2)),
-        means(groups, seen, count, errors.distance_m),
+        off_m,
+        np.sqrt(square_m),
+        bias_m,
     ]
     return [
         {

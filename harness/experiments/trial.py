@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array, normalise
+from harness.camera.angles import Array
 from harness.camera.pose import Pose
 from harness.camera.sensor import in_field
 from harness.errors import InputError
@@ -29,7 +29,7 @@ from harness.simulation.truth import Truth, truth
 from harness.stereo.epipolar import Curves
 from harness.stereo.filter import laplacian_of_gaussian
 from harness.stereo.matching.window import Matches, Reason, WholePixelMatches, match, match_whole_pixels
-from harness.stereo.panorama import Grid, Panorama, cylinder, unwrap
+from harness.stereo.panorama import Grid, Panorama, directions, unwrap
 from harness.stereo.ranging import triangulate
 
 Observer = Callable[[str], None]
@@ -138,15 +138,15 @@ def run_trial(
             for view, (key, picture) in enumerate(zip(taken, pictures, strict=True))
         ]
     with clock("truth"):
-        directions = normalise(cylinder(grid))
+        looking = directions(grid)
         seen = kept.get(
             "truth",
             (scene, trial.sensor, poses, grid),
             lambda: truth(
                 trial.scene,
                 poses[0],
-                directions,
-                in_field(trial.sensor, directions),
+                looking,
+                in_field(trial.sensor, looking),
                 pose_2=poses[1],
                 sensor_2=trial.sensor,
                 threads=threads,
@@ -185,7 +185,7 @@ def run_trial(
         expected, parts = kept.get(
             "reference",
             (scene, trial.sensor, poses, grid, trial.matching.sampling, trial.matching.pitch_px),
-            lambda: _expected(seen, directions, poses[0], grid, whole.curves),
+            lambda: _expected(seen, looking, poses[0], grid, whole.curves),
         )
         found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
     return Outcome(
@@ -214,10 +214,10 @@ def _check_view(scene: Scene, pose: Pose, key: str) -> None:
         raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
 
 
-def _expected(seen: Truth, directions: Array, pose: Pose, grid: Grid, curves: Curves) -> tuple[Reference, Layout]:
+def _expected(seen: Truth, looking: Array, pose: Pose, grid: Grid, curves: Curves) -> tuple[Reference, Layout]:
     """All that scoring needs of the truth."""
-    expected = reference(seen, directions, curves)
-    return expected, layout(expected, seen, grid, directions @ pose.R_world_from_view.T)
+    expected = reference(seen, looking, curves)
+    return expected, layout(expected, seen, grid, looking @ pose.R_world_from_view.T)
 
 
 class _Clock:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import ndimage
 
-from harness.camera.angles import Array, cylinder_point
+from harness.camera.angles import Array, cylinder_point, normalise
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.spec import Finite, Spec
 
@@ -67,6 +67,14 @@ def cylinder(grid: Grid) -> Array:
     points = cylinder_point(grid.phi[None, :], grid.z[:, None])
     points.flags.writeable = False
     return points
+
+
+@lru_cache(maxsize=8)
+def directions(grid: Grid) -> Array:
+    """Unit vectors towards the pixel centres `[height, width, 3]`; read-only, kept."""
+    unit = normalise(cylinder(grid))
+    unit.flags.writeable = False
+    return unit
 
 
 @dataclass(frozen=True)
