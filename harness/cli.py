@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, Self
 
 from harness import __version__, shipped
 from harness.errors import InputError
@@ -102,6 +102,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     report.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
     report.set_defaults(run=_report)
+
+    compare = commands.add_parser(
+        "compare",
+        parents=[debug],
+        allow_abbrev=False,
+        help="put runs side by side",
+        description="Pair the trials of runs by their settings, print how their main figures differ and write a page.",
+    )
+    compare.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="output folders of runs; two or more")
+    compare.add_argument("--out", type=Path, metavar="FILE", help="the page (default: comparison.html in the last DIR)")
+    compare.set_defaults(run=_compare)
 
     cache = commands.add_parser(
         "cache",
@@ -208,6 +219,39 @@ def _report(options: argparse.Namespace) -> int:
         if now.done < now.total:
             print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
         return _write(experiment, store, options.folder, given=options.folder)
+
+
+def _compare(options: argparse.Namespace) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from harness.experiments.files import write
+    from harness.report.compare import build_comparison
+
+    comparison = build_comparison(*options.folders)
+    page = options.out or options.folders[-1] / "comparison.html"
+    write(page, comparison.html)
+    console = Console()
+    lines = list(comparison.lines())
+    for pairing in comparison.pairings:
+        first, second = pairing.first.name, pairing.second.name
+        if pairing.why_none:
+            console.print(f"{second} against {first}: {pairing.why_none}", markup=False, highlight=False)
+            continue
+        changed = "; ".join(f"{key}: {old} -> {new}" for key, (old, new) in pairing.differing.items())
+        title = f"{second} against {first}: {pairing.pairs} pairs, {pairing.seeds} seeds; {changed or 'same settings'}"
+        console.print(title, markup=False, highlight=False)
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+        for heading in ("figure", "step", "first", "second", "difference [95 %]", "second is"):
+            side: Literal["left", "right"] = "right" if heading in {"first", "second"} else "left"
+            table.add_column(heading, justify=side, no_wrap=heading != "figure")
+        for name, *cells in lines:
+            if name == second:
+                table.add_row(*map(escape, cells))
+        console.print(table)
+    console.print(f"comparison: {page}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _write(

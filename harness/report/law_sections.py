@@ -384,7 +384,10 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
                 if (index == i).sum() >= 8
             ]
             at, low, middle, high = np.array(points).reshape(-1, 4).T
-            ax.vlines(at, low, high, color=way.colour, linewidth=1.1, alpha=0.8)
+            if len(sweep.ways) < 3:  # more would hide each other
+                ax.vlines(at, low, high, color=way.colour, linewidth=1.1, alpha=0.8)
+            else:
+                low = high = middle
             ax.plot(
                 at,
                 middle,

@@ -9,7 +9,7 @@ from harness.report.data import Data
 from harness.report.statistics import mean_over_seeds
 from harness.report.sweep import Sweep, Way
 from harness.report.sweeps import SURFACES
-from harness.report.theme import FAINT, Picture
+from harness.report.theme import FAINT, HALF, Picture
 
 MIDDLE = (np.arange(FRACTION_BINS) / FRACTION_BINS + 0.5) % 1.0 - 0.5
 """Of the bins, as a distance from the nearest whole sample."""
@@ -21,62 +21,61 @@ def histograms(sweep: Sweep) -> tuple[list[Picture], Data, dict[str, dict[str, f
     Returns
     -------
     pictures, data, near
-        The last for each sub-pixel way and surface: the share within a tenth of a sample of a whole one.
+        The last for each sub-pixel way and surface: the share within 0.11 samples of a whole one.
     """
-    order = np.argsort(MIDDLE)
-    even = 100 / FRACTION_BINS
+    order = np.append(np.argsort(MIDDLE), np.argmin(MIDDLE))  # the first bin again as the last: positions are periodic
+    at = np.append(MIDDLE[order[:-1]], 0.5)
+    edges = np.append(at - 0.5 / FRACTION_BINS, 0.5 + 0.5 / FRACTION_BINS)
+    refined = [way for way in sweep.ways if way.subpixel != "none"]
+    curves = {
+        (way, surface): mean_over_seeds(shares)
+        for surface in SURFACES
+        for way in refined
+        if not (shares := _shares(sweep, way, surface)).empty
+    }
     rows: list[list[object]] = []
     near: dict[str, dict[str, float]] = {}
-    refined = [way for way in sweep.ways if way.subpixel != "none"]
-    fig, panels = theme.pair()
-    top = even
-    for ax, (surface, words) in zip(panels, SURFACES.items(), strict=True):
-        ax.set_title(words)
-        drawn = False
+    top = 100 * max((float(np.nanmax([curve.mean, curve.high])) for curve in curves.values()), default=0.0)
+    pictures = []
+    for (surface, words), letter in zip(SURFACES.items(), "ab", strict=True):
+        fig = theme.figure(HALF, 280)
+        ax = theme.axes(fig, 56, 12, HALF - 70, 220)
+        told = []
         for way in refined:
-            shares = _shares(sweep, way, surface)
-            if shares.empty:
+            if (way, surface) not in curves:
                 continue
-            curve = mean_over_seeds(shares)
+            curve = curves[way, surface]
             mean, low, high = (100 * each[order] for each in (curve.mean, curve.low, curve.high))
-            edges = np.append(MIDDLE[order] - 0.5 / FRACTION_BINS, MIDDLE[order][-1] + 0.5 / FRACTION_BINS)
             if np.isfinite(low).all():
-                ax.fill_between(
-                    edges,
-                    np.append(low, low[-1]),
-                    np.append(high, high[-1]),
-                    step="post",
-                    color=way.colour,
-                    alpha=0.2,
-                    linewidth=0,
-                )
-            ax.stairs(mean, edges, color=way.colour, linestyle=way.stroke, linewidth=1.2)
-            top, drawn = max(top, float(np.nanmax(np.append(mean, high)))), True
-            near.setdefault(way.label, {})[words] = float(curve.mean[np.abs(MIDDLE) <= 0.1 + 1e-9].sum())
+                lower, upper = (np.append(each, each[-1]) for each in (low, high))
+                ax.fill_between(edges, lower, upper, step="post", color=way.colour, alpha=0.2, linewidth=0)
+            ax.stairs(
+                mean, edges, color=way.colour, linestyle=way.stroke, linewidth=1.2, baseline=None, label=way.label
+            )
+            share = float(curve.mean[np.abs(MIDDLE) <= 0.1 + 1e-9].sum())
+            near.setdefault(way.label, {})[words] = share
+            told.append(f"{way.label} {100 * share:.0f} %")
             rows += [
-                [way.matcher, way.subpixel, surface, at, *each]
-                for at, *each in zip(MIDDLE[order], mean / 100, low / 100, high / 100, strict=True)
+                [way.matcher, way.subpixel, surface, *each]
+                for each in zip(at[:-1], mean[:-1] / 100, low[:-1] / 100, high[:-1] / 100, strict=True)
             ]
-        ax.axhline(even, color=FAINT, linestyle=(0, (5, 2)), linewidth=1.0)
+        ax.axhline(100 / FRACTION_BINS, color=FAINT, linestyle=(0, (5, 2)), linewidth=1.0)
         ax.set_xlim(-0.5, 0.5)
-        ax.set_xticks([-0.5, 0, 0.5], ["−½", "0", "½"])
-        ax.set_xlabel("distance from a whole sample")
-        if not drawn:
+        ax.set_xticks([-0.5, -0.25, 0, 0.25, 0.5], ["−½", "−¼", "0", "¼", "½"])
+        ax.set_ylim(0, 1.25 * top if top else 5)
+        ax.set_xlabel("distance from the nearest whole sample (samples)")
+        ax.set_ylabel(f"share of estimates (% per {1 / FRACTION_BINS:g})")
+        if told:
+            ax.legend(loc="upper left", ncol=2)
+        else:
             theme.note(ax, "no sub-pixel estimate")
-    for ax in panels:
-        ax.set_ylim(0, 1.1 * top)
-    panels[0].set_ylabel(f"share of estimates (% per {1 / FRACTION_BINS:g})")
-    told = "; ".join(
-        f"{label}: {', '.join(f'{100 * share:.0f} % on {words}' for words, share in shares.items())}"
-        for label, shares in near.items()
-    )
-    alt = (
-        "Histogram of the distance of sub-pixel estimates from the nearest whole sample. Shares within a tenth of a "
-        f"sample, 22.5 % if spread evenly: {told or 'none'}."
-    )
+        alt = (
+            f"Histogram of the distance of sub-pixel estimates on {words} from the nearest whole sample. Shares within "
+            f"0.11 samples, 22.5 % if spread evenly: {', '.join(told) or 'none'}."
+        )
+        pictures.append(theme.picture(fig, alt, f"({letter}) {words}"))
     headings = ["matcher", "subpixel", "surface", "distance_samples", "share", "ci95_low", "ci95_high"]
-    pictures = [theme.picture(fig, alt)] if near else []
-    return pictures, Data("pixel-locking", headings, rows), near
+    return pictures if curves else [], Data("pixel-locking", headings, rows), near
 
 
 def _shares(sweep: Sweep, way: Way, surface: str) -> pd.DataFrame:

@@ -1,0 +1,446 @@
+"""Runs side by side: what differs between them, and paired differences of their main figures."""
+
+import csv
+import json
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.camera.angles import Array
+from harness.errors import InputError
+from harness.experiments.experiment import text_of
+from harness.report import theme
+from harness.report.build import template
+from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
+from harness.report.statistics import FEW_SEEDS, between, resampled
+from harness.report.sweep import in_words
+from harness.report.theme import WIDE, Picture
+from harness.report.words import figure
+
+READ = ("experiment.toml", "trials.csv")
+"""Written by every run. They are read rather than the rows, so that runs of other code can be compared."""
+
+FIGURES: dict[str, tuple[str, str, str, float]] = {
+    "wall_disparity_median_abs_px": ("Walls: disparity, median |error|", "px", ".3f", 1),
+    "wall_range_median_abs_m": ("Walls: range, median |error|", "mm", ".1f", 1000),
+    "floor_disparity_median_abs_px": ("Floor: disparity, median |error|", "px", ".3f", 1),
+    "floor_range_median_abs_m": ("Floor: range, median |error|", "mm", ".1f", 1000),
+    "disparity_median_abs_px": ("All: disparity, median |error|", "px", ".3f", 1),
+    "range_median_abs_m": ("All: range, median |error|", "mm", ".1f", 1000),
+    "range_rmse_m": ("All: range, RMSE", "mm", ".0f", 1000),
+    "bad_1px": ("All: above 1\u00a0px", "%", ".1f", 100),
+    "density": ("All: density", "%", ".1f", 100),
+}
+"""Heading, unit, format and scale."""
+
+_STEP = "matching.subpixel"
+_STEPS = {"none": "pixel level", "parabola": "sub-pixel"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a folder says of its run."""
+
+    folder: Path
+    name: str
+    """Unique among the runs compared."""
+    experiment: str
+    settings: list[dict[str, str]]
+    """Of each trial: dotted key and value in words."""
+    figures: list[dict[str, float]]
+    """Of each trial that is done; NaN where there is none."""
+    facts: dict[str, str]
+    """Versions, machine, hash of the source."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A figure of two runs over the trials that are pairs."""
+
+    figure: str
+    step: str
+    """The sub-pixel step that both have; empty if it differs or is not there."""
+    pairs: int
+    first: float
+    second: float
+    """Means over the pairs, in the units of `trials.csv`."""
+    difference: float
+    """Mean of second minus first."""
+    between: tuple[float, float] | None
+    """Its 95 % interval by bootstrap over seeds; None from one seed."""
+
+    @property
+    def verdict(self) -> str:
+        """What the interval allows to be said of the second run."""
+        if self.difference == 0 and self.between in (None, (0.0, 0.0)):
+            return "the same"
+        if self.between is None:
+            return "one seed: not told"
+        low, high = self.between
+        return "not told apart" if low <= 0 <= high else "larger" if low > 0 else "smaller"
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Two runs, pair by pair."""
+
+    first: Run
+    second: Run
+    differing: dict[str, tuple[str, str]]
+    """Settings that no trial of one run shares with any of the other; a value in words, or several."""
+    pairs: int
+    seeds: int
+    differences: list[Difference]
+    why_none: str
+    """In words, when nothing could be paired."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All runs against the first."""
+
+    runs: list[Run]
+    pairings: list[Pairing]
+    html: str
+
+    def lines(self) -> Iterator[tuple[str, ...]]:
+        """For a terminal: run, figure with unit, sub-pixel step, first, second, difference with interval, verdict."""
+        for pairing in self.pairings:
+            for each in pairing.differences:
+                heading, unit, form, scale = FIGURES[each.figure]
+                span = "" if each.between is None else f" {interval(each.between, _signed(form), scale)}"
+                yield (
+                    pairing.second.name,
+                    f"{heading.replace(', median |error|', '')}, {unit}".replace("\u00a0", " "),
+                    _STEPS.get(each.step, each.step),
+                    figure(scale * each.first, form),
+                    figure(scale * each.second, form),
+                    f"{figure(scale * each.difference, _signed(form))}{span}".replace("\u00a0", " "),
+                    each.verdict,
+                )
+
+
+def build_comparison(*folders: Path) -> Comparison:
+    """Compare runs with the first of them.
+
+    Parameters
+    ----------
+    folders
+        Output folders of runs, of any code and version; two or more.
+
+    Raises
+    ------
+    InputError
+        When a folder holds no run, or what it holds cannot be read.
+    """
+    if len(folders) < 2:
+        raise InputError("give at least two folders to compare")
+    names = _names(folders)
+    runs = [_read(folder, name) for folder, name in zip(folders, names, strict=True)]
+    pairings = [_pair(runs[0], other) for other in runs[1:]]
+    with theme.style():
+        pictures = [_picture(pairing) for pairing in pairings]
+    html = template("compare.html.j2").render(
+        runs=runs,
+        pairings=[
+            {
+                "pairing": pairing,
+                "picture": picture,
+                "table": _table(pairing),
+                "few_seeds": pairing.seeds < FEW_SEEDS,
+                "differing": [
+                    (in_words(f"{key} = ").rstrip(" ="), *values) for key, values in pairing.differing.items()
+                ],
+            }
+            for pairing, picture in zip(pairings, pictures, strict=True)
+        ],
+        facts=_fact_table(runs),
+    )
+    return Comparison(runs, pairings, html)
+
+
+# --- Reading ------------------------------------------------------------------------------------------------------
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    """The shortest ends of the paths that tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    if len(set(parts)) < len(parts):
+        raise InputError(
+            "is given twice", file=next(f for f, p in zip(folders, parts, strict=True) if parts.count(p) > 1)
+        )
+    length = 1
+    while len({each[-length:] for each in parts}) < len(parts):
+        length += 1
+    return ["/".join(each[-length:]) for each in parts]
+
+
+def _read(folder: Path, name: str) -> Run:
+    for file in READ:
+        if not (folder / file).is_file():
+            raise InputError(f"holds no run that can be compared: there is no {file} in it", file=folder)
+    try:
+        experiment = tomllib.loads((folder / "experiment.toml").read_text(encoding="utf-8"))
+        with (folder / "trials.csv").open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        facts = {}
+        if (folder / "environment.json").is_file():
+            facts = json.loads((folder / "environment.json").read_text(encoding="utf-8"))
+        base = dict(_flat(experiment["trial"]))
+        return _run(folder, name, str(experiment["name"]), base, rows, facts)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"cannot be read as a run ({type(error).__name__}: {error})", file=folder) from error
+
+
+def _run(
+    folder: Path, name: str, experiment: str, base: dict[str, str], rows: list[dict[str, str]], facts: dict[str, Any]
+) -> Run:
+    done = [row for row in rows if row["state"] == "done"]
+    columns = [column for column in (rows[0] if rows else {}) if "." in column or column == "seed"]
+    keys = [column for column in columns if not _is_figure(column)]
+    settings = []
+    for row in done:
+        changed = {key: _plain(row[key]) for key in keys}
+        # A setting that is a table or a list takes the place of all that was under it.
+        kept = {key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)}
+        settings.append(kept | changed)
+    figures = [{key: _number(row.get(key)) for key in FIGURES} for row in done]
+    packages = facts.pop("packages", {})
+    flat = {key: str(value) for key, value in facts.items() if key != "finished"}
+    return Run(folder, name, experiment, settings, figures, flat | {key: str(value) for key, value in packages.items()})
+
+
+def _is_figure(column: str) -> bool:
+    """Whether a column of `trials.csv` is a figure; some have a point in their names too."""
+    return column.startswith(("bad_", "range_", "disparity_", "wall_", "floor_", "solid_angle_"))
+
+
+def _number(text: str | None) -> float:
+    return float(text) if text else float("nan")
+
+
+def _flat(value: Any, above: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted keys; lists of plain values in one piece, as in `trials.csv`."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from _flat(each, f"{above}.{key}" if above else key)
+    elif isinstance(value, list) and any(isinstance(each, dict | list) for each in value):
+        for index, each in enumerate(value):
+            yield from _flat(each, f"{above}.{index}")
+    else:
+        yield above, _plain(text_of(value))
+
+
+def _plain(text: str) -> str:
+    """The same text for the same number, however it was written: `2`, `2.0`."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    if isinstance(value, list) and all(isinstance(each, int | float) for each in value):
+        return " × ".join(f"{each:.12g}" for each in value)
+    return f"{value:.12g}" if isinstance(value, int | float) and not isinstance(value, bool) else text
+
+
+# --- Pairing ------------------------------------------------------------------------------------------------------
+
+
+def _pair(first: Run, second: Run) -> Pairing:
+    differing = _differing(first, second)
+    places = [_places(run, set(differing)) for run in (first, second)]
+    why = ""
+    if not (first.settings and second.settings):
+        why = "One of the runs has no trial that is done."
+    elif any(len(found) < len(run.settings) for found, run in zip(places, (first, second), strict=True)):
+        several = [
+            in_words(f"{key} = ").rstrip(" =")
+            for key in differing
+            if len(_values(first, key)) > 1 or len(_values(second, key)) > 1
+        ]
+        why = (
+            f"Nothing can be paired: {listed(several)} {'varies' if len(several) == 1 else 'vary'} within a run and "
+            "shares no value with the other, so that a trial has no one partner."
+        )
+    common = [] if why else [place for place in places[0] if place in places[1]]
+    if not common and not why:
+        why = "Nothing can be paired: no trial of one run has the settings of a trial of the other."
+    table = [(places[0][place], places[1][place]) for place in common]
+    seeds = {first.settings[a].get("seed", "") for a, _ in table}
+    return Pairing(
+        first,
+        second,
+        {key: (_few(_values(first, key)), _few(_values(second, key))) for key in differing},
+        len(table),
+        len(seeds),
+        list(_differences(first, second, table)),
+        why,
+    )
+
+
+def _differing(first: Run, second: Run) -> list[str]:
+    """Settings whose values in one run are none of those in the other; `scene.name` and the like among them."""
+    keys = dict.fromkeys(key for run in (first, second) for settings in run.settings for key in settings)
+    return [key for key in keys if not _values(first, key) & _values(second, key)]
+
+
+def _values(run: Run, key: str) -> set[str]:
+    return {settings.get(key, "") for settings in run.settings}
+
+
+def _few(values: set[str]) -> str:
+    known = sorted(values)
+    shown = ", ".join(value if len(value) <= 60 else f"{value[:57]}…" for value in known[:6])
+    return f"{shown}, …" if len(known) > 6 else shown or "none"
+
+
+def _places(run: Run, without: set[str]) -> dict[tuple[tuple[str, str], ...], int]:
+    """Trials by all settings but some."""
+    return {
+        tuple(sorted((key, value) for key, value in settings.items() if key not in without)): index
+        for index, settings in enumerate(run.settings)
+    }
+
+
+def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Iterator[Difference]:
+    frame = pd.DataFrame(
+        [
+            {
+                "seed": first.settings[a].get("seed", ""),
+                "step": step if (step := first.settings[a].get(_STEP, "")) == second.settings[b].get(_STEP, "") else "",
+                **{f"first_{key}": value for key, value in first.figures[a].items()},
+                **{f"second_{key}": value for key, value in second.figures[b].items()},
+            }
+            for a, b in table
+        ]
+    )
+    if frame.empty:
+        return
+    for name in FIGURES:
+        for step, part in frame.groupby("step", sort=False):
+            known = part.dropna(subset=[f"first_{name}", f"second_{name}"])
+            if known.empty:
+                continue
+            before, after = known[f"first_{name}"], known[f"second_{name}"]
+            mean, span = _mean((after - before).to_numpy(), known["seed"])
+            yield Difference(name, str(step), len(known), float(before.mean()), float(after.mean()), mean, span)
+
+
+def _mean(values: Array, seeds: "pd.Series[str]") -> tuple[float, tuple[float, float] | None]:
+    """Mean, and its interval by bootstrap over seeds."""
+    by_seed = pd.Series(values).groupby(seeds.to_numpy())
+    sums, counts = by_seed.sum().to_numpy(), by_seed.size().to_numpy(dtype=np.float64)
+    weights = resampled(len(counts))
+    means = (weights @ sums) / (weights @ counts)
+    low, high = between(means[1:, None], len(counts))
+    return float(means[0]), (float(low[0]), float(high[0])) if np.isfinite(low[0]) else None
+
+
+# --- Showing ------------------------------------------------------------------------------------------------------
+
+
+def _signed(form: str) -> str:
+    return f"+{form}"
+
+
+def _table(pairing: Pairing) -> Table:
+    head = [
+        Heading("Figure", text=True),
+        Heading("Step", text=True),
+        Heading("Pairs"),
+        Heading(pairing.first.name),
+        Heading(pairing.second.name),
+        Heading("Difference"),
+        Heading("", text=True),
+    ]
+    head[-1] = Heading("Second run is", text=True)
+    rows = []
+    for each in pairing.differences:
+        heading, unit, form, scale = FIGURES[each.figure]
+        rows.append(
+            [
+                words(f"{heading} ({unit})"),
+                words(_STEPS.get(each.step, each.step) or "–"),
+                count(each.pairs),
+                number(each.first, form, scale),
+                number(each.second, form, scale),
+                number(each.difference, _signed(form), scale, each.between),
+                words(each.verdict),
+            ]
+        )
+    data = Data(
+        "paired-differences",
+        ["figure", "subpixel", "pairs", "first_mean", "second_mean", "difference", "ci95_low", "ci95_high"],
+        [
+            [
+                each.figure,
+                each.step,
+                each.pairs,
+                each.first,
+                each.second,
+                each.difference,
+                *(each.between or (None, None)),
+            ]
+            for each in pairing.differences
+        ],
+    )
+    return Table(head, rows, data)
+
+
+def _picture(pairing: Pairing) -> Picture | None:
+    """Differences as shares of the first run's figure, so that all fit on one axis."""
+    shown = [each for each in pairing.differences if each.first]
+    if not shown:
+        return None
+    steps = list(dict.fromkeys(each.step for each in shown))
+    names = list(dict.fromkeys(each.figure for each in shown))
+    colours = {"none": theme.PIXEL, "parabola": theme.SUBPIXEL}
+    fig = theme.figure(WIDE, 24 * len(names) + 100)
+    ax = theme.axes(fig, 250, 34, WIDE - 290, 24 * len(names) + 10)
+    ax.axvline(0, color=theme.TRUTH, linewidth=0.9)
+    told = []
+    spare = iter(theme.SPARE)
+    for index, step in enumerate(steps):
+        mine = [each for each in shown if each.step == step]
+        y = np.array([names.index(each.figure) for each in mine]) + 0.22 * (index - (len(steps) - 1) / 2)
+        share = np.array([100 * each.difference / abs(each.first) for each in mine])
+        spans = np.array(
+            [
+                [100 * end / abs(each.first) for end in each.between] if each.between else (np.nan, np.nan)
+                for each in mine
+            ]
+        )
+        colour = colours.get(step) or next(spare)
+        label = _STEPS.get(step, step) or "all pairs"
+        ax.hlines(y, spans[:, 0], spans[:, 1], color=colour, linewidth=1.6)
+        ax.plot(share, y, "o", color=colour, markersize=5, label=label)
+        told += [
+            f"{FIGURES[each.figure][0]}, {label} {figure(value, '+.0f')} %"
+            for each, value in zip(mine, share, strict=True)
+        ]
+    ax.set_yticks(range(len(names)), [FIGURES[name][0].replace("\u00a0", " ") for name in names])
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="x", color="#E8E8E8", linewidth=0.5)
+    ax.set_axisbelow(True)
+    ax.set_xlabel("second run against the first (% of the first run’s mean)")
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:+g}".replace("-", "−") if value else "0")
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=len(steps), borderaxespad=0.3)
+    return theme.picture(fig, f"Paired differences as shares of the first run’s mean: {'; '.join(told)}.")
+
+
+def _fact_table(runs: list[Run]) -> Table:
+    """Versions and the like that differ between runs."""
+    keys = dict.fromkeys(key for run in runs for key in run.facts)
+    head = [Heading("", text=True), *(Heading(run.name, text=True) for run in runs)]
+    head[0] = Heading("Fact", text=True)
+    rows = [
+        [words(key.replace("_", " ")), *(Cell(run.facts.get(key, "unknown")[:60]) for run in runs)]
+        for key in keys
+        if len({run.facts.get(key) for run in runs}) > 1
+    ]
+    return Table(head, rows)
