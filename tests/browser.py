@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from playwright.sync_api import BrowserContext, Page, Request, Route, sync_playwright
@@ -64,9 +65,12 @@ def chromium(profile: Path, *, scripts: bool = True) -> Iterator[BrowserContext]
             context.close()
 
 
-def visit(context: BrowserContext, file: Path, *, width: int, height: int = 900) -> Visit:
+def visit(
+    context: BrowserContext, file: Path, *, width: int, height: int = 900, scheme: Literal["light", "dark"] = "light"
+) -> Visit:
     """Open a file in a window of some CSS pixels; whatever it asks of a network is noted and refused."""
     page = context.new_page()
+    page.emulate_media(color_scheme=scheme)
     page.set_viewport_size({"width": width, "height": height})
     seen = Visit(page)
 

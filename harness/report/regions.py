@@ -159,10 +159,11 @@ def _picture(
         if known.size:
             theme.logarithmic(ax, "x", float(known.min()) / 1.2, float(known.max()) * 1.2, most=7)
         ax.set_ylim(gaps[-1] + 0.7, -0.7)
-        ax.set_yticks(gaps)
-        ax.grid(color="#E8E8E8", linewidth=0.5)
+        ax.set_yticks(gaps if ax is axes[0] else [])
+        ax.hlines(gaps, 0, 1, transform=ax.get_yaxis_transform(), color="#E8E8E8", linewidth=0.5, zorder=0)
+        ax.grid(axis="x", color="#E8E8E8", linewidth=0.5)
         ax.set_axisbelow(True)
-        ax.tick_params(axis="y", length=0, labelleft=ax is axes[0])
+        ax.tick_params(axis="y", length=0)
         ax.set_xlabel(label)
     axes[0].set_yticklabels([_name(part) for part in parts])
     axes[0].legend(
@@ -202,7 +203,7 @@ def of_base_trial(methods: list[Method]) -> Table:
     for region in outcome.regions:
         for method in methods:
             weights = solid_angle[region.pixels]
-            figures = [_measured(method, region.pixels, w) for w in (np.ones_like(weights), weights)]
+            figures = [_measured(method, region.pixels), _measured(method, region.pixels, weights)]
             part = _part_text(region.part)
             rows.append(
                 [
@@ -223,16 +224,24 @@ def of_base_trial(methods: list[Method]) -> Table:
     return Table(head, rows, Data("regions-base-trial", headings, plain))
 
 
-def _measured(method: Method, pixels: NDArray[np.intp], weights: Array) -> dict[str, float]:
-    """The figures of the columns with every pixel counted by its weight."""
+def _measured(method: Method, pixels: NDArray[np.intp], weights: Array | None = None) -> dict[str, float]:
+    """The figures of the columns, with every pixel counted by its weight, or all alike."""
     outcome = method.outcome
     seen = outcome.valid.ravel()[pixels]
     disparity = np.abs(outcome.errors.disparity_px.ravel()[pixels][seen])
     distance = np.abs(outcome.errors.range_m.ravel()[pixels][seen])
-    w = weights[seen]
+    if not disparity.size:
+        return {"density": 0.0, **dict.fromkeys((name for name, *_ in _MEASURES), np.nan)}
+    if weights is None:
+        medians = float(np.median(disparity)), float(np.median(distance))
+        shares = float(seen.mean()), float((disparity > 1).mean())
+    else:
+        w = weights[seen]
+        medians = weighted_median(disparity, w), weighted_median(distance, w)
+        shares = float(w.sum() / weights.sum()), float(w[disparity > 1].sum() / w.sum())
     return {
-        "density": float(w.sum() / weights.sum()),
-        "disparity_median_abs_px": weighted_median(disparity, w),
-        "bad_1px": float(w[disparity > 1].sum() / w.sum()) if w.size else np.nan,
-        "range_median_abs_m": weighted_median(distance, w),
+        "density": shares[0],
+        "disparity_median_abs_px": medians[0],
+        "bad_1px": shares[1],
+        "range_median_abs_m": medians[1],
     }

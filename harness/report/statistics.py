@@ -63,9 +63,7 @@ def median_over_seeds(values: Array, seeds: NDArray[np.integer]) -> tuple[float,
 
 
 def weighted_median(values: Array, weights: Array) -> float:
-    """The value up to which half of the weight lies; NaN when there is none."""
-    if not values.size:
-        return float("nan")
+    """The value up to which half of the weight lies."""
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(reached, 0.5 * reached[-1])]])

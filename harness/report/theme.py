@@ -155,7 +155,7 @@ def _shorter(text: str) -> str:
     names = {name: f"g{i}" for i, name in enumerate(dict.fromkeys(re.findall(r"<path id='([A-Za-z]+-[^']*)'", text)))}
     text = re.sub(r"(?<=[#'])(?:STIX|DejaVu)[A-Za-z]*-[^']*(?=')", lambda name: names.get(name[0], name[0]), text)
     text = text.replace("xlink:href=", "href=").replace(" xmlns:xlink='http://www.w3.org/1999/xlink'", "")
-    return re.sub(r"(?<=[:;]) (?=[^<>]*/?>)|(?<=>) (?=<)", "", text)
+    return text.replace("> <", "><").replace("; ", ";").replace(": ", ":")
 
 
 @lru_cache(maxsize=1024)
