@@ -149,7 +149,7 @@ def test_grouped_statistics_are_those_of_each_group():
     groups = grouped(members, 5000)
     count = counts(groups, seen)
     found_means = means(groups, seen, count, np.stack([values, values**2], axis=1))
-    found_medians = medians(groups, seen, count, values, ascending(seen, values))
+    found_medians = medians(groups, seen, count, values, np.argsort(values))
     for i, part in enumerate(members):
         chosen = values[part][seen[part]]
         assert count[i] == chosen.size
@@ -160,6 +160,15 @@ def test_grouped_statistics_are_those_of_each_group():
         else:
             assert np.isnan(found_medians[i])
             assert np.isnan(found_means[i]).all()
+
+
+def test_ascending_is_argsort_to_single_precision():
+    rng = np.random.default_rng(19)
+    values, seen = 10 ** rng.uniform(-12, 12, 20_000), rng.random(20_000) < 0.8
+    values[:5] = 0.0
+    order = ascending(seen, values)
+    assert set(order) == set(np.flatnonzero(seen))
+    assert (np.diff(values[order].astype(np.float32)) >= 0).all()
 
 
 def test_a_row_is_strict_json(outcome):
