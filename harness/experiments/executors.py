@@ -68,7 +68,7 @@ def workplace(work_s: float, trials: int, workers: int | None = None, dask: str 
     count = min(workers or cpus(), trials)
     if count == 1:
         return Workplace(_in_process, workers=1, slots=1)
-    return Workplace(lambda: _in_processes(count), count, slots=2 * count, name=f"in {count} processes")
+    return Workplace(lambda: _in_processes(count), count, slots=count + 1, name=f"in {count} processes")
 
 
 @contextmanager

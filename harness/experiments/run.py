@@ -144,7 +144,7 @@ def sweep(
 ) -> None:
     """Run what is left to do; see `sweep.run_sweep`."""
     # One worker takes single trials: there is nobody else to keep busy, and a kill costs one trial.
-    longest = 0.0 if place.workers == 1 and not place.elsewhere else left.total_s / (4 * place.workers)
+    longest = 0.0 if place.workers == 1 and not place.elsewhere else left.total_s / (12 * place.workers)
     run_sweep(left.batches(min(longest, 1.0)), store, place, observe)
 
 
