@@ -495,7 +495,7 @@ def _condition_table(sweep: Sweep) -> Table:
     if sweep.cells["condition"].nunique() < 2:
         return Table(headings, rows)
     for condition, cells in sweep.cells.groupby("condition", sort=False):
-        fits = fit_laws(cells)
+        fits = fit_laws(cells.assign(alpha_bin=-1))  # over all directions only: parts of each would take long
         for surface in sweep.surfaces:
             for way in sweep.ways:
                 part = way.of(cells[cells["surface"] == surface])

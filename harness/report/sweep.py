@@ -83,8 +83,8 @@ class Axis:
 
     @property
     def logarithmic(self) -> bool:
-        """Whether its values spread over more than a factor of four, zero not among them."""
-        return self.numeric and min(self.values) > 0 and max(self.values) / min(self.values) > 4
+        """Whether its values spread over a factor of three or more, zero not among them."""
+        return self.numeric and min(self.values) > 0 and max(self.values) / min(self.values) >= 3
 
     @property
     def positions(self) -> list[float]:

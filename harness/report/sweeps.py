@@ -97,7 +97,7 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
 def _over_range(sweep: Sweep, column_deg: float) -> Swept:
     bins = sorted(sweep.cells["range_bin"].unique())
     middle = {index: RANGE_RATIO ** (index + 0.5) for index in bins}
-    axis = Axis("range_m", [round(middle[index], 3) for index in bins])
+    axis = Axis("range_m", [round(middle[index], 2) for index in bins])
     lines = []
     shapes: dict[str, dict[str, tuple[Array, Array]]] = {}
     for surface in sweep.surfaces:
@@ -220,6 +220,8 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     ax.set_xlabel(label or axis.label)
     if axis.logarithmic:
         theme.logarithmic(ax, "x", min(positions) / 1.12, max(positions) * 1.12, most=5)
+        if len(positions) <= 6 and _apart(list(np.log(positions))):
+            ax.set_xticks(positions, [f"{value:g}" for value in positions])
         return
     margin = 0.07 * ((max(positions) - min(positions)) or 1)
     ax.set_xlim(min(positions) - margin, max(positions) + margin)
