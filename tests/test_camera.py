@@ -349,3 +349,8 @@ class TestAngles:
 
     def test_normalise(self) -> None:
         np.testing.assert_allclose(normalise([[3, 4, 0], [0, 0, -2]]), [[0.6, 0.8, 0], [0, 0, -1]], rtol=0, atol=1e-16)
+
+
+def test_a_principal_point_beside_the_image_is_refused():
+    with pytest.raises(ValueError, match=r"cx_px = 319\.5 is not on an image of 160 pixels; its middle is 79\.5"):
+        Camera(width_px=160, height_px=480)

@@ -20,6 +20,7 @@ from harness.experiments.spec import Trial
 from harness.experiments.store import Finished
 from harness.experiments.trial import Outcome, run_trial
 from harness.simulation.fingerprint import fingerprint
+from harness.simulation.mesh_file import companions
 from harness.simulation.scene import assets
 
 _CODE = code_hash()
@@ -49,6 +50,9 @@ def pack(trials: Sequence[Planned], *, threads: int | None = 1, with_files: bool
         Whether the worker may be on another machine.
     """
     scenes = {each.trial.scene for each in trials} if with_files else ()
+    for path in (path for scene in scenes for path in assets(scene)):
+        if companions(path):
+            raise InputError("is made of several files, which do not travel to workers; save it as GLB", file=path)
     return Batch(
         code=code_hash(),
         trials=tuple((each.key, fingerprint(each.trial.scene), each.trial.model_dump(mode="json")) for each in trials),

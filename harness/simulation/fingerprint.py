@@ -3,8 +3,10 @@
 import hashlib
 import json
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
+from harness.simulation.mesh_file import companions
 from harness.simulation.scene import Scene, assets
 
 
@@ -14,9 +16,15 @@ def fingerprint(scene: Scene) -> str:
 
     Kept for the life of the process: a file is not expected to change under a running experiment.
     """
-    contents = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in assets(scene)}
-    table = _replaced(scene.model_dump(mode="json"), contents)
+    contents = {str(path): _hash_of(path) for path in assets(scene)}
+    # Files that the scene's files name in their turn: a texture beside a mesh changes the picture as the mesh does.
+    beside = [_hash_of(companion) for path in assets(scene) for companion in companions(path)]
+    table = [_replaced(scene.model_dump(mode="json"), contents), beside]
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
+
+
+def _hash_of(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _replaced(value: Any, contents: dict[str, str]) -> Any:

@@ -1,8 +1,10 @@
 """Mesh files (GLB, OBJ, PLY) read through trimesh, as triangles with texture coordinates."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +62,36 @@ def read_mesh(path: Path) -> list[MeshPart]:
     if not parts:
         raise InputError("has no triangles; give a mesh with faces, not a point cloud", file=path)
     return parts
+
+
+def companions(path: Path) -> tuple[Path, ...]:
+    """The other files that a mesh file names: materials and textures of an OBJ, buffers and textures of a glTF."""
+    found: set[Path] = set()
+    if path.suffix.lower() == ".obj":
+        for library in _named_in(path, "mtllib"):
+            found |= {library, *_named_in(library, "map_")}
+    elif path.suffix.lower() == ".gltf":
+        parts = _json(path)
+        entries = [*parts.get("buffers", []), *parts.get("images", [])]
+        uris = [str(entry["uri"]) for entry in entries if "uri" in entry]
+        found = {path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")}
+    return tuple(sorted(each for each in found if each.is_file()))
+
+
+def _named_in(path: Path, keyword: str) -> list[Path]:
+    """Files named by the last word of the lines that begin with a keyword, beside the file that names them."""
+    if not path.is_file():
+        return []
+    lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
+    return [path.parent / words[-1] for words in lines if len(words) > 1 and words[0].lower().startswith(keyword)]
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        parts = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}  # whoever reads the mesh says what is wrong with it
+    return parts if isinstance(parts, dict) else {}
 
 
 def _part(mesh: Any, transform: Array, to_z_up: Array) -> MeshPart:
