@@ -40,7 +40,8 @@ class Camera(Spec):
     def _looks_at_its_mirror(self) -> "Camera":
         for key, at, size in (("cx_px", self.cx_px, self.width_px), ("cy_px", self.cy_px, self.height_px)):
             if not -0.5 <= at <= size - 0.5:
-                raise ValueError(f"{key} = {at:g} is not on an image of {size} pixels; its middle is {(size - 1) / 2:g}")
+                middle = (size - 1) / 2
+                raise ValueError(f"{key} = {at:g} is not on an image of {size} pixels; its middle is {middle:g}")
         return self
 
 
