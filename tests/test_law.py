@@ -152,6 +152,17 @@ def test_the_verdict_says_what_the_interval_allows(cells, says):
     assert says in verdict(fit_laws(cells), cells)
 
 
+def test_the_verdict_names_directions_that_exclude_one():
+    cells = made_up()
+    bent = cells["alpha_bin"] == 2
+    share = (cells["baseline_m"] / cells["range_m"]) ** 0.6
+    cells.loc[bent, "spread_m"] *= share[bent]
+    cells.loc[bent, "sigma_alpha"] *= share[bent]
+    text = verdict(fit_laws(cells), cells)
+    assert "within single directions" in text
+    assert "70 to 90 deg 0.4" in text
+
+
 def test_nothing_to_fit_is_said():
     assert "not tested" in verdict([], made_up().iloc[:0])
     assert the(fit_laws(made_up().iloc[:2]))["slope"] is None

@@ -46,7 +46,7 @@ def verdict(images: list[dict[str, Any]], cells: pd.DataFrame) -> str:
             for other in fitted
             if other["law"] == "paper" and all(other[key] == fit[key] for key in ("matcher", "subpixel", "surface"))
         )
-        sentences.append(f"{_name(fit)}: {_judged(fit)}; {_rivalry(fit, rival)}{_gross(fit, cells)}.")
+        sentences.append(f"{_name(fit)}: {_judged(fit)}{_directions(fit)}; {_rivalry(fit, rival)}{_gross(fit, cells)}.")
     return " ".join(sentences)
 
 
@@ -64,6 +64,16 @@ def _judged(fit: dict[str, Any]) -> str:
     if low <= 1 <= high:
         return f"{text}, which is compatible with 1" if high - low <= 0.3 else f"{text}, too wide to tell"
     return f"{text}, which excludes 1: the error grows {'faster' if low > 1 else 'more slowly'} than the law says"
+
+
+def _directions(fit: dict[str, Any]) -> str:
+    """Where the law fails although it may hold on the whole: directions whose own interval leaves 1 out."""
+    judged = [part for part in fit["by_alpha_1"] if part["slope_ci95"] is not None]
+    outside = [part for part in judged if not part["slope_ci95"][0] <= 1 <= part["slope_ci95"][1]]
+    if not outside:
+        return ""
+    named = ", ".join(f"{part['from_deg']:g} to {part['to_deg']:g} deg {part['slope']:.2f}" for part in outside)
+    return f"; within single directions, {len(outside)} of {len(judged)} exclude 1 (alpha_1 {named})"
 
 
 def _rivalry(fit: dict[str, Any], rival: dict[str, Any]) -> str:
