@@ -32,8 +32,14 @@ def test_law(cells: pd.DataFrame) -> dict[str, Any]:
 test_law.__test__ = False  # type: ignore[attr-defined]  # a test of physics, not one for pytest to collect
 
 
-def verdict(images: list[dict[str, Any]], cells: pd.DataFrame) -> str:
-    """What the slopes allow to be said, method by method; never more than their intervals."""
+def verdict(images: list[dict[str, Any]], cells: pd.DataFrame, *, directions: bool = True) -> str:
+    """What the slopes allow to be said, method by method; never more than their intervals.
+
+    Parameters
+    ----------
+    directions
+        Also name the directions that by themselves exclude a slope of 1.
+    """
     fitted = [fit for fit in images if fit["slope"] is not None]
     if not fitted:
         return "Images: not tested. The law needs cells that differ in |t|/d, from several baselines or ranges."
@@ -46,7 +52,8 @@ def verdict(images: list[dict[str, Any]], cells: pd.DataFrame) -> str:
             for other in fitted
             if other["law"] == "paper" and all(other[key] == fit[key] for key in ("matcher", "subpixel", "surface"))
         )
-        sentences.append(f"{_name(fit)}: {_judged(fit)}{_directions(fit)}; {_rivalry(fit, rival)}{_gross(fit, cells)}.")
+        where = _directions(fit) if directions else ""
+        sentences.append(f"{_name(fit)}: {_judged(fit)}{where}; {_rivalry(fit, rival)}{_gross(fit, cells)}.")
     return " ".join(sentences)
 
 

@@ -71,7 +71,7 @@ def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
             exact = next((fit for fit in fits if fit["law"] == "exact" and fit["slope"] is not None), None)
             if exact is None:
                 continue
-            said = verdict(fits, sweep.cells).partition(": ")[2]
+            said = verdict(fits, sweep.cells, directions=False).partition(": ")[2]
             said = typeset(f"{said[:1].upper()}{said[1:]}")
             found.append(Finding(way, surface, said, list(_reasons(sweep, way, surface, exact, law))))
     return found
