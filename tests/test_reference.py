@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from harness.evaluation.law_geometry import check_geometry
 from harness.experiments.experiment import load_experiment
 from harness.experiments.run import run_experiment
 
-REFERENCE = json.loads((Path(__file__).parents[1] / "results" / "reference" / "paper.json").read_text())
+REFERENCES = Path(__file__).parents[1] / "results" / "reference"
+REFERENCE = json.loads((REFERENCES / "paper.json").read_text())
 
 
 @pytest.mark.parametrize("scene", sorted(REFERENCE["scenes"]))
@@ -30,3 +32,17 @@ def test_the_reference_says_what_made_it():
     made_by = REFERENCE["made_by"]
     assert made_by["packages"]["embreex"]
     assert len(made_by["source_sha256"]) == 64
+
+
+def test_the_reference_of_the_law_is_of_all_its_trials_and_of_this_geometry():
+    reference = json.loads((REFERENCES / "law.json").read_text())
+    planned = len(load_experiment("law").planned)
+    assert planned >= 2000
+    assert reference["trials"] == {"total": planned, "done": planned, "failed": 0}
+    # The same draws, added up by another CPU's vector units.
+    assert check_geometry().summary() == pytest.approx(reference["law"]["geometry"], rel=1e-9)
+    walls = [fit for fit in reference["law"]["images"] if fit["surface"] == "wall" and fit["law"] == "exact"]
+    floors = [fit for fit in reference["law"]["images"] if fit["surface"] == "floor" and fit["law"] == "exact"]
+    # What the README says of them.
+    assert all(0.8 < fit["slope"] < 1 and fit["slope_ci95"][1] < 1 for fit in walls)
+    assert all(fit["slope"] < 0 for fit in floors)
