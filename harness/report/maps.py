@@ -93,15 +93,7 @@ def outline_domain(ax: Axes, method: Method) -> None:
 
 
 def _legend(ax: Axes, handles: list[Patch], labels: list[str]) -> None:
-    ax.legend(
-        handles,
-        labels,
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncol=len(labels),
-        columnspacing=1.6,
-        borderaxespad=0.3,
-    )
+    theme.legend_above(ax, handles, labels, gap=0.3)
 
 
 def _unknown(reason: Reason) -> tuple[str, str]:

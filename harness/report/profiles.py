@@ -198,12 +198,4 @@ def _key(ax: Axes, method: Method) -> None:
         Patch(facecolor=theme.UNMATCHED, edgecolor="#CCCCCC", linewidth=0.5),
     ]
     labels += [method.label, "outside the domain", "no estimate"]
-    ax.legend(
-        handles,
-        labels,
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncol=len(labels),
-        columnspacing=1.6,
-        borderaxespad=0.2,
-    )
+    theme.legend_above(ax, handles, labels, gap=0.2)

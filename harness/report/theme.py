@@ -6,7 +6,7 @@ Everything is drawn on `Figure` objects, never through pyplot, and in sizes of C
 import io
 import re
 from base64 import b64decode, b64encode
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,6 +15,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -275,6 +276,19 @@ def dots(
     patch.set_clip_path(ax.patch)
     # Not add_patch, which looks for the extrema of every segment to set the axes' limits.
     ax.add_artist(patch)
+
+
+def legend_above(ax: Axes, handles: Sequence[Artist], labels: Sequence[str], *, gap: float) -> None:
+    """A legend in one line above the axes, flush left; `gap` in parts of the letters' height."""
+    ax.legend(
+        handles,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncol=len(labels),
+        columnspacing=1.6,
+        borderaxespad=gap,
+    )
 
 
 def dot_key(colour: str) -> Line2D:
