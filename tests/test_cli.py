@@ -250,6 +250,21 @@ def test_two_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     first.communicate()
 
 
+def test_help_load_nothing_heavy() -> None:
+    """Each of these libraries takes longer to load than the answer may take."""
+    program = """
+import sys
+from harness.cli import main
+try:
+    main(["run", "--help"])
+except SystemExit:
+    pass
+print(sorted({"numpy", "pandas", "matplotlib", "pydantic", "rich", "numba"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "papre", "--debug"]) == 2
     assert "Traceback (most recent call last)" in capsys.readouterr().err

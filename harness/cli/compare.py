@@ -1,0 +1,43 @@
+"""`omnirange compare`: runs side by side."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from harness.cli.options import Commands, add_out
+from harness.cli.tables import differences_table
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "compare",
+        run,
+        brief="put runs side by side",
+        description="Pair the trials of runs by their settings, print how their main figures differ and write a page.",
+    )
+    command.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="output folders of runs; two or more")
+    add_out(command, "the page (default: comparison.html in the last DIR)", metavar="FILE")
+
+
+def run(options: Namespace) -> None:
+    """Write the page, and print a table for every pair of runs."""
+    from rich.console import Console
+
+    from harness.experiments.files import write
+    from harness.report.compare import build_comparison
+
+    comparison = build_comparison(*options.folders)
+    page = options.out or options.folders[-1] / "comparison.html"
+    write(page, comparison.html)
+    console = Console()
+    lines = list(comparison.lines())
+    for pairing in comparison.pairings:
+        first, second = pairing.first.name, pairing.second.name
+        if pairing.why_none:
+            console.print(f"{second} against {first}: {pairing.why_none}", markup=False, highlight=False)
+            continue
+        changed = "; ".join(f"{key}: {old} -> {new}" for key, (old, new) in pairing.differing.items())
+        title = f"{second} against {first}: {pairing.pairs} pairs, {pairing.seeds} seeds; {changed or 'same settings'}"
+        console.print(title, markup=False, highlight=False)
+        console.print(differences_table(cells for name, *cells in lines if name == second))
+    console.print(f"comparison: {page}", soft_wrap=True, highlight=False, markup=False)

@@ -1,0 +1,96 @@
+"""How sub-commands are declared, and the settings that several of them have."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from harness.cli.exits import INPUT
+
+
+class Parser(argparse.ArgumentParser):
+    """Takes no abbreviations, and says what is wrong in one line, as the rest of the program does."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong, and exit."""
+        print(f"omnirange: {message}; see {self.prog} --help", file=sys.stderr)
+        raise SystemExit(INPUT)
+
+
+class Commands:
+    """The sub-commands of a program."""
+
+    def __init__(self, parser: Parser) -> None:
+        self._parsers = parser.add_subparsers(
+            title="commands", required=True, metavar="COMMAND", parser_class=type(parser)
+        )
+
+    def add(
+        self,
+        name: str,
+        run: Callable[[argparse.Namespace], int | None],
+        *,
+        brief: str,
+        description: str,
+        epilog: str = "",
+    ) -> Parser:
+        """Declare a sub-command, with the settings that all have.
+
+        Parameters
+        ----------
+        run
+            Carries it out, and gives the exit code; None is 0.
+        brief
+            What it does, in the program's `--help`.
+        description, epilog
+            Before and after its settings in its own `--help`.
+        """
+        command = self._parsers.add_parser(name, help=brief, description=description, epilog=epilog)
+        command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        command.set_defaults(run=run)
+        return command
+
+
+def add_experiment(command: Parser) -> None:
+    """`experiment`: a name or a path."""
+    command.add_argument("experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file")
+
+
+def add_out(command: Parser, what: str = "output folder", *, metavar: str = "DIR", required: bool = False) -> None:
+    """`--out` as `out`: a path; None where it may be left out and is."""
+    command.add_argument("--out", type=Path, metavar=metavar, required=required, help=what)
+
+
+def add_changes(command: Parser, *, axes: bool = True) -> None:
+    """`--set` and `--axis` as `set` and `axis`: lists of text, for `load_experiment` to read."""
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the base trial; repeatable"
+    )
+    if axes:
+        command.add_argument(
+            "--axis",
+            action="append",
+            default=[],
+            metavar="KEY=A,B,C",
+            help="vary a setting, beside the axes; repeatable",
+        )
+
+
+def add_workplace(command: Parser) -> None:
+    """`--workers` and `--dask` as `workers` and `dask`: a number or an address, for `workplace` to read; or None."""
+    where = command.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers", type=whole_number, metavar="N", help="processes (default: one for each CPU, where it pays)"
+    )
+    where.add_argument("--dask", metavar="ADDRESS", help="run on a Dask cluster, such as tcp://127.0.0.1:8786")
+
+
+def whole_number(text: str) -> int:
+    """A number of at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; found '{text}'")
+    return int(text)

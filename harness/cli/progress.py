@@ -1,0 +1,84 @@
+"""How far a sweep has got, as it runs."""
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from harness.experiments.store import Finished
+
+_LINE_EVERY_S = 60.0
+
+
+class Progress:
+    """Trials done, failures, rate and time left: a bar on a terminal; elsewhere a line a minute, and one at the end."""
+
+    def __init__(self, name: str, total: int, done: int) -> None:
+        from rich import progress as bar
+        from rich.console import Console
+
+        self._name, self._total, self._before = name, total, done
+        self._done, self._failed = done, 0
+        self._begun = self._said = time.monotonic()
+        self._console = Console()
+        self._bar = bar.Progress(
+            bar.TextColumn("{task.description}"),
+            bar.BarColumn(bar_width=24),
+            bar.MofNCompleteColumn(),
+            bar.TextColumn("{task.fields[pace]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+            transient=True,
+        )
+        self._task = self._bar.add_task(name, total=total, completed=done, pace="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+    def say(self, text: str) -> None:
+        """A line above the bar; nothing where there is none."""
+        if self._console.is_terminal:
+            self._console.print(f"{self._name}: {text}", highlight=False)
+
+    def update(self, rows: "Sequence[Finished]") -> None:
+        """Count rows that have just been finished."""
+        self._done += len(rows)
+        self._failed += sum(row.state == "failed" for row in rows)
+        rate = (self._done - self._before) / max(time.monotonic() - self._begun, 1e-9)
+        failed = f", {self._failed} failed" if self._failed else ""
+        pace = f"{failed.lstrip(', ')} {rate:.1f}/s, {duration((self._total - self._done) / rate)} left".lstrip()
+        self._bar.update(self._task, completed=self._done, pace=pace)
+        if not self._console.is_terminal and time.monotonic() - self._said > _LINE_EVERY_S:
+            self._said = time.monotonic()
+            print(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}", flush=True)
+
+    def finish(self) -> None:
+        """Say how many trials were run, and how long it took."""
+        ran = self._done - self._before
+        self.stop()
+        if not ran:
+            print(f"{self._name}: all {self._total} trials are done")
+            return
+        seconds = time.monotonic() - self._begun
+        failed = f", {self._failed} of them failed" if self._failed else ""
+        before = f", {self._before} done before" if self._before else ""
+        print(
+            f"{self._name}: {ran} of {self._total} trials run{failed}, in {duration(seconds)} "
+            f"({ran / seconds:.1f} trials/s){before}",
+            flush=True,
+        )
+
+
+def duration(seconds: float) -> str:
+    """A time in words."""
+    if seconds < 99.5:
+        return f"{seconds:.3g} s" if seconds < 10 else f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,53 @@
+"""`omnirange render`: one view with its true range."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from harness import shipped
+from harness.cli.options import Commands, add_out
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "render",
+        run,
+        brief="render one view with its true range",
+        description="Render one view of a scene into a folder that can be used without this program.",
+        epilog=f"shipped scenes: {', '.join(shipped.names('scenes'))}",
+    )
+    command.add_argument("scene", metavar="SCENE", help="a shipped scene's name, or a TOML file")
+    command.add_argument("--sensor", type=Path, metavar="FILE", help="sensor TOML (default: the paper experiment's)")
+    command.add_argument(
+        "--at", type=float, nargs=3, required=True, metavar=("X", "Y", "Z"), help="viewpoint in the world, metres"
+    )
+    for angle, axis in (("yaw", "the vertical axis z"), ("pitch", "y"), ("roll", "x")):
+        command.add_argument(f"--{angle}-deg", type=float, default=0.0, metavar="A", help=f"turn about {axis}, degrees")
+    command.add_argument("--samples", type=int, default=16, metavar="N", help="rays per pixel, a square number (16)")
+    add_out(command, required=True)
+
+
+def run(options: Namespace) -> None:
+    """Render, and write the folder."""
+    from harness.camera.pose import Pose
+    from harness.camera.sensor import Sensor, load_sensor
+    from harness.experiments.render_folder import write_render
+    from harness.experiments.spec import Rendering
+    from harness.simulation.scene import load_scene
+    from harness.spec import parse
+
+    scene = load_scene(str(shipped.find("scenes", options.scene)))
+    sensor = load_sensor(options.sensor) if options.sensor else Sensor()
+    samples = parse(Rendering, {"samples": options.samples}, file="--samples").samples
+    pose = parse(
+        Pose,
+        {
+            "position_m": options.at,
+            "yaw_deg": options.yaw_deg,
+            "pitch_deg": options.pitch_deg,
+            "roll_deg": options.roll_deg,
+        },
+        file="--at",
+    )
+    write_render(scene, sensor, pose, options.out, samples=samples)
+    print(f"{scene.name} seen from {tuple(options.at)} m: {options.out}")

@@ -1,0 +1,38 @@
+"""`omnirange report`: the tables and the report of a run, anew."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from harness.cli.options import Commands
+from harness.cli.results import say_foreign, write
+from harness.errors import InputError
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "report",
+        run,
+        brief="write a run's report anew",
+        description="Write the tables, the summary and the report of a run anew, from its folder alone.",
+    )
+    command.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
+
+
+def run(options: Namespace) -> int:
+    """Write everything that is made from the rows of a run."""
+    from harness.experiments.experiment import Experiment
+    from harness.experiments.run import DATABASE, standing
+    from harness.experiments.store import Store
+    from harness.spec import parse
+
+    database = options.folder / DATABASE
+    if not database.is_file():
+        raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
+    with Store(database) as store:
+        experiment = parse(Experiment, store.fact("experiment"), file=database)
+        now = standing(experiment, store)
+        say_foreign(now.foreign)
+        if now.done < now.total:
+            print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
+        return write(experiment, store, options.folder, given=options.folder)

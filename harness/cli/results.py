@@ -1,0 +1,68 @@
+"""What `run` and `report` end in: files made from the rows of a run, and what is said of them."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.cli.exits import FAILED, OK
+from harness.cli.tables import methods_table
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.experiments.experiment import Experiment
+    from harness.experiments.store import Foreign, Store
+
+
+def write(
+    experiment: "Experiment", store: "Store", folder: Path, *, given: str | Path, with_report: bool = True
+) -> int:
+    """Write everything that is made from the rows, say what came out, and give the exit code.
+
+    Raises
+    ------
+    InputError
+        Where no trial could be carried out because of what was `given`: the user's to mend, like a wrong key.
+    """
+    from harness.experiments.run import result_of, standing, write_result, write_tables
+
+    write_tables(experiment, store, folder)
+    now = standing(experiment, store)
+    if now.done and with_report:
+        from harness.report.build import build_report
+
+        result = result_of(experiment, store)
+        write_result(result, build_report(result), store, folder)
+        show(result.summary, folder)
+    if not now.failed:
+        return OK
+    failures = [
+        row for row in store.finished(each.key for each in experiment.planned).values() if row.state == "failed"
+    ]
+    if len(failures) == now.total and all(row.is_refused for row in failures):
+        raise InputError(failures[0].message, file=given)
+    print(
+        f"omnirange: {now.failed} of {now.total} trials failed; {folder / 'failures.csv'} says why, "
+        "and the same command tries them again",
+        file=sys.stderr,
+    )
+    return FAILED
+
+
+def show(summary: dict[str, Any], folder: Path) -> None:
+    """Print the main figures, and where the report is."""
+    from rich.console import Console
+
+    console = Console()
+    console.print(methods_table(summary))
+    console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False)
+
+
+def say_foreign(foreign: "Foreign") -> None:
+    """Say how many trials of a folder are not used, and why."""
+    for count, why in (
+        (foreign.other_code, "by other code or libraries"),
+        (foreign.other_scene, "of other scenes, or of this one before it was changed"),
+        (foreign.other_settings, "with other settings"),
+    ):
+        if count:
+            print(f"{count} trials in this folder were made {why}: they are set aside, and not used")

@@ -1,0 +1,94 @@
+"""`omnirange run`: an experiment's trials, its tables and its report."""
+
+import json
+import os
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness import shipped
+from harness.cli import options as declare
+from harness.cli.exits import INTERRUPTED, OK
+from harness.cli.progress import Progress, duration
+from harness.cli.results import say_foreign, show, write
+
+if TYPE_CHECKING:
+    from harness.experiments.experiment import Experiment
+
+
+def add(commands: declare.Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "run",
+        run,
+        brief="run an experiment and write its report",
+        description="Run an experiment, print its figures and write results and an HTML report into a folder.",
+        epilog=f"shipped experiments: {', '.join(shipped.names('experiments'))}",
+    )
+    declare.add_experiment(command)
+    declare.add_out(command, "output folder (default: results/NAME)")
+    declare.add_changes(command)
+    command.add_argument(
+        "--dry-run", action="store_true", help="say how many trials there are and how long they may take"
+    )
+    command.add_argument("--no-report", action="store_true", help="leave out the summary and the report: tables only")
+    declare.add_workplace(command)
+
+
+def run(options: Namespace) -> int:
+    """Run what is not yet done, then write everything that is made from it."""
+    # Heavy libraries are loaded here, so that --help and a mistyped name answer at once.
+    from harness.experiments.executors import ONE_THREAD, workplace
+
+    os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
+
+    from harness.experiments.experiment import load_experiment
+    from harness.experiments.files import make_folder
+    from harness.experiments.run import is_reported, open_run, standing, sweep
+
+    experiment = load_experiment(options.experiment, options.set, options.axis)
+    if options.dry_run:
+        return _dry_run(experiment)
+    folder = options.out or Path("results") / experiment.name
+    make_folder(folder)
+    with open_run(experiment, folder) as store:
+        before = standing(experiment, store)
+        say_foreign(before.foreign)
+        if before.done == before.total and is_reported(experiment, store, folder):
+            print(
+                f"{experiment.name}: all {before.total} trials are done and the report is made; nothing is left to do"
+            )
+            show(json.loads((folder / "summary.json").read_text(encoding="utf-8")), folder)
+            return OK
+        with Progress(experiment.name, before.total, before.done) as progress:
+            try:
+                left = before.plan
+                if left.trials:
+                    place = workplace(left.total_s, len(left.trials), options.workers, options.dask)
+                    progress.say(f"{len(left.trials)} trials to run {place.name}, {before.done} done before")
+                    sweep(left, store, place, progress.update)
+            except KeyboardInterrupt:
+                progress.stop()
+                after = standing(experiment, store)
+                print(
+                    f"\nomnirange: interrupted; {after.done} of {after.total} trials are done and kept; "
+                    "run the same command to go on",
+                    file=sys.stderr,
+                )
+                return INTERRUPTED
+            progress.finish()
+        return write(experiment, store, folder, given=options.experiment, with_report=not options.no_report)
+
+
+def _dry_run(experiment: "Experiment") -> int:
+    from harness.experiments.executors import cpus
+    from harness.experiments.plan import plan
+
+    whole = plan(experiment.planned)
+    seconds = whole.total_s / cpus()
+    print(
+        f"{experiment.name}: {len(whole.trials)} trials, {whole.renders} distinct renders, "
+        f"about {duration(seconds)} on {cpus()} CPUs (a guess from the sizes of images)"
+    )
+    return OK

@@ -1,0 +1,75 @@
+"""What is printed as tables."""
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def methods_table(summary: dict[str, Any]) -> "Table":
+    """The main figures of a run, a line for each method and surface.
+
+    Parameters
+    ----------
+    summary
+        As in `summary.json`.
+    """
+    title = f"{summary['experiment']}: errors over the pixels that both methods matched"
+    table = _table(title)
+    table.add_column("\npixels", no_wrap=True)
+    table.add_column("\nmethod", no_wrap=True)
+    headings = (
+        "\ndensity",
+        "disparity\nmedian px",
+        "bad\n> 1 px",
+        "range\nmedian mm",
+        "range\nRMSE mm",
+        "range\nbias mm",
+    )
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for key, where in (("comparison_wall", "walls"), ("comparison", "all")):
+        for method, m in summary[key].items():
+            table.add_row(
+                where,
+                {"subpixel": "sub-pixel"}.get(method, method),
+                _figure(m["density"], 100, "{:.1f} %"),
+                _figure(m["disparity_median_abs_px"], 1, "{:.3f}"),
+                _figure(m["bad_1px"], 100, "{:.1f} %"),
+                _figure(m["range_median_abs_m"], 1000, "{:.1f}"),
+                _figure(m["range_rmse_m"], 1000, "{:.1f}"),
+                _figure(m["range_bias_m"], 1000, "{:+.1f}"),
+            )
+        table.add_section()
+    return table
+
+
+def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
+    """How the main figures of two runs differ.
+
+    Parameters
+    ----------
+    lines
+        Without the run's name, see `Comparison.lines`.
+    """
+    from rich.markup import escape
+
+    table = _table()
+    for heading in ("figure", "step", "first", "second", "difference [95 %]", "second is"):
+        side: Literal["left", "right"] = "right" if heading in {"first", "second"} else "left"
+        table.add_column(heading, justify=side, no_wrap=heading != "figure")
+    for cells in lines:
+        table.add_row(*map(escape, cells))
+    return table
+
+
+def _table(title: str | None = None) -> "Table":
+    from rich import box
+    from rich.table import Table
+
+    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+
+
+def _figure(value: float | None, scale: float, form: str) -> str:
+    return "none" if value is None else form.format(scale * value)
