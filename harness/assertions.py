@@ -11,6 +11,7 @@ from harness.camera.angles import Array
 from harness.evaluation.metrics import measure
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.experiments.trial import Outcome
+from harness.stereo.matching.registry import method_of
 
 Mask = NDArray[np.bool_]
 
@@ -143,9 +144,11 @@ def _worst(outcome: Outcome, pixels: Mask, failing: Mask) -> str:
 
 def _fail(outcome: Outcome, claim: str, by: float, reason: str, worst: str) -> None:
     trial = outcome.trial
-    matching = trial.matching
+    matcher, subpixel = method_of(trial.matching)
+    window = getattr(trial.matching, "window_px", None)
     name = (
-        f"trial {trial.key} (scene {trial.scene.name}, baseline {trial.view_2.baseline_m:g} m, window "
-        f"{matching.window_px} px, sub-pixel {matching.subpixel}, noise {trial.noise.sigma_grey:g}, seed {trial.seed})"
+        f"trial {trial.key} (scene {trial.scene.name}, baseline {trial.view_2.baseline_m:g} m, matcher {matcher}, "
+        f"{f'window {window} px, ' if window else ''}sub-pixel {subpixel}, noise {trial.noise.sigma_grey:g}, "
+        f"seed {trial.seed})"
     )
     raise AssertionError(f"{claim}: missed by {by:.3f}; {worst}; {name}; the bound holds because {reason}")

@@ -7,6 +7,7 @@ import pandas as pd
 
 from harness.evaluation.law import test_law
 from harness.experiments.experiment import Planned, shown
+from harness.stereo.matching.registry import method_of
 
 _NOT_A_CONDITION = ("seed", "view_2.baseline_m", "matching.kind", "matching.subpixel")
 """What the law is tested across (baseline, seed), or a column of its own. All else that varies is a condition."""
@@ -23,9 +24,10 @@ def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
     tables = []
     for planned, payload in done:
         trial = planned.trial
+        matcher, subpixel = method_of(trial.matching)
         common = {
-            "matcher": trial.matching.kind,
-            "subpixel": trial.matching.subpixel,
+            "matcher": matcher,
+            "subpixel": subpixel,
             "seed": trial.seed,
             "baseline_m": trial.view_2.baseline_m,
             "condition": shown({key: value for key, value in planned.place.items() if _is_condition(key)}),

@@ -17,6 +17,9 @@ from harness.errors import InputError
 from harness.experiments.spec import Trial
 from harness.simulation.scene import load_scene
 from harness.spec import Spec, parse, read_toml
+from harness.stereo.matching.registry import carried_over
+
+_KIND = "matching.kind"
 
 Settings = dict[str, Any]
 """Dotted keys of a trial, such as `matching.window_px` or `scene.objects.0.size_m`, and their values."""
@@ -247,8 +250,11 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
     InputError
         When a key leads through a value that has no keys, or past the end of a list.
     """
-    for place in sorted(settings, key=lambda each: each.count(".")):
+    for place in sorted(settings, key=lambda each: (each.count("."), each != _KIND)):
         where = f"{key}.{place}" if key else place
+        if place == _KIND and isinstance(table.get("matching"), Mapping):
+            # Before what else is said of the matcher: another kind has other keys.
+            table = {**table, "matching": carried_over(table["matching"], settings[place])}
         table = _with(table, place.split("."), settings[place], file, where)
         if place in {"scene", "sensor"}:
             table = _read_in(table, Path(), file, key)

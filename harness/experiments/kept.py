@@ -58,7 +58,7 @@ def geometry_key(trial: Trial) -> tuple[Hashable, ...]:
 def sharing_keys(trial: Trial) -> dict[str, Hashable]:
     """Which trials can share the stages up to each of these: those with equal keys. In the order of the pipeline."""
     geometry = geometry_key(trial)
-    noise = (geometry, trial.noise, trial.seed if trial.noise.sigma_grey else None)
+    noise = (geometry, trial.exposure_2, trial.noise, trial.seed if trial.noise.sigma_grey else None)
     filtered = (noise, trial.unwrap, trial.filter)
     matching: Spec = trial.matching
     if "subpixel" in type(matching).model_fields:

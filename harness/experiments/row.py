@@ -31,7 +31,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
     surfaces = {"wall": truth.domain & truth.wall, "floor": truth.domain & ~truth.wall}
     scored = {where: mask & outcome.valid for where, mask in surfaces.items()}
     regions = measure_regions(outcome.layout, errors)
-    everywhere = truth.domain & outcome.valid
+    everywhere, refined = truth.domain & outcome.valid, outcome.matches.refined
     return {
         "figures": {
             **_figures(regions, "visible in both views"),
@@ -39,12 +39,12 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **{f"wall_{k}": v for k, v in _figures(regions, "wall").items()},
             **{f"floor_{k}": v for k, v in _figures(regions, "floor or ceiling").items()},
             **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(truth.domain, errors, grid).items()},
-            "refined": float(np.mean(outcome.matches.refined[everywhere])) if everywhere.any() else None,
+            "refined": float(np.mean(refined[everywhere])) if refined is not None and everywhere.any() else None,
         },
         "regions": regions,
         "cells": cells(outcome.layout, truth, errors, outcome.trial.view_2.baseline_m),
         "errors": {where: error_histogram(mask, errors) for where, mask in scored.items()},
-        "fractions": {where: fraction_histogram(mask, outcome.matches.k) for where, mask in scored.items()},
+        "fractions": {where: fraction_histogram(mask, outcome.k) for where, mask in scored.items()},
     }
 
 

@@ -25,11 +25,16 @@ from harness.experiments.store import Finished, Foreign, Store
 from harness.experiments.sweep import run_sweep
 from harness.experiments.trial import Outcome
 from harness.simulation.fingerprint import fingerprint
-from harness.spec import dump_toml, parse
+from harness.spec import dump_toml
+from harness.stereo.matching.registry import method_of
+from harness.stereo.matching.window_settings import WindowMatcher
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
-"""What `summary.json` and the report call the sub-pixel settings."""
+"""What `summary.json` and the report call the paper's two methods."""
+
+MOST_DETAILS = 4
+"""How many methods are looked at in detail: their maps and profiles still fit a page."""
 
 DATABASE = "run.sqlite"
 WRITTEN = (
@@ -305,38 +310,42 @@ def compare(outcomes: dict[str, Outcome], *, wall_only: bool) -> dict[str, Measu
 
 
 def by_method(outcomes: list[Outcome]) -> dict[str, Outcome]:
-    """The first outcome of each sub-pixel method, by the name that people read."""
-    named: dict[str, Outcome] = {}
-    for outcome in outcomes:
-        named.setdefault(METHODS.get(_subpixel(outcome.trial), "subpixel"), outcome)
-    return named
+    """The first outcome of each method, by the name that `summary.json` has for it.
+
+    `pixel` and `subpixel` when the paper's two methods are all there are; otherwise the matcher and its sub-pixel step.
+    """
+    methods = {method_of(outcome.trial.matching): outcome for outcome in reversed(outcomes)}
+    methods = {method: methods[method] for method in dict.fromkeys(method_of(each.trial.matching) for each in outcomes)}
+    windows = all(isinstance(outcome.trial.matching, WindowMatcher) for outcome in outcomes)
+    kinds, steps = {kind for kind, _ in methods}, {step for _, step in methods}
+    if windows and len(kinds) == 1 and steps <= METHODS.keys():
+        return {METHODS[step]: outcome for (_, step), outcome in methods.items()}
+    return {kind if step == "own" else f"{kind} {step}": outcome for (kind, step), outcome in methods.items()}
 
 
 def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
-    """The base trial with whole pixels and one sub-pixel method, if both are on the axes.
+    """The base trial by every method on the axes, the first few of them.
 
     A base trial that cannot be carried out gives way to the first trial that could.
     """
-    methods = list(dict.fromkeys(_subpixel(each.trial) for each in experiment.planned))
-    refined = [method for method in methods if method != "none"]
-    chosen = [method for method in methods if method in ("none", *refined[:1])]
+    methods: dict[tuple[str, str], Trial] = {}
+    for each in experiment.planned:
+        methods.setdefault(method_of(each.trial.matching), each.trial)
+    chosen = list(methods.values())[:MOST_DETAILS]
     for base in (experiment.trial, first_done):
         try:
-            return [worker.run_here(_with_subpixel(base, method)) for method in chosen]
+            return [worker.run_here(_with_method(base, trial)) for trial in chosen]
         except InputError:
             continue
     raise InputError(f"the first trial that was done cannot be carried out again: {shown(experiment.planned[0].place)}")
 
 
-def _subpixel(trial: Trial) -> str:
-    return str(getattr(trial.matching, "subpixel", "none"))
-
-
-def _with_subpixel(trial: Trial, method: str) -> Trial:
-    if _subpixel(trial) == method:
-        return trial
-    table = trial.model_dump(mode="json")
-    return parse(Trial, table | {"matching": table["matching"] | {"subpixel": method}})
+def _with_method(base: Trial, other: Trial) -> Trial:
+    """The base trial, matched as another one is; with its own settings as far as they say the same."""
+    matching = other.matching
+    if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
+        matching = base.matching.model_copy(update={"kind": matching.kind, "subpixel": matching.subpixel})
+    return base.model_copy(update={"matching": matching})
 
 
 def _summary(experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:

@@ -13,7 +13,9 @@ from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator
 from harness.simulation.scene import Scene
 from harness.spec import Finite, Positive, Spec
-from harness.stereo.matching.window import WindowMatcher
+from harness.stereo.matching.registry import Matcher
+from harness.stereo.matching.registry import fingerprint as matcher_fingerprint
+from harness.stereo.matching.window_settings import WindowMatcher
 from harness.stereo.panorama import Grid, Interpolation
 
 
@@ -64,6 +66,13 @@ class Noise(Spec):
     sigma_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
 
 
+class Exposure(Spec):
+    """How the second camera differs from the first one in its answer to light: `gain * grey + offset`."""
+
+    gain: Positive = 1.0
+    offset_grey: Finite = 0.0
+
+
 class Placement(Spec):
     """What the seed draws of where the rig stands, so that a trial is not about one lucky place.
 
@@ -90,6 +99,16 @@ class Filter(Spec):
     log_sigma_px: Annotated[float, Field(ge=0, le=50)] = 1.5
 
 
+class Scoring(Spec):
+    """What is kept of a trial beyond its figures.
+
+    `sample_px`: the errors of every so many rows and columns, for what needs pixels of several trials at once, such as
+    the spread over seeds; 0 for none.
+    """
+
+    sample_px: Annotated[int, Field(ge=0, le=256)] = 0
+
+
 class Trial(Spec):
     """One run of the pipeline, from a scene to an error."""
 
@@ -99,18 +118,29 @@ class Trial(Spec):
     view_2: SecondView = SecondView()
     placement: Placement = Placement()
     render: Rendering = Rendering()
+    exposure_2: Exposure = Exposure()
     noise: Noise = Noise()
     panorama: Grid = Grid()
     unwrap: Unwrapping = Unwrapping()
     filter: Filter = Filter()
-    matching: WindowMatcher = WindowMatcher()
+    matching: Matcher = WindowMatcher()
+    scoring: Scoring = Scoring()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Of all that is random: placement and noise."""
 
     @property
     def key(self) -> str:
-        """Sixteen hexadecimal digits that name these settings, on any machine: a scene counts by its contents."""
+        """Sixteen hexadecimal digits that name these settings, on any machine: a scene counts by its contents,
+        and so does a matcher from elsewhere.
+
+        Raises
+        ------
+        InputError
+            When such a matcher cannot be found.
+        """
         settings = self.model_dump(mode="json") | {"scene": fingerprint(self.scene)}
+        if matcher := matcher_fingerprint(self.matching):
+            settings["matcher"] = matcher
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
     @property

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +21,22 @@ from harness.evaluation.metrics import Measures, measure
 from harness.evaluation.regions import CellPixels, Layout, Region, layout
 from harness.experiments.kept import Kept
 from harness.experiments.spec import Trial
+from harness.simulation.exposure import with_exposure
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.geometry import check_viewpoint, geometry_of
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import Truth, truth
-from harness.stereo.epipolar import Curves
-from harness.stereo.filter import laplacian_of_gaussian
-from harness.stereo.matching.window import Matches, Reason, WholePixelMatches, match, match_whole_pixels
-from harness.stereo.panorama import Grid, Panorama, directions, unwrap
+from harness.stereo.epipolar import Curves, Sampling, epipolar_curves, sample_at
+from harness.stereo.matching.contract import Matches, Reason
+from harness.stereo.matching.registry import match_pair
+from harness.stereo.pair import Pair
+from harness.stereo.panorama import Grid, Panorama, directions
 from harness.stereo.ranging import triangulate
 
 Observer = Callable[[str], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -40,13 +44,13 @@ class Outcome:
     """All that a trial made. Arrays are on view 1's panorama unless they are said to be images."""
 
     trial: Trial
-    images: tuple[NDArray[np.float32], NDArray[np.float32]]
-    """The mirror images of both views, with their noise."""
-    panoramas: tuple[Panorama, Panorama]
-    """Both in v1's orientation."""
-    filtered: tuple[Panorama, Panorama]
+    pair: Pair
+    """What the matcher was given."""
+    clean: tuple[NDArray[np.float32], NDArray[np.float32]]
+    """The mirror images of both views before their noise."""
     truth: Truth
-    whole: WholePixelMatches
+    curves: Curves
+    """The epipolar curves that whole samples are counted on."""
     matches: Matches
     range_m: Array
     """Estimated range from view 1; NaN where `reason` is not `Reason.MATCHED`."""
@@ -59,9 +63,30 @@ class Outcome:
     """Wall time of each stage, in the order of the pipeline."""
 
     @property
+    def images(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The mirror images of both views, with their noise."""
+        return self.pair.images
+
+    @property
+    def panoramas(self) -> tuple[Panorama, Panorama]:
+        """Both in v1's orientation."""
+        return self.pair.panoramas()
+
+    @property
+    def filtered(self) -> tuple[Panorama, Panorama]:
+        """The same after the Laplacian of Gaussian."""
+        return self.pair.filtered()
+
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """Pixels with an estimate of the range."""
         return np.isfinite(self.range_m)
+
+    @property
+    def k(self) -> Array:
+        """The matches in samples of `curves`, with fractions; NaN where there is no match."""
+        found = self.matches
+        return sample_at(self.curves, found.alpha_2) if found.k is None else found.k
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -107,10 +132,8 @@ def run_trial(
     # A stage's key: the settings that its result depends on, which are those of the stages before it and its own.
     scene = fingerprint(trial.scene)
     pictured = [(scene, trial.sensor, pose, trial.render) for pose in poses]
-    taken = [(key, trial.noise, trial.noise.sigma_grey and (trial.seed, view)) for view, key in enumerate(pictured)]
-    unwrapped = [(key, grid, trial.unwrap, turned) for key, turned in zip(taken, ((), poses), strict=True)]
-    filtered = [(key, trial.filter) for key in unwrapped]
-    searched = (*filtered, poses, trial.matching.model_copy(update={"subpixel": "none"}))
+    exposed = [(pictured[0], None), (pictured[1], trial.exposure_2)]
+    taken = [(key, trial.noise, trial.noise.sigma_grey and (trial.seed, view)) for view, key in enumerate(exposed)]
 
     for pose, key in zip(poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         _check_view(trial.scene, pose, key)
@@ -124,6 +147,8 @@ def run_trial(
             for key, pose in zip(pictured, poses, strict=True)
         ]
     with clock("noise"):
+        second = trial.exposure_2
+        clean = (pictures[0], with_exposure(pictures[1], trial.sensor, second.gain, second.offset_grey))
         images = [
             kept.get(
                 "noise",
@@ -135,7 +160,7 @@ def run_trial(
                     generator(trial.seed, "noise", scene, trial.sensor.model_dump_json(), f"view {view + 1}"),
                 ),
             )
-            for view, (key, picture) in enumerate(zip(taken, pictures, strict=True))
+            for view, (key, picture) in enumerate(zip(taken, clean, strict=True))
         ]
     with clock("truth"):
         looking = directions(grid)
@@ -152,49 +177,45 @@ def run_trial(
                 threads=threads,
             ),
         )
-    with clock("unwrap"):
-        rotations = (np.eye(3), motion.R_v2_from_v1)
-        panoramas = [
-            kept.get(
-                "unwrap",
-                key,
-                lambda image=image, R=R: unwrap(
-                    image, trial.sensor, grid, R_sensor_from_panorama=R, interpolation=trial.unwrap.interpolation
-                ),
-            )
-            for key, image, R in zip(unwrapped, images, rotations, strict=True)
-        ]
-    with clock("filter"):
-        answers = [
-            kept.get("filter", key, lambda image=image: laplacian_of_gaussian(image, trial.filter.log_sigma_px))
-            for key, image in zip(filtered, panoramas, strict=True)
-        ]
     with clock("match"):
-        whole = kept.get(
-            "match",
-            searched,
-            lambda: match_whole_pixels(answers[0], answers[1], motion.t_v1, trial.matching, threads=threads),
+        pair = Pair(
+            images=(images[0], images[1]),
+            sensor=trial.sensor,
+            motion=motion,
+            grid=grid,
+            interpolation=trial.unwrap.interpolation,
+            log_sigma_px=trial.filter.log_sigma_px,
+            threads=threads,
+            keys=(taken[0], taken[1]),
+            share=lambda stage, key, make: kept.get(stage, key, lambda: clock.timed(stage, make)),
         )
-    with clock("sub-pixel"):
-        matches = match(whole, trial.matching)
+        matches = match_pair(pair, trial.matching)
     with clock("range"):
-        range_m, _ = triangulate(whole.curves.alpha_1, matches.alpha_2, motion.baseline_m)
-        lost = np.isnan(range_m) & (matches.reason == Reason.MATCHED)
-        reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reason)
+        sampling, pitch_px = _sampling(trial)
+        curves = epipolar_curves(
+            grid,
+            motion.t_v1,
+            d_min_m=trial.matching.d_min_m,
+            d_max_m=trial.matching.d_max_m,
+            sampling=sampling,
+            pitch_px=pitch_px,
+        )
+        range_m, _ = triangulate(curves.alpha_1, matches.alpha_2, motion.baseline_m)
+        lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
+        reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons)
     with clock("score"):
         expected, parts = kept.get(
             "reference",
-            (scene, trial.sensor, poses, grid, trial.matching.sampling, trial.matching.pitch_px),
-            lambda: _expected(seen, looking, poses[0], grid, whole.curves),
+            (scene, trial.sensor, poses, grid, sampling, pitch_px),
+            lambda: _expected(seen, looking, poses[0], grid, curves),
         )
         found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
     return Outcome(
         trial=trial,
-        images=(images[0], images[1]),
-        panoramas=(panoramas[0], panoramas[1]),
-        filtered=(answers[0], answers[1]),
+        pair=pair,
+        clean=clean,
         truth=seen,
-        whole=whole,
+        curves=curves,
         matches=matches,
         range_m=range_m,
         reason=reason,
@@ -214,6 +235,18 @@ def _check_view(scene: Scene, pose: Pose, key: str) -> None:
         raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
 
 
+def _sampling(trial: Trial) -> tuple[Sampling, float]:
+    """How the trial's matcher samples the curves, and the distance of samples in columns.
+
+    One that has no samples is held against whole columns, or against whole steps of alpha_2 where t is so steep that
+    phi hardly follows the curves.
+    """
+    x, y, z = trial.motion.t_v1
+    steep = abs(z) > np.hypot(x, y)
+    sampling: Sampling = getattr(trial.matching, "sampling", "alpha" if steep else "phi")
+    return sampling, float(getattr(trial.matching, "pitch_px", 1.0))
+
+
 def _expected(seen: Truth, looking: Array, pose: Pose, grid: Grid, curves: Curves) -> tuple[Reference, Layout]:
     """All that scoring needs of the truth."""
     expected = reference(seen, looking, curves)
@@ -221,13 +254,24 @@ def _expected(seen: Truth, looking: Array, pose: Pose, grid: Grid, curves: Curve
 
 
 class _Clock:
+    """Seconds of each stage, without those of the stages inside it."""
+
     def __init__(self, observe: Observer) -> None:
         self._observe = observe
+        self._inside = [0.0]
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         self._observe(stage)
+        self._inside.append(0.0)
         begin = time.perf_counter()
         yield
-        self.seconds[stage] = time.perf_counter() - begin
+        took = time.perf_counter() - begin
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + took - self._inside.pop()
+        self._inside[-1] += took
+
+    def timed(self, stage: str, make: Callable[[], T]) -> T:
+        """What `make` returns, its time counted for this stage."""
+        with self(stage):
+            return make()

@@ -15,8 +15,6 @@ from harness.report import (
     distributions,
     downloads,
     images,
-    law,
-    law_sections,
     locking,
     maps,
     measures,
@@ -27,6 +25,8 @@ from harness.report import (
     words,
 )
 from harness.report.curve import Curve
+from harness.report.law import example
+from harness.report.law.sections import sections_of
 from harness.report.methods import Method, methods_of
 from harness.report.statistics import FEW_SEEDS
 from harness.report.sweep import Sweep, sweep_of, value_text
@@ -86,9 +86,9 @@ def build_report(result: Result) -> str:
         domain_share=float(reference.domain.mean()),
         wall_px=int((reference.domain & reference.wall).sum()),
         column_deg=column_deg,
-        law=law,
-        example=law.worked_example(),
-        within=[law.within_steps(method.outcome, method.label) for method in methods],
+        law=example,
+        example=example.worked_example(),
+        within=[example.within_steps(method.outcome, method.label) for method in methods],
         settings=words.settings(outcome.trial),
         toml=dump_toml(result.experiment),
         sweep=swept,
@@ -121,12 +121,7 @@ def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column
     }
     tested = result.summary.get("law")
     if tested:
-        found |= {
-            "findings": law_sections.findings(swept, tested),
-            "geometry": law_sections.geometry(),
-            "images": law_sections.images(swept, tested["images"]),
-            "decomposition": law_sections.decomposition(swept, tested, column_deg),
-        }
+        found |= sections_of(swept, tested, column_deg)
     return found
 
 
@@ -165,7 +160,8 @@ def draw(methods: list[Method]) -> Figures:
     """Draw everything."""
     first = methods[0].outcome
     pixel = curve.typical_pixel(methods)
-    search = curve.curve_at(first, *pixel) if pixel else None
+    searched = curve.with_windows(methods)
+    search = curve.curve_at(searched, *pixel) if searched and pixel else None
     row = profiles.row_at(methods, profiles.main_row(methods))
     span = profiles.limits(methods, row.index)
     limit = maps.common_limit_mm(methods)
@@ -173,7 +169,7 @@ def draw(methods: list[Method]) -> Figures:
     return Figures(
         environment=[images.environment(first), images.mirror_image(first)],
         panoramas=[images.panorama(first), images.filtered(first)],
-        curve=curve.cost_along_curve(first, search) if search else [],
+        curve=curve.cost_along_curve(searched, search) if searched and search else [],
         profile=[profiles.profile(method, row, span, letter) for method, letter in lettered],
         rows=[profiles.small_profile(methods, profiles.row_at(methods, i)) for i in profiles.other_rows(methods)],
         errors=[maps.error_map(method, limit, letter) for method, letter in lettered],
@@ -183,7 +179,7 @@ def draw(methods: list[Method]) -> Figures:
             distributions.signed(methods, "(c) signed disparity, walls", wall=True),
             distributions.signed(methods, "(d) signed disparity, floor and ceiling", wall=False),
         ],
-        law=[law.law_chart(), law.measured_chart(methods)],
+        law=[example.law_chart(), example.measured_chart(methods)],
         search=search,
         row=row,
         limit_mm=limit,
@@ -205,8 +201,8 @@ def template(name: str) -> Template:
 
 def _azimuth_of_t(outcome: Outcome) -> float | None:
     """Where on view 1's panorama the second viewpoint lies, degrees; None straight above or below."""
-    x, y, _ = outcome.whole.curves.t
-    level = np.hypot(x, y) > 1e-9 * np.linalg.norm(outcome.whole.curves.t)
+    x, y, _ = outcome.curves.t
+    level = np.hypot(x, y) > 1e-9 * np.linalg.norm(outcome.curves.t)
     return float(np.degrees(np.arctan2(y, x))) if level else None
 
 

@@ -12,7 +12,8 @@ from harness.report import theme
 from harness.report.methods import Method, common
 from harness.report.theme import FAINT, HALF, INK, Picture
 from harness.stereo.matching.subpixel import refine
-from harness.stereo.matching.window import costs_along_curve
+from harness.stereo.matching.window import costs_along_curve, whole_pixels
+from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
 from harness.stereo.panorama import cylinder
 from harness.stereo.ranging import points
 
@@ -43,14 +44,23 @@ class Curve:
         return self.best_deg + x * self.step_deg, np.polyval(self.fit, x)
 
 
+def with_windows(methods: list[Method]) -> Outcome | None:
+    """The first outcome of a window matcher: the only ones whose search can be drawn."""
+    return next((each.outcome for each in methods if isinstance(each.outcome.trial.matching, WindowMatcher)), None)
+
+
 def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
     """The pixel whose absolute errors by all methods are nearest to their medians; the first of several.
 
-    Looked for on walls of the domain, on all of it when no wall is matched. All samples around the minimum exist.
+    Looked for on walls of the domain, on all of it when no wall is matched. All samples around the minimum exist. None
+    when there is no such pixel, or no window matcher.
     """
-    outcome = methods[0].outcome
-    complete = common(methods) & np.isfinite(outcome.whole.costs).all(axis=-1) & outcome.reference.domain
-    complete &= refine(outcome.whole.costs, "parabola")[1]
+    outcome = with_windows(methods)
+    if outcome is None:
+        return None
+    costs = _search(outcome).costs
+    complete = common(methods) & np.isfinite(costs).all(axis=-1) & outcome.reference.domain
+    complete &= refine(costs, "parabola")[1]
     for place in (complete & outcome.reference.wall, complete):
         if place.any():
             apart = np.zeros(place.shape)
@@ -64,8 +74,9 @@ def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
 
 def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
     """What the matcher saw along one pixel's curve."""
-    curves, matcher = outcome.whole.curves, outcome.trial.matching
-    inside, found = costs_along_curve(outcome.filtered[0], outcome.filtered[1], outcome.whole, matcher, row, column)
+    matcher, whole = _window_matcher(outcome), _search(outcome)
+    curves = whole.curves
+    inside, found = costs_along_curve(outcome.filtered[0], outcome.filtered[1], whole, matcher, row, column)
     step = float(curves.step[row, column])
     if curves.sampling == "phi":
         start = float(curves.grid.phi[column])
@@ -73,9 +84,9 @@ def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
         true = start + float(wrap_angle(np.arctan2(point[1], point[0]) - start))
     else:
         start, true = float(curves.alpha_1[row, column]), float(outcome.reference.alpha_2[row, column])
-    around = outcome.whole.costs[row, column]
+    around = whole.costs[row, column]
     x = np.arange(around.size) - around.size // 2
-    best = int(outcome.whole.k[row, column])
+    best = int(whole.k[row, column])
     # The parabola's neighbours may lie beyond the ends of the search interval.
     ks = np.arange(min(inside[0], best + x[0]), max(inside[-1], best + x[-1]) + 1)
     costs = np.full(ks.size, np.nan)
@@ -98,10 +109,10 @@ def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
 
 def cost_along_curve(outcome: Outcome, curve: Curve) -> list[Picture]:
     """The whole search interval, and the surroundings of its minimum."""
-    matcher = outcome.trial.matching
+    matcher = _window_matcher(outcome)
     unit = "grey levels²" if matcher.cost == "ssd" else "grey levels"
     cost = f"{matcher.cost.upper()} over {matcher.window_px} × {matcher.window_px} px ({unit})"
-    angle = r"$\varphi_2$ (°)" if outcome.whole.curves.sampling == "phi" else r"$\alpha_2$ (°)"
+    angle = r"$\varphi_2$ (°)" if outcome.curves.sampling == "phi" else r"$\alpha_2$ (°)"
     near_name = f"{int(curve.near.sum())} samples of the fit"
     x, y = curve.parabola()
 
@@ -165,3 +176,14 @@ def _finish(ax: Axes, angle: str, cost: str) -> None:
     ax.set_xlabel(angle)
     ax.set_ylabel(cost)
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
+
+
+def _window_matcher(outcome: Outcome) -> WindowMatcher:
+    matcher = outcome.trial.matching
+    if not isinstance(matcher, WindowMatcher):
+        raise TypeError(f"the search of {matcher!r} cannot be drawn")
+    return matcher
+
+
+def _search(outcome: Outcome) -> WholePixelMatches:
+    return whole_pixels(outcome.pair, _window_matcher(outcome))

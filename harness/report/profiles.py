@@ -13,6 +13,7 @@ from harness.report import theme
 from harness.report.methods import Method, common
 from harness.report.theme import HALF, WIDE, Picture
 from harness.stereo.epipolar import alpha_2_at
+from harness.stereo.matching.registry import method_of
 from harness.stereo.ranging import triangulate
 
 
@@ -100,7 +101,7 @@ def profile(method: Method, row: Row, span: tuple[float, float], letter: str) ->
     fig = theme.figure(WIDE, 300)
     ax = theme.axes(fig, 52, 30, WIDE - 72, 222)
     phi = np.degrees(outcome.trial.panorama.phi)
-    stepped = outcome.trial.matching.subpixel == "none"
+    stepped = method_of(outcome.trial.matching)[1] == "none"
     _background(ax, outcome, row.index, phi)
     if stepped:
         x, y = _levels(outcome, row.index, span)
@@ -173,7 +174,7 @@ def _estimate(ax: Axes, method: Method, row: int, span: tuple[float, float], siz
 
 def _levels(outcome: Outcome, row: int, span: tuple[float, float]) -> tuple[Array, Array]:
     """The range that each whole sample of the curves of a row means, one line a sample; NaN between lines."""
-    curves = outcome.whole.curves
+    curves = outcome.curves
     columns = np.arange(0, curves.grid.width_px, 2)
     first, last = curves.k_first[row, columns], curves.k_last[row, columns]
     samples = np.arange(max(int(first.min()), 0), int(last.max()) + 1)

@@ -11,6 +11,7 @@ import pandas as pd
 from harness.experiments.experiment import text_of
 from harness.experiments.run import Result
 from harness.report import theme
+from harness.stereo.matching.registry import method_of
 
 NOT_AN_AXIS = ("seed", "matching.kind", "matching.subpixel")
 """Keys that vary, but are averaged over or drawn as methods."""
@@ -130,10 +131,11 @@ def sweep_of(result: Result) -> Sweep:
     records = []
     for row, payload in zip(done, payloads, strict=True):
         trial = row.planned.trial
+        matcher, subpixel = method_of(trial.matching)
         records.append(
             {
-                "matcher": str(getattr(trial.matching, "kind", "matcher")),
-                "subpixel": str(getattr(trial.matching, "subpixel", "none")),
+                "matcher": matcher,
+                "subpixel": subpixel,
                 "seed": trial.seed,
                 **{axis.key: value_text(row.place[axis.key]) for axis in axes},
                 **{name: math.nan if value is None else value for name, value in payload["figures"].items()},

@@ -9,6 +9,9 @@ from harness.experiments.run import Result
 from harness.experiments.spec import Trial
 from harness.report.methods import Method
 from harness.report.sweep import Sweep
+from harness.stereo.matching.contract import Limits
+from harness.stereo.matching.registry import method_of
+from harness.stereo.matching.window_settings import WindowMatcher
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,18 @@ def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
     yield (
         f"Two mirror images of {camera.width_px} × {camera.height_px} pixels, rendered "
         f"{trial.view_2.baseline_m:g}\u00a0m apart in the scene “{trial.scene.name}” with exact truth{noise}, are "
-        f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched by {matcher.cost.upper()} "
-        f"over {matcher.window_px} × {matcher.window_px}\u00a0px windows along epipolar curves."
+        f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched {_by(matcher)}."
     )
     walls, everything = result.summary["comparison_wall"], result.summary["comparison"]
     yield from _compared("On wall pixels", walls, methods)
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
+
+
+def _by(matcher: Limits) -> str:
+    if isinstance(matcher, WindowMatcher):
+        size = f"{matcher.window_px} × {matcher.window_px}\u00a0px"
+        return f"by {matcher.cost.upper()} over {size} windows along epipolar curves"
+    return f"by the matcher “{method_of(matcher)[0]}”"
 
 
 def overview(result: Result, sweep: Sweep) -> Iterator[str]:

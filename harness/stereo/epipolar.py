@@ -132,6 +132,20 @@ def alpha_2_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> Arr
     return np.where(k == 0, a_1, alpha)
 
 
+def sample_at(curves: Curves, alpha_2: ArrayLike) -> Array:
+    """The sample k, with its fraction, at which each pixel's curve has an angle alpha_2 `[height, width]`, radians.
+
+    The inverse of `alpha_2_at`; NaN where alpha_2 is.
+    """
+    alpha_2 = np.asarray(alpha_2, dtype=np.float64)
+    if curves.sampling == "alpha":
+        return np.asarray((alpha_2 - curves.alpha_1) / curves.step)
+    t_x, t_y, _ = curves.t / np.linalg.norm(curves.t)
+    c, s = np.cos(alpha_2), np.sin(alpha_2)
+    phi = np.arctan2(c * t_y + s * curves.m[..., 1], c * t_x + s * curves.m[..., 0])
+    return np.asarray(wrap_angle(phi - curves.grid.phi[None, :]) / curves.step)
+
+
 def point_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> tuple[Array, Array]:
     """(phi_2, z_2) of sample k, fractions allowed, of every pixel (or of the pixels `where` selects)."""
     k = np.asarray(k, dtype=np.float64)

@@ -29,7 +29,7 @@ from harness.camera.angles import Array, wrap_angle
 from harness.stereo.epipolar import Curves
 from harness.stereo.matching import _kernels
 from harness.stereo.matching.centres import searchable, window_centres
-from harness.stereo.matching.contract import WholePixelMatches, WindowMatcher
+from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
 from harness.stereo.panorama import Panorama
 
 PER_GREY = 8

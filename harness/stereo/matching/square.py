@@ -10,7 +10,8 @@ from harness.camera.angles import Array
 from harness.stereo.epipolar import Curves
 from harness.stereo.matching import _kernels
 from harness.stereo.matching.centres import searchable, window_centres
-from harness.stereo.matching.contract import Reason, WholePixelMatches, WindowMatcher
+from harness.stereo.matching.contract import Reason
+from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
 from harness.stereo.panorama import Panorama
 
 

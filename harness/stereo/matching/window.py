@@ -12,8 +12,10 @@ from harness.camera.angles import Array
 from harness.stereo.epipolar import alpha_2_at, epipolar_curves
 from harness.stereo.matching import column as column_windows
 from harness.stereo.matching import square as square_windows
-from harness.stereo.matching.contract import Matches, Reason, WholePixelMatches, WindowMatcher
+from harness.stereo.matching.contract import Matches, Reason
 from harness.stereo.matching.subpixel import refine
+from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
+from harness.stereo.pair import Pair
 from harness.stereo.panorama import Panorama
 
 __all__ = [
@@ -23,10 +25,29 @@ __all__ = [
     "WindowMatcher",
     "costs_along_curve",
     "match",
+    "match_pair",
     "match_whole_pixels",
+    "whole_pixels",
 ]
 
 _KINDS = {"window": square_windows, "column": column_windows}
+
+
+def match_pair(pair: Pair, matcher: WindowMatcher) -> Matches:
+    """Match the filtered panoramas; the search is shared by all sub-pixel steps."""
+    whole = whole_pixels(pair, matcher)
+    return pair.shared("sub-pixel", (matcher, pair.interpolation, pair.log_sigma_px), lambda: match(whole, matcher))
+
+
+def whole_pixels(pair: Pair, matcher: WindowMatcher) -> WholePixelMatches:
+    """The search of `match_pair`."""
+    first, second = pair.filtered()
+    searched = matcher.model_copy(update={"subpixel": "none"})
+    return pair.shared(
+        "match",
+        (searched, pair.interpolation, pair.log_sigma_px),
+        lambda: match_whole_pixels(first, second, pair.t_v1, matcher, threads=pair.available_threads),
+    )
 
 
 def match_whole_pixels(

@@ -1,0 +1,15 @@
+"""How the second camera answers to light otherwise than the first: a matcher should not mind."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.sensor import Sensor, pixel_directions
+
+
+def with_exposure(image: NDArray[np.float32], sensor: Sensor, gain: float, offset_grey: float) -> NDArray[np.float32]:
+    """`gain image + offset`, grey levels, where the sensor sees; neither clipped nor rounded, as noise is not."""
+    if gain == 1 and offset_grey == 0:
+        return image
+    changed = np.where(pixel_directions(sensor)[1], np.float32(gain) * image + np.float32(offset_grey), image)
+    changed.flags.writeable = False
+    return changed

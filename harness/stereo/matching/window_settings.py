@@ -1,0 +1,67 @@
+"""Settings of the window matchers, and what passes from the search to the sub-pixel step."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from harness.camera.angles import Array
+from harness.spec import Positive
+from harness.stereo.epipolar import Curves, Sampling
+from harness.stereo.matching.contract import Limits
+from harness.stereo.matching.subpixel import Subpixel
+
+
+class WindowMatcher(Limits):
+    """Settings of the window matchers; the paper leaves all of them open but the cost, d_min's and d_max's existence
+    and the parabola over three neighbours a side.
+
+    - `kind`: `window` moves a square along the curve of its middle, as the paper does. `column` lets each column of the
+      window follow its own curve, and interpolates between rows: another definition, and some twenty times as fast.
+    - `window_px` 11: large enough for the LoG texture to be told apart, small enough that a window on a wall stays
+      nearly at one disparity. Odd, so that it has a centre.
+    - `sampling`, `pitch_px`: one sample a column, the panorama's own resolution.
+    """
+
+    kind: Literal["window", "column"] = "window"
+    cost: Literal["sad", "ssd"] = "sad"
+    window_px: Annotated[int, Field(ge=1, le=99)] = 11
+    sampling: Sampling = "phi"
+    pitch_px: Positive = 1.0
+    subpixel: Subpixel = "parabola"
+    neighbours: Annotated[int, Field(ge=1, le=9)] = 3
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "WindowMatcher":
+        if self.window_px % 2 == 0:
+            raise ValueError(f"window_px must be odd, so that the window has a centre; found {self.window_px}")
+        if self.kind == "column":
+            if self.sampling != "phi":
+                raise ValueError(
+                    f'kind = "column" needs sampling = "phi", which goes by columns; found sampling = "{self.sampling}"'
+                )
+            parts = self.samples_per_column
+            if parts < 1 or abs(parts * self.pitch_px - 1) > 1e-6:
+                raise ValueError(
+                    'kind = "column" needs pitch_px = 1/m with a whole m, such as 1, 0.5 or 0.25, so that every sample'
+                    f" falls on a column; found {self.pitch_px:g}"
+                )
+        return self
+
+    @property
+    def samples_per_column(self) -> int:
+        """Samples from one column to the next, rounded: m for a pitch of 1/m."""
+        return round(1 / self.pitch_px)
+
+
+@dataclass(frozen=True)
+class WholePixelMatches:
+    """The best sample of each curve and the costs around it: all that a sub-pixel step needs."""
+
+    curves: Curves
+    k: NDArray[np.int32]
+    costs: Array
+    """`[height, width, 2 reach + 1]`, grey levels (squared with `ssd`); NaN where a sample has no whole window."""
+    reason: NDArray[np.uint8]

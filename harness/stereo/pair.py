@@ -1,0 +1,109 @@
+"""What a matcher is given: two mirror images, the sensor, how the views lie to each other, and what is made of them.
+
+Panoramas and filtered panoramas are made when they are first asked for, and shared by all matchers that ask for the
+same.
+"""
+
+import os
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.camera.pose import Motion
+from harness.camera.sensor import Sensor
+from harness.stereo.filter import laplacian_of_gaussian
+from harness.stereo.panorama import Grid, Interpolation, Panorama, unwrap
+
+T = TypeVar("T")
+
+Share = Callable[[str, Hashable, Callable[[], Any]], Any]
+"""`share(stage, key, make)`: the result of a stage with this key, made if nobody has made it yet."""
+
+
+def nothing_shared(_stage: str, _key: Hashable, make: Callable[[], Any]) -> Any:
+    """A `Share` that makes everything anew."""
+    return make()
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two views of one scene; all arrays are read-only."""
+
+    images: tuple[NDArray[np.float32], NDArray[np.float32]]
+    """The mirror images `[sensor height, sensor width]`, grey levels of 0 .. 255, 0 where the sensor sees nothing."""
+    sensor: Sensor
+    """Of both views."""
+    motion: Motion
+    """From view 1 to view 2."""
+    grid: Grid
+    """The panorama's pixels: a matcher's answers are on view 1's."""
+    interpolation: Interpolation = "bilinear"
+    log_sigma_px: float = 1.5
+    """How panoramas are made, and filtered, unless a matcher asks for something else."""
+    threads: int | None = None
+    """How many may be used; all available CPUs when None. No answer may depend on it."""
+    keys: tuple[Hashable, Hashable] = field(default_factory=lambda: (object(), object()))
+    """What stands for each image with its place where results are shared."""
+    share: Share = nothing_shared
+
+    @property
+    def t_v1(self) -> Array:
+        """`[3]`, metres: viewpoint 2 in v1's frame."""
+        return self.motion.t_v1
+
+    @property
+    def available_threads(self) -> int:
+        """`threads`, or the number of CPUs."""
+        return self.threads or len(os.sched_getaffinity(0))
+
+    def panoramas(self, interpolation: Interpolation | None = None) -> tuple[Panorama, Panorama]:
+        """Both views on the grid, **both in v1's orientation**: what is left between them is a pure translation."""
+        how = interpolation or self.interpolation
+        rotations = (np.eye(3), self.motion.R_v2_from_v1)
+
+        def one(view: int) -> Panorama:
+            return unwrap(
+                self.images[view],
+                self.sensor,
+                self.grid,
+                R_sensor_from_panorama=rotations[view],
+                interpolation=how,
+            )
+
+        turned = self.motion.R_v2_from_v1.tobytes()
+        keys = [(key, self.grid, how, view and turned) for view, key in enumerate(self.keys)]
+        first, second = (cast("Panorama", self.share("unwrap", keys[i], partial(one, i))) for i in (0, 1))
+        return first, second
+
+    def filtered(
+        self, log_sigma_px: float | None = None, interpolation: Interpolation | None = None
+    ) -> tuple[Panorama, Panorama]:
+        """The panoramas after the Laplacian of Gaussian; 0 leaves them as they are."""
+        sigma = self.log_sigma_px if log_sigma_px is None else log_sigma_px
+        how = interpolation or self.interpolation
+        panoramas = self.panoramas(how)
+        turned = self.motion.R_v2_from_v1.tobytes()
+        keys = [(key, self.grid, how, view and turned, sigma) for view, key in enumerate(self.keys)]
+        first, second = (
+            cast("Panorama", self.share("filter", keys[i], partial(laplacian_of_gaussian, panoramas[i], sigma)))
+            for i in (0, 1)
+        )
+        return first, second
+
+    def shared(self, stage: str, settings: Hashable, make: Callable[[], T]) -> T:
+        """Something made of this pair with some settings, shared with other matchers that need the same.
+
+        Parameters
+        ----------
+        stage
+            A name; also what its time is counted under.
+        settings
+            All that the result depends on beside the pair.
+        """
+        key = (*self.keys, self.motion.R_v2_from_v1.tobytes(), self.t_v1.tobytes(), self.sensor, self.grid, settings)
+        return cast("T", self.share(stage, key, make))
