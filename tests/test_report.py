@@ -14,8 +14,9 @@ from browser import chromium, visit
 
 from harness.experiments.experiment import Experiment
 from harness.experiments.run import Result, run_experiment
-from harness.report import curve, law, maps, profiles, theme, words
+from harness.report import curve, maps, profiles, theme, words
 from harness.report.build import build_report
+from harness.report.law import example
 from harness.report.methods import methods_of
 from harness.simulation.scene import Scene, load_scene
 from harness.spec import parse
@@ -197,12 +198,12 @@ def test_a_number_that_rounds_to_zero_has_no_sign():
 
 
 def test_worked_example_of_the_law():
-    found = [(each.alpha_1_deg, round(each.exact_m, 3), round(each.short_m, 3)) for each in law.worked_example()]
+    found = [(each.alpha_1_deg, round(each.exact_m, 3), round(each.short_m, 3)) for each in example.worked_example()]
     assert found == [(90, 0.323, 0.314), (30, 0.464, 0.314), (15, 0.857, 0.314)]
 
 
 def test_pixel_level_errors_lie_within_what_the_law_allows_for_whole_steps(paper):
-    within = law.within_steps(methods_of(paper.outcomes)[0].outcome, "pixel level")
+    within = example.within_steps(methods_of(paper.outcomes)[0].outcome, "pixel level")
     assert within.shares[0] > 0.85
     assert within.shares[-1] > 0.99
 
@@ -214,11 +215,14 @@ def test_cost_curve_is_the_matchers(paper):
     best = np.nanargmin(found.costs)
     assert found.angle_deg[best] == pytest.approx(found.best_deg)
     assert found.near.sum() == 7
+    from harness.stereo.matching.window import whole_pixels
+
     # The parabola is the one that the sub-pixel step used: its minimum is the estimate.
     refined = methods[1].outcome
     assert refined.matches.refined[row, column]
     offset = (found.minimum_deg - found.best_deg) / found.step_deg
-    assert refined.matches.k[row, column] - refined.whole.k[row, column] == pytest.approx(offset, abs=1e-9)
+    whole = whole_pixels(refined.pair, refined.trial.matching)
+    assert refined.matches.k[row, column] - whole.k[row, column] == pytest.approx(offset, abs=1e-9)
     assert -found.fit[1] / (2 * found.fit[0]) == pytest.approx(offset, abs=1e-6)
 
 
@@ -295,7 +299,7 @@ def test_panels_without_data_say_so():
     methods = methods_of(run_small(matching={"window_px": 99}).outcomes)
     assert curve.typical_pixel(methods) is None
     with theme.style():
-        assert "no estimate" in law.measured_chart(methods).alt
+        assert "no estimate" in example.measured_chart(methods).alt
 
 
 # --- In a browser -------------------------------------------------------------------------------------------------

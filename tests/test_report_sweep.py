@@ -19,9 +19,10 @@ from harness.cli import main
 from harness.errors import InputError
 from harness.experiments.experiment import Experiment
 from harness.experiments.run import Result, run_experiment
-from harness.report import law_sections, locking, measures, regions, sweeps, theme
+from harness.report import locking, measures, regions, sweeps, theme
 from harness.report.build import build_report
 from harness.report.compare import FIGURES, build_comparison
+from harness.report.law.sections import sections_of
 from harness.report.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
 from harness.report.sweep import Axis, sweep_of, value_text
 from harness.simulation.scene import load_scene
@@ -216,9 +217,10 @@ def test_what_is_said_of_all_trials_needs_no_pixels(swept):
         assert locking.histograms(bare)[0]
         assert regions.over_trials(bare)[0]
         assert measures.all_measures(bare).rows
-        assert law_sections.findings(bare, law)
-        assert law_sections.images(bare, law["images"]).pictures["regression"]
-        assert law_sections.decomposition(bare, law, 2.0).pictures["sigma"]
+        parts = sections_of(bare, law, 2.0)
+        assert parts["findings"]
+        assert parts["images"].pictures["regression"]
+        assert parts["decomposition"].pictures["sigma"]
 
 
 def test_the_numbers_to_download_do_not_grow_with_the_pixels(page, paper_page):

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
-from harness.report import law
 from harness.report.curve import Curve
 from harness.report.data import Data
 from harness.report.distributions import curves, histograms
+from harness.report.law import example
 from harness.report.methods import Method
 from harness.report.profiles import Row, other_rows, row_at
 from harness.stereo.matching.window import Reason
@@ -66,7 +66,9 @@ def of_base_trial(methods: list[Method], search: Curve | None, row: Row) -> dict
             ["kind", "error", "method", "surface", "value", "share"],
             [*curves(methods), *histograms(methods)],
         ),
-        "law": Data("law-example-and-measured", ["what", "alpha_1_deg", "range_error_m"], list(law.numbers(methods))),
+        "law": Data(
+            "law-example-and-measured", ["what", "alpha_1_deg", "range_error_m"], list(example.numbers(methods))
+        ),
     }
     if search:
         found["curve"] = Data(

@@ -1,0 +1,174 @@
+"""What the law takes for granted: how the angle's own error, mismatches and losses grow."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.report import theme
+from harness.report.data import Data, Heading, Table, number, words
+from harness.report.law.part import Part, is_of
+from harness.report.statistics import mean_over_seeds
+from harness.report.sweep import Sweep
+from harness.report.sweeps import SURFACES, draw_line
+from harness.report.theme import Picture
+
+
+def decomposition(sweep: Sweep, law: dict[str, Any], column_deg: float) -> Part:
+    """How the angle's own error, mismatches and losses grow with |t|/d and by direction."""
+    rows: list[list[Any]] = []
+    cells = sweep.cells
+    step = math.log(RANGE_RATIO)
+    ratio_bin = np.round(np.log(cells["baseline_m"] / cells["range_m"]) / step)
+    near = (RANGE_RATIO**ratio_bin).rename("x")
+    middles = np.array([(low + high) / 2 for low, high in pairwise(ALPHA_1_EDGES_DEG)])
+    direction = pd.Series(middles[cells["alpha_bin"].to_numpy()], index=cells.index)
+    sigma_px = np.degrees(cells["sigma_alpha"]) / column_deg
+    ratio_label = r"$|t|\,/\,d$"
+    alpha_label = r"angle to the baseline $\alpha_1$ (°)"
+    pictures = [
+        _against(
+            sweep,
+            near,
+            sigma_px,
+            ratio_label,
+            "$\\sigma(\\alpha_2)$ (px)",
+            "(a) the angle’s spread",
+            rows,
+            "sigma_px",
+            log_y=True,
+        ),
+        _against(
+            sweep,
+            near,
+            cells["gross"],
+            ratio_label,
+            "off by over 1 px (% of estimates)",
+            "(b) mismatches",
+            rows,
+            "gross",
+            scale=100,
+        ),
+        _against(
+            sweep,
+            direction,
+            sigma_px,
+            alpha_label,
+            "$\\sigma(\\alpha_2)$ (px)",
+            "(c) by direction",
+            rows,
+            "sigma_px",
+            log_y=True,
+            log_x=False,
+        ),
+        _against(
+            sweep,
+            near,
+            cells["missing"],
+            ratio_label,
+            "without an estimate (% of pixels)",
+            "(d) lost",
+            rows,
+            "missing",
+            scale=100,
+        ),
+    ]
+    return Part(
+        {"sigma": pictures},
+        {"sigma": _sigma_table(sweep, law)},
+        {
+            "sigma": Data(
+                "law-decomposition",
+                ["matcher", "subpixel", "surface", "measure", "against", "at", "mean", "ci95_low", "ci95_high"],
+                rows,
+            ),
+        },
+    )
+
+
+def _against(
+    sweep: Sweep,
+    x: "pd.Series[float]",
+    y: "pd.Series[float]",
+    label: str,
+    ordinate: str,
+    title: str,
+    rows: list[list[Any]],
+    name: str,
+    *,
+    log_x: bool = True,
+    log_y: bool = False,
+    scale: float = 1.0,
+) -> Picture:
+    fig, panels = theme.pair()
+    told, seen = [], []
+    for ax, (surface, surface_words) in zip(panels, SURFACES.items(), strict=True):
+        ax.set_title(surface_words)
+        for way in sweep.ways:
+            cells = way.of(sweep.cells[sweep.cells["surface"] == surface])
+            if cells.empty:
+                continue
+            table = cells.assign(x=x[cells.index], value=y[cells.index]).pivot_table(
+                index=["seed", "condition"], columns="x", values="value", aggfunc=_log_mean if log_y else "mean"
+            )
+            curve = mean_over_seeds(table, logarithmic=log_y)
+            at = [float(value) for value in table.columns]
+            draw_line(ax, way, at, curve, scale)
+            seen += [scale * curve.mean, scale * curve.low, scale * curve.high]
+            told.append(
+                f"{way.label} on {surface_words} from {scale * curve.mean[0]:.3g} to {scale * curve.mean[-1]:.3g}"
+            )
+            against = "t_over_d" if log_x else "alpha_1_deg"
+            rows += [
+                [way.matcher, way.subpixel, surface, name, against, *each]
+                for each in zip(at, curve.mean, curve.low, curve.high, strict=True)
+            ]
+    known = np.concatenate(seen)
+    known = known[np.isfinite(known)]
+    for ax in panels:
+        if log_x:
+            theme.logarithmic(ax, "x", float(x.min()) / 1.15, float(x.max()) * 1.15, most=5)
+        else:
+            ax.set_xlim(ALPHA_1_EDGES_DEG[0], ALPHA_1_EDGES_DEG[-1])
+            ax.set_xticks(ALPHA_1_EDGES_DEG[1:-1])
+        if log_y:
+            theme.logarithmic(ax, "y", float(known.min()) / 1.25, float(known.max()) * 1.25)
+        else:
+            ax.set_ylim(0, max(1.08 * float(known.max()), 1.0))
+        ax.set_xlabel(label)
+    panels[0].set_ylabel(ordinate)
+    plain = ordinate.replace("$\\sigma(\\alpha_2)$", "sigma of alpha 2")
+    return theme.picture(fig, f"{plain} against {'|t|/d' if log_x else 'alpha 1'}: {'; '.join(told)}.", title)
+
+
+def _log_mean(values: "pd.Series[float]") -> float:
+    return float(np.exp(np.log(values).mean()))
+
+
+def _sigma_table(sweep: Sweep, law: dict[str, Any]) -> Table:
+    headings = [
+        Heading("Surface", text=True),
+        Heading("Method", text=True),
+        Heading("σ(α₂) on |t|/d", "power"),
+        Heading("95 % low"),
+        Heading("95 % high"),
+    ]
+    rows = []
+    for surface in sweep.surfaces:
+        for way in sweep.ways:
+            for each in law["sigma_alpha"]:
+                if is_of(each, way, surface):
+                    low, high = each["slope_ci95"] or (None, None)
+                    rows.append(
+                        [
+                            words(SURFACES[surface]),
+                            words(way.label, way.colour),
+                            number(each["slope_on_t_over_d"], "+.3f"),
+                            number(low, "+.3f"),
+                            number(high, "+.3f"),
+                        ]
+                    )
+    return Table(headings, rows)

@@ -1,0 +1,199 @@
+"""Images: the relative error of the range regressed on both laws."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+
+from harness.evaluation.law_images import LAWS, residuals
+from harness.report import theme
+from harness.report.data import Data, interval
+from harness.report.law import slopes
+from harness.report.law.part import LAW_NAMES, PLAIN_NAMES, Fit, Part, is_of
+from harness.report.statistics import median_over_seeds
+from harness.report.sweep import Sweep, Way, log_edges
+from harness.report.sweeps import SURFACES
+from harness.report.theme import FAINT, Picture
+from harness.report.words import figure
+
+_DENSE = LinearSegmentedColormap.from_list("cells", ["#FFFFFF", "#D5DEE8", "#7A8DA3", "#2F4158"])
+
+
+def images(sweep: Sweep, fits: list[Fit]) -> Part:
+    """Regressions of the relative error on both laws."""
+    pictures: list[Picture] = []
+    binned: list[list[Any]] = []
+    for way in sweep.ways:
+        for surface in SURFACES:
+            mine = {fit["law"]: fit for fit in fits if is_of(fit, way, surface) and fit["slope"] is not None}
+            if mine:
+                pictures.append(_regression(sweep, way, surface, mine, binned))
+    residual_rows: list[list[Any]] = []
+    directions: list[list[Any]] = [
+        [
+            fit["matcher"],
+            fit["subpixel"],
+            fit["surface"],
+            fit["law"],
+            f"{each['from_deg']:g}-{each['to_deg']:g}",
+            each["slope"],
+            *(each["slope_ci95"] or (None, None)),
+            each["r2"],
+        ]
+        for fit in fits
+        for each in fit["by_alpha_1"]
+    ]
+    method = ["matcher", "subpixel", "surface", "law"]
+    return Part(
+        {
+            "regression": pictures,
+            "residuals": [
+                _residuals(sweep, fits, surface, letter, residual_rows) for surface, letter in _lettered(sweep)
+            ],
+            "directions": [slopes.by_direction(sweep, fits, surface, letter) for surface, letter in _lettered(sweep)],
+        },
+        {"slopes": slopes.slope_table(sweep, fits), "conditions": slopes.condition_table(sweep)},
+        {
+            "regression": Data(
+                "law-images", [*method, "law_over_d", "cells", "median_spread_over_d", "ci95_low", "ci95_high"], binned
+            ),
+            "residuals": Data(
+                "law-residuals", [*method, "law_over_d", "quartile_1", "median", "quartile_3"], residual_rows
+            ),
+            "directions": Data(
+                "law-directions", [*method, "alpha_1_deg", "slope", "ci95_low", "ci95_high", "r2"], directions
+            ),
+        },
+    )
+
+
+def _lettered(sweep: Sweep) -> list[tuple[str, str]]:
+    return list(zip(sweep.surfaces, "abcd", strict=False))
+
+
+def _adjusted(cells: pd.DataFrame) -> "pd.Series[float]":
+    """log(spread/d), every condition brought to the level of all."""
+    y = np.log(cells["spread_m"] / cells["range_m"])
+    return y - y.groupby(cells["condition"]).transform("mean") + y.mean()
+
+
+def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binned: list[list[Any]]) -> Picture:
+    there = sweep.cells[sweep.cells["surface"] == surface]
+    cells = way.of(there)
+    y = np.exp(_adjusted(cells))
+    limits_y = _around(
+        np.exp(pd.concat([_adjusted(each.of(there)) for each in sweep.ways if len(each.of(there))])), 0.003
+    )
+    limits_x = _around(pd.concat([there["law_exact"] / there["range_m"], there["law_paper"] / there["range_m"]]), 0.001)
+    fig, panels = theme.pair(height=330, top=46)
+    told = []
+    for ax, law in zip(panels, LAWS, strict=True):
+        theme.logarithmic(ax, "x", *limits_x, most=4)
+        theme.logarithmic(ax, "y", *limits_y)
+        ax.set_xlabel("exact law / $d$ (per rad)" if law == "exact" else "$d\\,/\\,|t|$ (per rad)")
+        if law not in fits:
+            theme.note(ax, "not fitted")
+            continue
+        fit = fits[law]
+        x = cells[f"law_{law}"] / cells["range_m"]
+        _density(ax, x, y, limits_x, limits_y)
+        centre = float(np.exp(np.log(x).mean())), float(np.exp(np.log(y).mean()))
+        ends = np.array([x.min(), x.max()])
+        ax.plot(ends, centre[1] * (ends / centre[0]), color=theme.TRUTH, linestyle=(0, (4, 2.5)), linewidth=1.0)
+        ax.plot(ends, centre[1] * (ends / centre[0]) ** fit["slope"], color=way.colour, linewidth=1.6)
+        edges = log_edges(x, 9)
+        index = np.digitize(x, edges) - 1
+        points = []
+        for i in range(9):
+            inside = index == i
+            if inside.sum() >= 8:
+                median, low, high = median_over_seeds(y[inside].to_numpy(), cells["seed"][inside].to_numpy())
+                at = math.sqrt(edges[i] * edges[i + 1])
+                points.append((at, median, low, high))
+                binned.append([way.matcher, way.subpixel, surface, law, at, int(inside.sum()), median, low, high])
+        across, middle, lower, upper = np.array(points).reshape(-1, 4).T
+        ax.vlines(across, lower, upper, color=way.colour, linewidth=1.4)
+        ax.plot(
+            across, middle, way.marker, color=way.colour, markersize=5, markerfacecolor=theme.PAPER, markeredgewidth=1.3
+        )
+        ci = fit["slope_ci95"]
+        words_of_fit = f"slope {figure(fit['slope'], '.2f')}{'' if ci is None else ' ' + interval(ci, '.2f')}"
+        ax.set_title(f"{words_of_fit}\nR² {fit['r2']:.2f}", fontsize=9.5)
+        told.append(f"{'exact law' if law == 'exact' else 'short form'} {words_of_fit}, R² {fit['r2']:.2f}")
+    panels[0].set_ylabel("spread / $d$, conditions aligned")
+    name = f"{way.label}, {SURFACES[surface]}"
+    return theme.picture(fig, f"Relative range error against the law over the range, {name}: {'; '.join(told)}.", name)
+
+
+def _around(values: "pd.Series[float]", cut: float) -> tuple[float, float]:
+    low, high = np.quantile(values, [cut, 1 - cut])
+    return float(low) / 1.3, float(high) * 1.3
+
+
+def _density(
+    ax: Axes, x: "pd.Series[float]", y: "pd.Series[float]", limits_x: tuple[float, float], limits_y: tuple[float, float]
+) -> None:
+    """How many cells lie where, as a picture of few pixels."""
+    counts, _, _ = np.histogram2d(np.log(x), np.log(y), bins=(40, 44), range=(np.log(limits_x), np.log(limits_y)))
+    shown = np.sqrt(counts.T / max(counts.max(), 1))
+    # On axes of their own: a picture is linear, the axes are logarithmic.
+    below = ax.figure.add_axes(ax.get_position().bounds, zorder=ax.get_zorder() - 1)
+    below.set_axis_off()
+    below.imshow(
+        np.round(shown * 20) / 20, cmap=_DENSE, origin="lower", aspect="auto", vmin=0, vmax=1, interpolation="none"
+    )
+    ax.patch.set_alpha(0)
+
+
+def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: list[list[Any]]) -> Picture:
+    fig, panels = theme.pair()
+    there = sweep.cells[sweep.cells["surface"] == surface]
+    limits = _around(pd.concat([there["law_exact"] / there["range_m"], there["law_paper"] / there["range_m"]]), 0.001)
+    told, reach = [], [0.5]
+    for ax, law in zip(panels, LAWS, strict=True):
+        theme.logarithmic(ax, "x", *limits, most=4)
+        ax.axhline(0, color=FAINT, linewidth=0.8)
+        ax.set_title(LAW_NAMES[law])
+        ax.set_xlabel("law / $d$ (per rad)")
+        for number_of, way in enumerate(sweep.ways):
+            fit = next((f for f in fits if is_of(f, way, surface) and f["law"] == law and f["slope"] is not None), None)
+            if fit is None:
+                continue
+            x, off = np.array(list(residuals(sweep.cells, fit))).T
+            edges = log_edges(pd.Series(x), 9)
+            index = np.digitize(x, edges) - 1
+            points = [
+                (math.sqrt(edges[i] * edges[i + 1]) * 1.03**number_of, *np.quantile(off[index == i], [0.25, 0.5, 0.75]))
+                for i in range(9)
+                if (index == i).sum() >= 8
+            ]
+            at, low, middle, high = np.array(points).reshape(-1, 4).T
+            if len(sweep.ways) < 3:  # more would hide each other
+                ax.vlines(at, low, high, color=way.colour, linewidth=1.1, alpha=0.8)
+            else:
+                low = high = middle
+            ax.plot(
+                at,
+                middle,
+                color=way.colour,
+                linestyle=way.stroke,
+                marker=way.marker,
+                markersize=4,
+                markerfacecolor=way.face,
+            )
+            rows += [[way.matcher, way.subpixel, surface, law, *each] for each in points]
+            reach += [float(np.abs([low, high]).max())] if points else []
+            told.append(
+                f"{way.label} {PLAIN_NAMES[law]}: medians within {figure(float(middle.min()), '+.2f')} to "
+                f"{figure(float(middle.max()), '+.2f')}"
+            )
+    for ax in panels:
+        ax.set_ylim(-1.1 * max(reach), 1.1 * max(reach))
+    panels[0].set_ylabel("residual, ln(measured / fitted)")
+    name = SURFACES[surface]
+    return theme.picture(
+        fig, f"Residuals of the fits on {name} against the law over the range: {'; '.join(told)}.", f"({letter}) {name}"
+    )

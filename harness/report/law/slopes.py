@@ -1,0 +1,118 @@
+"""The slopes on both laws: over all directions, by direction and by condition."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from harness.evaluation.law_images import LAWS, fit_laws
+from harness.evaluation.regions import ALPHA_1_EDGES_DEG
+from harness.report import theme
+from harness.report.data import Cell, Heading, Table, count, number, words
+from harness.report.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
+from harness.report.sweep import Sweep, in_words
+from harness.report.sweeps import SURFACES
+from harness.report.theme import Picture
+from harness.report.words import figure
+
+
+def by_direction(sweep: Sweep, fits: list[Fit], surface: str, letter: str) -> Picture:
+    """Slopes within each sixth of the directions."""
+    fig, panels = theme.pair()
+    middle = np.array([(low + high) / 2 for low, high in pairwise(ALPHA_1_EDGES_DEG)])
+    told = []
+    seen = [1.0]
+    for ax, law in zip(panels, LAWS, strict=True):
+        ax.axhline(1, color=theme.TRUTH, linestyle=(0, (4, 2.5)), linewidth=0.9)
+        ax.set_title(LAW_NAMES[law])
+        ax.set_xlim(ALPHA_1_EDGES_DEG[0], ALPHA_1_EDGES_DEG[-1])
+        ax.set_xticks(ALPHA_1_EDGES_DEG[1:-1])
+        ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
+        for index, way in enumerate(sweep.ways):
+            fit = next((each for each in fits if is_of(each, way, surface) and each["law"] == law), None)
+            if fit is None:
+                continue
+            x = middle + 3.0 * (index - (len(sweep.ways) - 1) / 2)
+            slopes = np.array([np.nan if each["slope"] is None else each["slope"] for each in fit["by_alpha_1"]])
+            bounds = np.array([each["slope_ci95"] or (np.nan, np.nan) for each in fit["by_alpha_1"]]).T
+            ax.vlines(x, *bounds, color=way.colour, linewidth=1.3)
+            ax.plot(x, slopes, way.marker, color=way.colour, markersize=4.6, markerfacecolor=way.face)
+            known = slopes[np.isfinite(slopes)]
+            if known.size:
+                seen += [float(known.min()), float(known.max())]
+                told.append(
+                    f"{way.label} {PLAIN_NAMES[law]} {figure(float(known.min()), '.2f')} to "
+                    f"{figure(float(known.max()), '.2f')}"
+                )
+    low, high = min(0.0, *seen), max(seen)
+    for ax in panels:
+        ax.set_ylim(low - 0.12 * (high - low), high + 0.2 * (high - low))
+    panels[0].set_ylabel("slope")
+    name = SURFACES[surface]
+    return theme.picture(fig, f"Slopes on both laws by direction, {name}: {'; '.join(told)}.", f"({letter}) {name}")
+
+
+def slope_table(sweep: Sweep, fits: list[Fit]) -> Table:
+    """Slopes over all directions."""
+    headings = [
+        Heading("Surface", text=True),
+        Heading("Method", text=True),
+        Heading("Law", text=True),
+        Heading("Slope"),
+        Heading("95 % low"),
+        Heading("95 % high"),
+        Heading("R²"),
+        Heading("Cells"),
+    ]
+    rows = [
+        [
+            words(SURFACES[surface]),
+            words(way.label, way.colour),
+            words("exact" if fit["law"] == "exact" else "d²/|t|"),
+            *_slope_cells(fit),
+            count(fit["cells"]),
+        ]
+        for surface in sweep.surfaces
+        for way in sweep.ways
+        for fit in fits
+        if is_of(fit, way, surface)
+    ]
+    return Table(headings, rows)
+
+
+def _slope_cells(fit: Fit) -> list[Cell]:
+    low, high = fit["slope_ci95"] or (None, None)
+    return [number(fit["slope"], ".3f"), number(low, ".3f"), number(high, ".3f"), number(fit["r2"], ".2f")]
+
+
+def condition_table(sweep: Sweep) -> Table:
+    """Slopes on the exact law within each condition; nothing when there is one only."""
+    headings = [
+        Heading("Condition", text=True),
+        Heading("Surface", text=True),
+        Heading("Method", text=True),
+        Heading("Slope"),
+        Heading("95 % low"),
+        Heading("95 % high"),
+        Heading("R²"),
+        Heading("Off by over 1 px", "%"),
+    ]
+    rows: list[list[Cell]] = []
+    if sweep.cells["condition"].nunique() < 2:
+        return Table(headings, rows)
+    for condition, cells in sweep.cells.groupby("condition", sort=False):
+        fits = fit_laws(cells.assign(alpha_bin=-1))  # over all directions only: parts of each would take long
+        for surface in sweep.surfaces:
+            for way in sweep.ways:
+                part = way.of(cells[cells["surface"] == surface])
+                rows += [
+                    [
+                        words(in_words(str(condition))),
+                        words(SURFACES[surface]),
+                        words(way.label, way.colour),
+                        *_slope_cells(fit),
+                        number(float((part["gross"] * part["pixels"]).sum() / part["pixels"].sum()), ".0f", 100),
+                    ]
+                    for fit in fits
+                    if is_of(fit, way, surface) and fit["law"] == "exact"
+                ]
+    return Table(headings, rows)
