@@ -11,6 +11,7 @@ from harness.camera.sensor import project
 from harness.experiments.run import by_method
 from harness.experiments.spec import SecondView
 from harness.experiments.trial import Kept, run_trial
+from harness.stereo import pair
 from harness.stereo.matching import window
 from harness.stereo.matching.subpixel import refine
 from harness.stereo.panorama import unwrap
@@ -110,7 +111,7 @@ def test_finite_limits_give_finite_ranges_within_them(paper):
 
 def half_column_shift(monkeypatch):
     """The second panorama is sampled half a column beside where its grid says."""
-    true_unwrap = chain.unwrap
+    true_unwrap = pair.unwrap
     calls = []
 
     def shifted(image, sensor, grid, *, R_sensor_from_panorama, interpolation):
@@ -121,14 +122,14 @@ def half_column_shift(monkeypatch):
             image, sensor, grid, R_sensor_from_panorama=R_sensor_from_panorama @ turn, interpolation=interpolation
         )
 
-    monkeypatch.setattr(chain, "unwrap", shifted)
+    monkeypatch.setattr(pair, "unwrap", shifted)
 
 
 def flipped_translation(monkeypatch):
     """The baseline points the wrong way: the paper's eq. 1 taken literally."""
-    true_match = chain.match_whole_pixels
+    true_match = window.match_whole_pixels
     monkeypatch.setattr(
-        chain,
+        window,
         "match_whole_pixels",
         lambda first, second, t, matcher, **kw: true_match(first, second, -t, matcher, **kw),
     )
@@ -147,9 +148,9 @@ def flipped_curve(monkeypatch):
 
 def missing_derotation(monkeypatch):
     """The second view's yaw is not taken out."""
-    true_unwrap = chain.unwrap
+    true_unwrap = pair.unwrap
     monkeypatch.setattr(
-        chain,
+        pair,
         "unwrap",
         lambda image, sensor, grid, *, interpolation, **_: true_unwrap(
             image, sensor, grid, interpolation=interpolation
