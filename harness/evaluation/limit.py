@@ -1,0 +1,93 @@
+"""How near a matcher comes to the Cramér-Rao bound: its spread over draws of the noise, pixel by pixel, against the bound.
+
+Spread and bias are told apart, and gross errors from both: a matcher that takes one brick for another is not imprecise
+but wrong, and no bound on precision speaks of it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from harness.camera.angles import Array
+
+GROSS_PX = 3.0
+"""An error beyond this is another match, not an imprecise one."""
+
+MIN_DRAWS = 0.5
+"""Of the draws of a pixel at least this share must be there, and not gross, for its spread to count."""
+
+
+@dataclass(frozen=True)
+class Efficiency:
+    """What the draws of one condition say; medians are over pixels."""
+
+    draws: int
+    pixels: int
+    """With enough draws, and with a bound where one is asked for."""
+    density: float
+    """Share of the sampled pixels and draws that have an estimate."""
+    gross: float
+    """Share of the estimates that are off by more than `GROSS_PX`."""
+    std_px: float
+    """Median standard deviation over draws."""
+    bias_px: float
+    """Median of |mean error over draws|; the mean itself is uncertain by std/√draws, which is taken off in squares."""
+    std_over_bound: float | None
+    """Median of the ratio, pixel by pixel; None without a bound."""
+    std_over_bound_quartiles: tuple[float, float] | None
+    rms_over_bound: float | None
+    """The same with the bias in it: √(std² + bias²)."""
+
+
+def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
+    """Compare spread with bound.
+
+    Parameters
+    ----------
+    errors_px
+        `[draws, pixels]`: errors of alpha_2 in pixels of disparity under independent draws of the noise, all else being
+        equal; NaN where there is no estimate.
+    bound_px
+        `[pixels]`, the smallest standard deviation possible; NaN where there is none.
+
+    Returns
+    -------
+    Efficiency or None
+        None with fewer than 3 draws, or when no pixel has enough of them.
+    """
+    draws = errors_px.shape[0]
+    if draws < 3 or errors_px.shape[1] == 0:
+        return None
+    there = np.isfinite(errors_px)
+    fine = there & (np.abs(np.where(there, errors_px, 0.0)) <= GROSS_PX)
+    count = fine.sum(axis=0)
+    enough = count >= max(3, int(np.ceil(MIN_DRAWS * draws)))
+    bounded = np.ones(count.size, dtype=bool) if bound_px is None else np.isfinite(bound_px) & (bound_px > 0)
+    use = enough & bounded
+    if not use.any():
+        return None
+    kept = np.where(fine[:, use], errors_px[:, use], 0.0)
+    n = count[use]
+    mean = kept.sum(axis=0) / n
+    variance = np.where(fine[:, use], (kept - mean) ** 2, 0.0).sum(axis=0) / (n - 1)
+    # The median of a chi-squared variable lies below its mean: few draws would flatter the median spread.
+    std = np.sqrt(variance / (stats.chi2.ppf(0.5, n - 1) / (n - 1)))
+    bias_2 = np.maximum(mean**2 - variance / n, 0.0)
+    ratio = quartiles = rms = None
+    if bound_px is not None:
+        each = std / bound_px[use]
+        low, middle, high = np.percentile(each, [25, 50, 75]).tolist()
+        ratio, quartiles = middle, (low, high)
+        rms = float(np.median(np.sqrt(variance + bias_2) / bound_px[use]))
+    return Efficiency(
+        draws=draws,
+        pixels=int(use.sum()),
+        density=float(there.mean()),
+        gross=float((there & ~fine).sum() / max(there.sum(), 1)),
+        std_px=float(np.median(std)),
+        bias_px=float(np.median(np.sqrt(bias_2))),
+        std_over_bound=ratio,
+        std_over_bound_quartiles=quartiles,
+        rms_over_bound=rms,
+    )
