@@ -152,7 +152,7 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
 
 
 def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:
-    settings = {key: _value(text) for key, text in (_split("--set", each) for each in sets)}
+    settings = dict(read_value("--set", each) for each in sets)
     for number, case in enumerate(experiment.cases):
         for key in settings.keys() & case.keys():
             raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--set", key=key)
@@ -174,6 +174,18 @@ def _with_axes(experiment: Experiment, axes: Sequence[str]) -> Experiment:
                 raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--axis", key=key)
     absolute = {key: [_absolute(key, value, Path(), "--axis") for value in values] for key, values in given.items()}
     return experiment.model_copy(update={"axes": experiment.axes | absolute})
+
+
+def read_value(option: str, text: str) -> tuple[str, Any]:
+    """The key and the value of `key=value` on the command line.
+
+    Raises
+    ------
+    InputError
+        When it is not written so; names the option.
+    """
+    key, value = _split(option, text)
+    return key, _value(value)
 
 
 def _split(option: str, text: str) -> tuple[str, str]:
