@@ -1,17 +1,17 @@
 """Errors of the range over the whole panorama, and why pixels have no range."""
 
-import re
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from harness.report import theme
 from harness.report.images import extent_of, panorama_axes, unmirrored
 from harness.report.methods import Method, common
 from harness.report.theme import Picture
-from harness.stereo.matching.window import Reason
+from harness.stereo.matching.contract import Reason
+from harness.stereo.panorama import Grid
 
 REASONS = {
     Reason.MATCHED: ("matched", "#E8EEF3"),
@@ -20,6 +20,8 @@ REASONS = {
     Reason.NO_EPIPOLAR_PLANE: ("no epipolar plane", "#000000"),
     Reason.NO_SAMPLE: ("no sample in the search interval", "#009E73"),
     Reason.BEYOND_INFINITY: ("the rays do not meet", "#CC79A7"),
+    Reason.NO_MATCH: ("the matcher found none", "#F0E442"),
+    Reason.INCONSISTENT: ("the match back leads elsewhere", "#0072B2"),
 }
 """In words, and the colour on the map."""
 
@@ -61,13 +63,17 @@ def error_map(method: Method, limit_mm: float, letter: str) -> Picture:
 
 
 def reason_map(method: Method) -> Picture:
-    """Why a pixel has no range."""
-    outcome, grid = method.outcome, method.outcome.trial.panorama
-    present = [reason for reason in Reason if (outcome.reason == reason).any()]
-    number = np.zeros(outcome.reason.shape)
+    """Why a pixel has no range, with the domain's outline."""
+    return reasons_picture(method.outcome.reason, method.outcome.trial.panorama, method)
+
+
+def reasons_picture(why: NDArray[np.uint8], grid: Grid, method: Method | None = None) -> Picture:
+    """A map of `Reason` over a panorama."""
+    present = [reason for reason in Reason if (why == reason).any()]
+    number = np.zeros(why.shape)
     for index, reason in enumerate(present):
-        number[outcome.reason == reason] = index
-    names, colours = zip(*(REASONS.get(reason, _unknown(reason)) for reason in present), strict=True)
+        number[why == reason] = index
+    names, colours = zip(*(REASONS[reason] for reason in present), strict=True)
     fig, ax, _ = panorama_axes(grid, top=28, bar=False)
     ax.imshow(
         unmirrored(number),
@@ -77,8 +83,9 @@ def reason_map(method: Method) -> Picture:
         extent=extent_of(grid),
         aspect="auto",
     )
-    outline_domain(ax, method)
-    shares = [100 * float((outcome.reason == reason).mean()) for reason in present]
+    if method is not None:
+        outline_domain(ax, method)
+    shares = [100 * float((why == reason).mean()) for reason in present]
     labels = [f"{name} ({share:.1f} %)" for name, share in zip(names, shares, strict=True)]
     _legend(ax, [Patch(facecolor=colour, edgecolor="#999999", linewidth=0.4) for colour in colours], labels)
     return theme.picture(fig, f"Map of the reasons why pixels have no range: {'; '.join(labels)}.", "")
@@ -94,10 +101,6 @@ def outline_domain(ax: Axes, method: Method) -> None:
 
 def _legend(ax: Axes, handles: list[Patch], labels: list[str]) -> None:
     theme.legend_above(ax, handles, labels, gap=0.3)
-
-
-def _unknown(reason: Reason) -> tuple[str, str]:
-    return re.sub("_", " ", reason.name.lower()), "#F0E442"
 
 
 def _diverging() -> ListedColormap:
