@@ -17,7 +17,8 @@ from harness.errors import InputError
 from harness.experiments.spec import Trial
 from harness.simulation.scene import load_scene
 from harness.spec import Spec, parse, read_toml
-from harness.stereo.matching.registry import carried_over
+from harness.stereo.matching import registry
+from harness.stereo.matching.program import with_absolute_files
 
 _KIND = "matching.kind"
 
@@ -55,8 +56,8 @@ class Experiment(Spec):
         Raises
         ------
         InputError
-            When a key is no key of a trial, a value is not valid there, or two trials are the same. `error.key` is
-            the place in the experiment.
+            When a key is no key of a trial, a value is not valid there, a matcher from elsewhere is not there or does
+            not take its parameters, or two trials are the same. `error.key` is the place in the experiment.
         """
         base = self.trial.model_dump(mode="json")
         columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
@@ -66,7 +67,13 @@ class Experiment(Spec):
             try:
                 trial = parse(Trial, table)
             except InputError as error:
-                raise InputError(error.problem, key=self._blame(error.key, settings, case)) from error
+                key = self._blame(error.key, settings, case) or self.place_of("", case).rstrip(".")
+                raise InputError(error.problem, key=key) from error
+            try:
+                registry.check(trial.matching)
+            except InputError as error:
+                key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
+                raise InputError(error.problem, key=key) from error
             place = {key: settings[key] if key in settings else value_at(table, key) for key in columns}
             one = Planned(trial.key, place, trial)
             if one.key in planned:
@@ -87,15 +94,15 @@ class Experiment(Spec):
             for values in itertools.product(*self.axes.values()):
                 yield number if self.cases else None, case | dict(zip(self.axes, values, strict=True))
 
-    def _blame(self, place: str | None, settings: Settings, case: int | None) -> str:
-        """The axis or the key of a case that a complaint about a place of the trial is due to."""
+    def _blame(self, place: str | None, settings: Settings, case: int | None) -> str | None:
+        """The axis or the key of a case that a complaint about a place of the trial is due to, if it is due to one."""
         path = (place or "").replace("[", ".").replace("]", "").split(".")
         for key in settings:
             keys = key.split(".")
             shorter = min(len(keys), len(path))
             if keys[:shorter] == path[:shorter]:
                 return self.place_of(key, case)
-        return self.place_of("", case).rstrip(".")
+        return None
 
     def place_of(self, key: str, case: int | None) -> str:
         """Where in the experiment a key is given."""
@@ -126,7 +133,8 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
     Parameters
     ----------
     sets
-        `key=value`: settings of the base trial; an axis over the same key goes.
+        `key=value`: settings of the base trial; an axis over the same key goes. With `matching.kind`, so do axes over
+        settings that this matcher has not got.
     axes
         `key=a,b,c`: further axes, or other values of one that is there. Values are as in TOML, or plain words.
 
@@ -139,6 +147,7 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
     table = read_toml(file)
     if isinstance(table.get("trial"), dict):
         table["trial"] = _read_in(table["trial"], file.parent, file, "trial")
+        table["trial"] = {key: _of_matcher(key, value, file.parent) for key, value in table["trial"].items()}
     experiment = _with_absolute_paths(parse(Experiment, table, file=file), file.parent, file)
     changed = _with_axes(_with_sets(experiment, sets), axes)
     try:
@@ -147,6 +156,9 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
         given = {f"axes.{each.partition('=')[0]}" for each in axes}
         if error.key in given:
             raise InputError(error.problem, file="--axis", key=error.key.removeprefix("axes.")) from error
+        for key in (each.partition("=")[0].strip() for each in sets):
+            if f"{error.key}.".startswith(f"trial.{key}."):
+                raise InputError(error.problem, file="--set", key=key) from error
         raise InputError(error.problem, file=file, key=error.key) from error
     return changed
 
@@ -161,6 +173,8 @@ def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:
     settings = {key: _absolute(key, value, Path(), "--set") for key, value in settings.items()}
     trial = parse(Trial, changed(experiment.trial.model_dump(mode="json"), settings, file="--set"), file="--set")
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
+    if _KIND in settings:  # what another matcher does not know cannot be varied
+        axes = {key: values for key, values in axes.items() if _is_known(key, settings[_KIND])}
     return experiment.model_copy(update={"trial": trial, "axes": axes})
 
 
@@ -186,6 +200,11 @@ def read_value(option: str, text: str) -> tuple[str, Any]:
     """
     key, value = _split(option, text)
     return key, _value(value)
+
+
+def _is_known(key: str, kind: Any) -> bool:
+    first, *rest = key.split(".")
+    return first != "matching" or not rest or registry.knows(kind, rest[0])
 
 
 def _split(option: str, text: str) -> tuple[str, str]:
@@ -230,6 +249,8 @@ def _with_absolute_paths(experiment: Experiment, folder: Path, file: Path) -> Ex
 def _absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
     """A value that names a file by a relative path, with its absolute path; any other as it is."""
     last = key.rpartition(".")[2]
+    if last == "command" and isinstance(value, list):
+        return with_absolute_files(value, folder)
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else ((key, each) for each in value)
         parts = [(name, _absolute(name, each, folder, file, where)) for name, each in items]
@@ -239,9 +260,14 @@ def _absolute(key: str, value: Any, folder: Path, file: str | Path, where: str |
     if key == "scene":
         path = _scene_file(value, folder, file, where or key)
         return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
-    if key == "sensor" or last == "file":
+    if key == "sensor" or last == "file" or last.endswith("_file"):
         return str((folder / Path(value).expanduser()).resolve())
     return value
+
+
+def _of_matcher(key: str, value: Any, folder: Path) -> Any:
+    """A key of a trial's table: the files that a matcher's settings name made absolute, all else as it is."""
+    return _absolute("", value, folder, folder) if key == "matching" and isinstance(value, dict) else value
 
 
 def _scene_file(name_or_path: str, folder: Path, file: str | Path, key: str) -> Path:
@@ -266,7 +292,7 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
         where = f"{key}.{place}" if key else place
         if place == _KIND and isinstance(table.get("matching"), Mapping):
             # Before what else is said of the matcher: another kind has other keys.
-            table = {**table, "matching": carried_over(table["matching"], settings[place])}
+            table = {**table, "matching": registry.carried_over(table["matching"], settings[place])}
         table = _with(table, place.split("."), settings[place], file, where)
         if place in {"scene", "sensor"}:
             table = _read_in(table, Path(), file, key)

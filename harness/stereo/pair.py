@@ -16,18 +16,27 @@ from numpy.typing import NDArray
 from harness.camera.angles import Array
 from harness.camera.pose import Motion
 from harness.camera.sensor import Sensor
+from harness.stereo.epipolar import alpha_1
 from harness.stereo.filter import laplacian_of_gaussian
-from harness.stereo.panorama import Grid, Interpolation, Panorama, unwrap
+from harness.stereo.panorama import Grid, Interpolation, Panorama, directions, unwrap
 
 T = TypeVar("T")
+G = TypeVar("G", bound=np.generic)
 
 Share = Callable[[str, Hashable, Callable[[], Any]], Any]
 """`share(stage, key, make)`: the result of a stage with this key, made if nobody has made it yet."""
 
 
-def nothing_shared(_stage: str, _key: Hashable, make: Callable[[], Any]) -> Any:
-    """A `Share` that makes everything anew."""
-    return make()
+def sharing() -> Share:
+    """A `Share` that keeps everything as long as the pair it was made for."""
+    results: dict[tuple[str, Hashable], Any] = {}
+
+    def share(stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
+        if (stage, key) not in results:
+            results[stage, key] = make()
+        return results[stage, key]
+
+    return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +58,25 @@ class Pair:
     """How many may be used; all available CPUs when None. No answer may depend on it."""
     keys: tuple[Hashable, Hashable] = field(default_factory=lambda: (object(), object()))
     """What stands for each image with its place where results are shared."""
-    share: Share = nothing_shared
+    share: Share = field(default_factory=sharing)
+    owner: str = ""
+    """Who calls `shared`, if it is somebody else's matcher: two of them may use the same words for their settings."""
+
+    def __post_init__(self) -> None:
+        first, second = self.images
+        motion = Motion(_locked(self.motion.R_v2_from_v1), _locked(self.motion.t_v1))
+        object.__setattr__(self, "images", (_locked(first), _locked(second)))
+        object.__setattr__(self, "motion", motion)
+
+    @property
+    def directions(self) -> Array:
+        """`[height, width, 3]`: the unit vector towards each pixel of the panorama, in v1's frame."""
+        return directions(self.grid)
+
+    @property
+    def alpha_1(self) -> Array:
+        """`[height, width]`, radians: the angle between each pixel's direction and t (eq. 5)."""
+        return alpha_1(self.grid, self.t_v1)
 
     @property
     def t_v1(self) -> Array:
@@ -67,13 +94,14 @@ class Pair:
         rotations = (np.eye(3), self.motion.R_v2_from_v1)
 
         def one(view: int) -> Panorama:
-            return unwrap(
+            made = unwrap(
                 self.images[view],
                 self.sensor,
                 self.grid,
                 R_sensor_from_panorama=rotations[view],
                 interpolation=how,
             )
+            return _locked_panorama(made)
 
         turned = self.motion.R_v2_from_v1.tobytes()
         keys = [(key, self.grid, how, view and turned) for view, key in enumerate(self.keys)]
@@ -89,10 +117,11 @@ class Pair:
         panoramas = self.panoramas(how)
         turned = self.motion.R_v2_from_v1.tobytes()
         keys = [(key, self.grid, how, view and turned, sigma) for view, key in enumerate(self.keys)]
-        first, second = (
-            cast("Panorama", self.share("filter", keys[i], partial(laplacian_of_gaussian, panoramas[i], sigma)))
-            for i in (0, 1)
-        )
+
+        def one(view: int) -> Panorama:
+            return _locked_panorama(laplacian_of_gaussian(panoramas[view], sigma))
+
+        first, second = (cast("Panorama", self.share("filter", keys[i], partial(one, i))) for i in (0, 1))
         return first, second
 
     def shared(self, stage: str, settings: Hashable, make: Callable[[], T]) -> T:
@@ -101,9 +130,20 @@ class Pair:
         Parameters
         ----------
         stage
-            A name; also what its time is counted under.
+            A name; also what its time is counted under, after the name of whoever is not part of this program.
         settings
             All that the result depends on beside the pair.
         """
         key = (*self.keys, self.motion.R_v2_from_v1.tobytes(), self.t_v1.tobytes(), self.sensor, self.grid, settings)
-        return cast("T", self.share(stage, key, make))
+        return cast("T", self.share(f"{self.owner} {stage}" if self.owner else stage, key, make))
+
+
+def _locked(array: NDArray[G]) -> NDArray[G]:
+    """The same, such that nobody can write to it: a view of an array that owns its memory stays as it is."""
+    held = array.copy() if array.flags.writeable else array
+    held.flags.writeable = False
+    return held.view()
+
+
+def _locked_panorama(panorama: Panorama) -> Panorama:
+    return Panorama(panorama.grid, _locked(panorama.values), _locked(panorama.valid))

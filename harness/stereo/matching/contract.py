@@ -1,17 +1,29 @@
 """What every matcher takes and gives: its limits, and the matches or the reasons why there are none."""
 
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from harness.camera.angles import Array
 from harness.errors import InputError
 from harness.spec import Positive, Spec
 from harness.stereo.panorama import Grid
+
+
+@dataclass(frozen=True)
+class Support:
+    """The pixels that a match is made from, for the bound on its accuracy."""
+
+    window_px: int
+    """Side of a square around the pixel, pixels of the panorama, odd."""
+    model: Literal["slanted", "frontal"]
+    """What is fitted: see `evaluation.bound`."""
 
 
 class Limits(Spec):
@@ -30,6 +42,19 @@ class Limits(Spec):
         if not self.d_min_m < self.d_max_m:
             raise ValueError(f"d_min_m = {self.d_min_m:g} must be below d_max_m = {self.d_max_m:g}")
         return self
+
+    def support(self, log_sigma_px: float) -> Support | None:  # noqa: ARG002 - for matchers of filtered panoramas
+        """What a match is made from, given the filter before it; None for a matcher whose window is not fixed."""
+        return None
+
+
+class Parametrised(Limits):
+    """Limits, and parameters that only the matcher understands."""
+
+    parameters: Annotated[dict[str, JsonValue], Field(default_factory=dict)]
+
+    def __hash__(self) -> int:
+        return hash(json.dumps(self.model_dump(mode="json"), sort_keys=True))
 
 
 class Reason(IntEnum):
@@ -81,8 +106,19 @@ class Matches:
         return np.where(np.isnan(self.alpha_2), np.uint8(Reason.NO_MATCH), np.uint8(Reason.MATCHED))
 
 
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with a matcher's answer."""
+
+    rule: Literal["form", "shape", "dtype", "angles", "missing"]
+    """What it breaks: which thing is returned, of which shape and type, angles in range, NaN where there is no match
+    and only there."""
+    text: str
+    """In words, the first place included."""
+
+
 def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
-    """What somebody's matcher returned, checked.
+    """What somebody's matcher returned, checked; arrays of its own, read-only.
 
     Parameters
     ----------
@@ -94,77 +130,123 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
     Raises
     ------
     InputError
-        When it is none of these, an array has another shape than the panorama or is not of real numbers, an angle is
-        infinite or outside 0 .. pi, a standard deviation is not positive, or there is a confidence without a match.
+        When `faults` finds any: the first.
     """
-    if isinstance(answer, tuple) and len(answer) == 2:
-        answer = Matches(*answer)
-    elif isinstance(answer, np.ndarray):
-        answer = Matches(answer)
-    if not isinstance(answer, Matches):
-        raise InputError(
-            "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; "
-            f"it returned {type(answer).__name__}",
-            file=name,
+    for fault in faults(answer, grid):
+        raise InputError(fault.text, file=name)
+    given = _sorted_out(answer)
+    matched = ~np.isnan(np.asarray(given["alpha_2"]))
+    reason = np.where(matched, np.uint8(Reason.MATCHED), np.uint8(Reason.NO_MATCH))
+    if given["reason"] is not None:
+        reason = np.array(given["reason"], dtype=np.uint8)
+    reason.flags.writeable = False
+    return Matches(
+        alpha_2=_own(given["alpha_2"]),
+        confidence=None if given["confidence"] is None else _own(given["confidence"]),
+        sigma_alpha_2=None if given["sigma_alpha_2"] is None else _own(given["sigma_alpha_2"]),
+        reason=reason,
+        refined=None if given["refined"] is None else np.array(given["refined"], dtype=bool),
+        k=None if given["k"] is None else _own(given["k"]),
+    )
+
+
+def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
+    """All that is wrong with an answer, the gravest first: after a wrong form, shape or type nothing else is looked at.
+
+    Asked for is what `as_matches` takes, where every array has the panorama's shape and holds real numbers; `alpha_2`
+    within 0 .. pi radians, or NaN where there is no match; `confidence`, `sigma_alpha_2` and `k` finite where there is
+    a match and NaN where there is none, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
+    `refined` true only there.
+    """
+    given = _sorted_out(answer)
+    if not given:
+        yield Fault(
+            "form",
+            "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; it returned "
+            f"{type(answer).__name__}",
         )
-    checked = {
-        field: None if value is None else _real(value, grid, f"{name}: {field}")
-        for field, value in (
-            ("alpha_2", answer.alpha_2),
-            ("confidence", answer.confidence),
-            ("sigma_alpha_2", answer.sigma_alpha_2),
-            ("k", answer.k),
-        )
-    }
-    alpha_2 = checked["alpha_2"]
-    if alpha_2 is None:
-        raise InputError("alpha_2 is missing", file=name)
+        return
+    broken = [fault for name, value in given.items() if value is not None for fault in _no_array(name, value, grid)]
+    yield from broken
+    if broken:
+        return
+    alpha_2 = np.asarray(given["alpha_2"], dtype=np.float64)
     matched = ~np.isnan(alpha_2)
-    outside = matched & ~((alpha_2 >= 0) & (alpha_2 <= np.pi))
-    if outside.any():
-        row, column = np.argwhere(outside)[0]
-        raise InputError(
-            f"alpha_2 must lie within 0 .. pi radians, or be NaN for no match; it is {alpha_2[row, column]:g} at "
-            f"[{row}, {column}] and outside at {int(outside.sum())} pixels",
-            file=name,
+    yield from _somewhere(
+        "angles",
+        "alpha_2 must lie within 0 .. pi radians, or be NaN for no match",
+        alpha_2,
+        matched & ~((alpha_2 >= 0) & (alpha_2 <= np.pi)),
+    )
+    for name in ("confidence", "sigma_alpha_2", "k"):
+        if given[name] is None:
+            continue
+        value = np.asarray(given[name], dtype=np.float64)
+        yield from _somewhere(
+            "missing", f"{name} must be finite where there is a match", value, matched & ~np.isfinite(value)
         )
-    confidence, sigma = checked["confidence"], checked["sigma_alpha_2"]
-    if confidence is not None:
-        unsaid = matched & np.isnan(confidence)
-        if unsaid.any():
-            row, column = np.argwhere(unsaid)[0]
-            raise InputError(f"confidence is NaN at [{row}, {column}], where there is a match", file=name)
-        confidence = np.where(matched, confidence, np.nan)
-    if sigma is not None:
-        wrong = matched & ~(sigma > 0)
-        if wrong.any():
-            row, column = np.argwhere(wrong)[0]
-            raise InputError(
-                f"sigma_alpha_2 must be above zero where there is a match; it is {sigma[row, column]:g} at "
-                f"[{row}, {column}]",
-                file=name,
-            )
-        sigma = np.where(matched, sigma, np.nan)
-    reason = _reasons(answer.reason, matched, grid, name)
-    refined = None if answer.refined is None else np.asarray(answer.refined, dtype=bool) & matched
-    return Matches(alpha_2, confidence, sigma, reason, refined, checked["k"])
+        yield from _somewhere(
+            "missing", f"{name} must be NaN where there is no match", value, ~matched & ~np.isnan(value)
+        )
+        if name == "sigma_alpha_2":
+            yield from _somewhere("angles", f"{name} must be above zero", value, matched & (value <= 0))
+    if given["reason"] is not None:
+        reason = np.asarray(given["reason"])
+        yield from _somewhere(
+            "missing",
+            f"reason must be one of 0 .. {max(Reason)}",
+            reason,
+            ~np.isin(reason, [each.value for each in Reason]),
+        )
+        yield from _somewhere(
+            "missing",
+            "reason must be 0 (matched) exactly where alpha_2 is not NaN",
+            reason,
+            (reason == Reason.MATCHED) != matched,
+        )
+    if given["refined"] is not None:
+        refined = np.asarray(given["refined"])
+        yield from _somewhere("missing", "refined must be false where there is no match", refined, refined & ~matched)
 
 
-def _real(value: Any, grid: Grid, name: str) -> Array:
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"must be an array of real numbers; its dtype is {array.dtype}", file=name)
-    if array.shape != grid.shape:
-        raise InputError(f"must have the panorama's shape {grid.shape}; it has {array.shape}", file=name)
-    return np.asarray(array, dtype=np.float64)
+def _sorted_out(answer: Any) -> dict[str, Any]:
+    """The arrays of an answer by name; none when it has no form that is known."""
+    if isinstance(answer, np.ndarray):
+        answer = Matches(answer)
+    elif isinstance(answer, tuple) and len(answer) == 2:
+        answer = Matches(*answer)
+    return {field.name: getattr(answer, field.name) for field in fields(answer)} if isinstance(answer, Matches) else {}
 
 
-def _reasons(given: Any, matched: NDArray[np.bool_], grid: Grid, name: str) -> NDArray[np.uint8]:
-    if given is None:
-        return np.where(matched, np.uint8(Reason.MATCHED), np.uint8(Reason.NO_MATCH))
-    reason = np.asarray(given)
-    if reason.shape != grid.shape or not np.isin(reason, [each.value for each in Reason]).all():
-        raise InputError(f"reason must be an array {grid.shape} of Reason's numbers, 0 .. {max(Reason)}", file=name)
-    if not np.array_equal(reason == Reason.MATCHED, matched):
-        raise InputError("reason must be 0 (matched) exactly where alpha_2 is not NaN", file=name)
-    return reason.astype(np.uint8)
+def _no_array(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
+    """What keeps a value from being an array of the panorama."""
+    kinds, what = ("b", "booleans") if name == "refined" else ("iu", "whole numbers")
+    if name not in {"refined", "reason"}:
+        kinds, what = "fiu", "real numbers"
+    if not isinstance(value, np.ndarray):
+        yield Fault("form", f"{name} must be a NumPy array; it is {type(value).__name__}")
+    elif isinstance(value, np.ma.MaskedArray):
+        yield Fault("form", f"{name} must be a plain array with NaN where there is no match; its mask would be lost")
+    else:
+        if value.shape != grid.shape:
+            yield Fault("shape", f"{name} must have the panorama's shape {grid.shape}; it has {value.shape}")
+        if value.dtype.kind not in kinds:
+            yield Fault("dtype", f"{name} must be an array of {what}; its dtype is {value.dtype}")
+
+
+def _somewhere(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bool_]) -> Iterator[Fault]:
+    """A fault that some pixels have."""
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        more = f", and wrong at {int(wrong.sum())} pixels in all" if wrong.sum() > 1 else ""
+        shown = value[row, column].item()
+        yield Fault(
+            rule, f"{text}; it is {f'{shown:g}' if isinstance(shown, float) else shown} at [{row}, {column}]{more}"
+        )
+
+
+def _own(value: Any) -> Array:
+    """A copy: a matcher may use its arrays again."""
+    array = np.array(value, dtype=np.float64)
+    array.flags.writeable = False
+    return array

@@ -4,59 +4,52 @@ A `kind` is one of the matchers here, `program` for one in any language, a name 
 entry point group `omnirange.matchers`, or `package.module:function`.
 """
 
-import hashlib
-import importlib
-import importlib.metadata
-import importlib.util
+import copy
 import inspect
 import re
-import sys
+import traceback
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated, Any, get_args
 
-from pydantic import Discriminator, Field, Tag, field_validator
+import numpy as np
+from pydantic import Discriminator, Tag, field_validator
 
 from harness.errors import InputError
 from harness.spec import nearest
-from harness.stereo.matching import window
-from harness.stereo.matching.contract import Limits, Matches, as_matches
+from harness.stereo.matching import plugins, program, window
+from harness.stereo.matching.contract import Limits, Matches, Parametrised, as_matches
+from harness.stereo.matching.program import Program
 from harness.stereo.matching.window_settings import WindowMatcher
 from harness.stereo.pair import Pair
 
-ENTRY_POINTS = "omnirange.matchers"
 
-Parameter = bool | int | float | str | list[Any] | dict[str, Any]
-
-
-class Plugin(Limits):
+class Plugin(Parametrised):
     """A matcher that is not part of this program.
 
     `kind` is `package.module:function` or the name of an entry point. The function is called with the pair, the
-    limits and the `parameters` as keywords: `matcher(pair, limits, **parameters)`; see `contract.as_matches` for what
-    it may return.
+    limits and the `parameters` as keywords: `matcher(pair, limits, **parameters)`; see `contract.faults` for what
+    it may return. A parameter named `file`, or ending in `_file`, names a file: a relative path is relative to the
+    experiment's file, and the contents count as settings do.
     """
 
     kind: str
-    parameters: Annotated[dict[str, Parameter], Field(default_factory=dict)]
 
     @field_validator("kind")
     @classmethod
     def _named(cls, kind: str) -> str:
-        if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", kind) and kind not in _entry_points():
-            known = [*BUILT_IN, *_entry_points()]
+        offered = plugins.entry_points()
+        if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", kind) and kind not in offered:
+            known = [*BUILT_IN, *offered]
             raise ValueError(
                 f"'{kind}' is neither a matcher nor written package.module:function; {nearest(kind, known)}"
             )
         return kind
 
-    def __hash__(self) -> int:
-        return hash(self.model_dump_json())
-
 
 _MATCHERS: dict[type[Limits], Callable[[Pair, Any], Matches]] = {
     WindowMatcher: window.match_pair,
+    Program: program.match_pair,
 }
 
 BUILT_IN: dict[str, type[Limits]] = {
@@ -71,7 +64,9 @@ def _tag(value: Any) -> str:
 
 
 Matcher = Annotated[
-    Annotated[WindowMatcher, Tag("WindowMatcher")] | Annotated[Plugin, Tag("Plugin")],
+    Annotated[WindowMatcher, Tag("WindowMatcher")]
+    | Annotated[Program, Tag("Program")]
+    | Annotated[Plugin, Tag("Plugin")],
     Discriminator(_tag),
 ]
 """The settings of any matcher, told apart by `kind`."""
@@ -83,16 +78,60 @@ def match_pair(pair: Pair, matcher: Limits) -> Matches:
     Raises
     ------
     InputError
-        When the matcher cannot be found, does not take its parameters, or returns what is no answer.
+        When somebody else's matcher cannot be found, does not take its parameters, fails, or returns what is no answer.
     """
     if not isinstance(matcher, Plugin):
         return _MATCHERS[type(matcher)](pair, matcher)
-    function = find(matcher.kind)
+    return as_matches(answer(pair, matcher), pair.grid, matcher.kind)
+
+
+def answer(pair: Pair, matcher: Plugin) -> Any:
+    """What a plug-in returns, as it is; errors as in `match_pair`."""
+    check(matcher)
+    function = plugins.find(matcher.kind)
     try:
-        inspect.signature(function).bind(pair, matcher, **matcher.parameters)
-    except TypeError as error:
-        raise InputError(f"cannot be called with (pair, limits, **parameters): {error}", file=matcher.kind) from error
-    return as_matches(function(pair, matcher, **matcher.parameters), pair.grid, matcher.kind)
+        with np.errstate():  # what it sets is its own
+            return function(replace(pair, owner=matcher.kind), matcher, **copy.deepcopy(matcher.parameters))
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise InputError(
+            f"fails: {type(error).__name__}: {error}{_place_in(function, error)}", file=matcher.kind
+        ) from error
+
+
+def _place_in(function: Callable[..., Any], error: BaseException) -> str:
+    """Where in the function's own file an error came up."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    lines = [each for each in traceback.extract_tb(error.__traceback__) if code and each.filename == code.co_filename]
+    return f" ({lines[-1].filename}, line {lines[-1].lineno})" if lines else ""
+
+
+def check(matcher: Limits) -> None:
+    """See what can be seen of a matcher before it is run: that it is there, and takes its parameters.
+
+    Raises
+    ------
+    InputError
+        `error.key` is the key in the matcher's table.
+    """
+    if isinstance(matcher, Plugin):
+        plugins.check(matcher.kind, matcher.parameters)
+    elif isinstance(matcher, Program):
+        program.check(matcher)
+
+
+def fingerprint(matcher: Limits) -> str:
+    """What of a matcher its settings do not tell: the contents of files; empty for a matcher of this program.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or there is no such module.
+    """
+    if isinstance(matcher, Plugin):
+        return plugins.digest(matcher.kind, matcher.parameters)
+    return program.digest(matcher) if isinstance(matcher, Program) else ""
 
 
 def method_of(matcher: Limits) -> tuple[str, str]:
@@ -110,81 +149,12 @@ def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
         return dict(settings)
     same = BUILT_IN.get(str(settings.get("kind", "window")), Plugin) is model
     known = model.model_fields if same else Limits.model_fields
-    return {key: value for key, value in settings.items() if key in known} | {"kind": kind}
+    kept = {key: value for key, value in settings.items() if key in known} | {"kind": kind}
+    if same and model is Plugin and isinstance(kept.get("parameters"), Mapping):
+        kept["parameters"] = {name: value for name, value in kept["parameters"].items() if plugins.takes(kind, name)}
+    return kept
 
 
-def find(kind: str) -> Callable[..., Any]:
-    """The function that a plug-in's `kind` names; modules are also looked for in the current folder.
-
-    Raises
-    ------
-    InputError
-        When there is no such module or function.
-    """
-    if kind in _entry_points():
-        try:
-            return _callable(_entry_points()[kind].load(), kind)
-        except Exception as error:
-            raise InputError(f"cannot be loaded: {type(error).__name__}: {error}", file=kind) from error
-    module_name, _, name = kind.partition(":")
-    module = _module(module_name, kind)
-    if not hasattr(module, name):
-        functions = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
-        raise InputError(f"the module {module_name} has no '{name}'; {nearest(name, functions)}", file=kind)
-    return _callable(getattr(module, name), kind)
-
-
-def fingerprint(matcher: Limits) -> str:
-    """What of a matcher its settings do not tell: the contents of a plug-in's own files; empty for those here.
-
-    Raises
-    ------
-    InputError
-        As `find`.
-    """
-    if not isinstance(matcher, Plugin):
-        return ""
-    function = inspect.unwrap(find(matcher.kind))
-    module = sys.modules.get(getattr(function, "__module__", "") or "")
-    file = getattr(module, "__file__", None)
-    if not file:
-        return ""
-    # A package counts with all of its source: the function may lean on any of it.
-    top = sys.modules.get((module.__name__ if module else "").partition(".")[0])
-    root = Path(file).parent if top is None or not hasattr(top, "__path__") else Path(next(iter(top.__path__)))
-    files = sorted(root.rglob("*.py")) if top is not None and hasattr(top, "__path__") else [Path(file)]
-    return _digest(tuple((path.relative_to(root).as_posix(), path.stat().st_mtime_ns, str(path)) for path in files))
-
-
-@lru_cache(maxsize=16)
-def _digest(files: tuple[tuple[str, int, str], ...]) -> str:
-    digest = hashlib.sha256()
-    for name, _, path in files:
-        digest.update(name.encode() + b"\0" + Path(path).read_bytes() + b"\0")
-    return digest.hexdigest()
-
-
-@lru_cache(maxsize=1)
-def _entry_points() -> dict[str, importlib.metadata.EntryPoint]:
-    return {each.name: each for each in importlib.metadata.entry_points(group=ENTRY_POINTS)}
-
-
-def _module(name: str, kind: str) -> Any:
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)  # last: a user's file never hides a library
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name and (name == error.name or name.startswith(f"{error.name}.")):
-            raise InputError(f"there is no module {name}, neither installed nor in {here}", file=kind) from error
-        raise InputError(f"the module {name} needs {error.name}, which is not installed", file=kind) from error
-    except Exception as error:
-        raise InputError(f"the module {name} fails: {type(error).__name__}: {error}", file=kind) from error
-
-
-def _callable(found: Any, kind: str) -> Callable[..., Any]:
-    if not callable(found):
-        raise InputError(f"is a {type(found).__name__}, not a function", file=kind)
-    function: Callable[..., Any] = found
-    return function
+def knows(kind: Any, key: str) -> bool:
+    """Whether the settings of a matcher have a key."""
+    return key in (BUILT_IN.get(kind, Plugin) if isinstance(kind, str) else Plugin).model_fields
