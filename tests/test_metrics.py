@@ -5,21 +5,30 @@ import pytest
 
 from harness.evaluation.cells import MIN_PIXELS, NORMAL, cells
 from harness.evaluation.errors import Errors
-from harness.evaluation.groups import ascending, counts, grouped, means, medians
+from harness.evaluation.groups import (
+    ascending,
+    grouped,
+    mean_of_middles,
+    medians,
+    medians_of_seen,
+    places,
+    sorted_parts,
+)
 from harness.evaluation.metrics import (
+    CORE,
     ERROR_EDGES_PX,
     FRACTION_BINS,
-    error_histogram,
-    fraction_histogram,
+    error_histograms,
+    fraction_histograms,
     measure,
     measure_by_solid_angle,
     measure_more,
     measure_regions,
-    ranked,
+    share_of_estimates,
+    tally,
 )
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.experiments.row import row_of
-from harness.stereo.panorama import Grid
 
 
 @pytest.fixture
@@ -28,7 +37,11 @@ def outcome(paper):
 
 
 def errors_of(outcome):
-    return ranked(outcome.valid, outcome.errors, outcome.trial.panorama)
+    return tally(outcome.layout, outcome.valid, outcome.errors)
+
+
+def nothing_seen(outcome):
+    return tally(outcome.layout, np.zeros_like(outcome.valid), outcome.errors)
 
 
 def test_core_figures_are_their_definitions(outcome):
@@ -53,13 +66,17 @@ def test_core_figures_are_their_definitions(outcome):
 
 def test_more_figures_are_their_definitions(outcome):
     truth, found = outcome.reference, outcome.errors
-    figures = measure_more(truth.domain, errors_of(outcome), truth)
+    figures = measure_more(errors_of(outcome))
     pixels = truth.domain & outcome.valid
     absolute = np.abs(found.disparity_px[pixels])
     estimate, true = outcome.range_m[pixels], truth.range_m[pixels]
     ratio = np.maximum(estimate / true, true / estimate)
     assert figures["bad_0.5px"] == pytest.approx(np.mean(absolute > 0.5))
+    assert figures["bad_2px"] == pytest.approx(np.mean(absolute > 2))
     assert figures["bad_4px"] == pytest.approx(np.mean(absolute > 4))
+    assert figures["disparity_mae_px"] == pytest.approx(np.mean(absolute))
+    # The middle of the signed errors, whichever of neighbours that are one in single precision is taken.
+    assert figures["disparity_bias_px"] == pytest.approx(np.median(found.disparity_px[pixels]), rel=1e-6)
     for share in (50, 90, 95, 99):
         # A quantile of 10^5 values, whichever of two neighbours is taken.
         assert figures[f"disparity_a{share}_px"] == pytest.approx(np.quantile(absolute, share / 100), rel=1e-3)
@@ -71,15 +88,22 @@ def test_more_figures_are_their_definitions(outcome):
 
 def test_solid_angle_figures_are_those_of_pixels_repeated_by_their_weight(outcome):
     truth, found, grid = outcome.reference, outcome.errors, outcome.trial.panorama
-    figures = measure_by_solid_angle(truth.domain, errors_of(outcome), grid)
+    figures = measure_by_solid_angle(errors_of(outcome))
     weight = np.broadcast_to((1 + grid.z[:, None] ** 2) ** -1.5, grid.shape)
     pixels = truth.domain & outcome.valid
     w, absolute = weight[pixels], np.abs(found.disparity_px[pixels])
     assert figures["density"] == pytest.approx(w.sum() / weight[truth.domain].sum())
     assert figures["bad_1px"] == pytest.approx(np.average(absolute > 1, weights=w))
+    distance = found.range_m[pixels]
+    assert figures["range_mae_m"] == pytest.approx(np.average(np.abs(distance), weights=w))
+    assert figures["range_rmse_m"] == pytest.approx(np.sqrt(np.average(distance**2, weights=w)))
+    assert figures["range_bias_m"] == pytest.approx(np.average(distance, weights=w))
     order = np.argsort(absolute)
     middle = absolute[order][np.searchsorted(np.cumsum(w[order]), w.sum() / 2)]
     assert figures["disparity_median_abs_px"] == pytest.approx(middle, rel=1e-6)  # float32 bins, exact within one
+    order = np.argsort(np.abs(distance))
+    middle = np.abs(distance)[order][np.searchsorted(np.cumsum(w[order]), w.sum() / 2)]
+    assert figures["range_median_abs_m"] == pytest.approx(middle, rel=1e-6)
     # The solid angle itself: the whole cylinder's rows sum to its band of the sphere, 2 pi (sin top - sin bottom).
     whole = weight.sum() * grid.phi_pitch * grid.z_pitch
     band = 2 * np.pi * np.diff(np.sin(np.arctan([grid.z_min, grid.z_max])))[0]
@@ -91,24 +115,35 @@ def test_nothing_valid_gives_none_not_nan(outcome):
     assert measure(outcome.reference.domain, nothing, outcome.errors)["density"] == 0
     assert measure(outcome.reference.domain, nothing, outcome.errors)["range_rmse_m"] is None
     assert measure(nothing, outcome.valid, outcome.errors)["density"] is None
-    assert measure_more(nothing, errors_of(outcome), outcome.reference)["range_silog"] is None
+    errors = nothing_seen(outcome)
+    assert set(measure_more(errors).values()) == {None}
+    assert measure_by_solid_angle(errors) == {"density": 0.0} | dict.fromkeys(CORE)
+    assert all(row["density"] == 0 and row["range_rmse_m"] is None for row in measure_regions(errors))
+    assert cells(errors, 0.5, 0.01) == []
+    assert share_of_estimates(errors, outcome.valid) is None
+    assert not any(sum(counts) for counts in error_histograms(errors).values())
 
 
 def test_regions_split_the_domain(outcome):
-    table = measure_regions(outcome.layout, errors_of(outcome))
+    table = measure_regions(errors_of(outcome))
     domain = int(outcome.reference.domain.sum())
     for split in ("surface", "alpha_1", "elevation", "range"):
         assert sum(row["pixels"] for row in table if row["split"] == split) == domain, split
     wall = next(row for row in table if row["part"] == "wall")
     figures = measure(outcome.reference.domain & outcome.reference.wall, outcome.valid, outcome.errors)
     assert {name: wall[name] for name in figures} == pytest.approx(figures)
+    for i, region in enumerate(outcome.regions):
+        part = np.zeros(outcome.valid.size, dtype=bool)
+        part[region.pixels] = True
+        figures = measure(part.reshape(outcome.valid.shape), outcome.valid, outcome.errors)
+        assert {name: table[i][name] for name in figures} == pytest.approx(figures, rel=1e-6), region.part
 
 
 def test_cells_hold_each_pixel_of_the_domain_once_and_figures_of_their_own_pixels(outcome):
     truth = outcome.reference
     everything = np.concatenate([part.pixels for part in outcome.cells])
     np.testing.assert_array_equal(np.sort(everything), np.flatnonzero(truth.domain))
-    table = cells(outcome.layout, truth, errors_of(outcome), 0.5)
+    table = cells(errors_of(outcome), 0.5, np.radians(0.5))
     assert len(table) > 20
     alpha_deg = np.degrees(truth.alpha_1)
     for cell in table:
@@ -121,54 +156,97 @@ def test_cells_hold_each_pixel_of_the_domain_once_and_figures_of_their_own_pixel
         # A pixel on the edge between two bins may fall to either by rounding.
         assert abs(int(inside.sum()) - cell["pixels"]) <= 2
         assert cell["pixels"] >= MIN_PIXELS
-        error = np.median(np.abs(outcome.errors.range_m[inside]))
+        error, angle = np.median(np.abs(outcome.errors.range_m[inside])), outcome.errors.alpha_2[inside]
         assert cell["spread_m"] == pytest.approx(NORMAL * error, rel=0.02)  # one pixel more or less
+        assert cell["sigma_alpha"] == pytest.approx(NORMAL * np.median(np.abs(angle)), rel=0.02)
+        assert cell["range_m"] == pytest.approx(np.median(truth.range_m[inside]), rel=0.01)
+        assert cell["law_exact"] == pytest.approx(np.median(truth.law[inside]), rel=0.01)
         assert cell["law_paper"] == pytest.approx(np.median(truth.range_m[inside] ** 2 / 0.5), rel=0.01)
+        bias = np.degrees(np.median(angle)) / 0.5
+        assert cell["disparity_bias_px"] == pytest.approx(bias, abs=0.02 * np.median(np.abs(angle)) / np.radians(0.5))
+        assert cell["gross"] == pytest.approx(np.mean(np.abs(angle) > np.radians(0.5)), abs=2 / MIN_PIXELS)
 
 
-def test_histograms_count_every_pixel():
+def test_histograms_count_every_pixel(outcome):
     rng = np.random.default_rng(17)
-    grid = Grid(width_px=50, height_px=40)
-    disparity = rng.normal(size=grid.shape) * 10 ** rng.uniform(-4, 3, grid.shape)
-    everywhere = np.ones(grid.shape, bool)
-    errors = ranked(everywhere, Errors(disparity, disparity, disparity), grid)
-    expected, _ = np.histogram(np.minimum(np.abs(disparity), ERROR_EDGES_PX[-1]), ERROR_EDGES_PX)
-    assert error_histogram(everywhere, errors) == expected.tolist()
-    part = disparity > 0
-    assert sum(error_histogram(part, errors)) == part.sum()
-    whole = fraction_histogram(everywhere, np.full(grid.shape, 7.0))
-    assert whole == [2000] + [0] * (FRACTION_BINS - 1)
-    half = fraction_histogram(everywhere, np.full(grid.shape, -3.5))
-    assert half[FRACTION_BINS // 2] == 2000
+    shape = outcome.valid.shape
+    disparity = rng.normal(size=shape) * 10 ** rng.uniform(-4, 3, shape)
+    # On the edges of bins too, and a hair below them.
+    disparity.flat[::7] = np.resize(ERROR_EDGES_PX, disparity.flat[::7].shape)
+    disparity.flat[1::7] = np.resize(np.nextafter(ERROR_EDGES_PX, 0), disparity.flat[1::7].shape)
+    errors = tally(outcome.layout, outcome.valid, Errors(disparity, disparity, disparity))
+    truth = outcome.reference
+    histograms = error_histograms(errors)
+    for where, mask in {"wall": truth.wall, "floor": ~truth.wall}.items():
+        inside = truth.domain & mask & outcome.valid
+        expected, _ = np.histogram(np.minimum(np.abs(disparity[inside]), ERROR_EDGES_PX[-1]), ERROR_EDGES_PX)
+        assert histograms[where] == expected.tolist()
+        assert fraction_histograms(errors, np.full(shape, 7.0))[where] == [inside.sum()] + [0] * (FRACTION_BINS - 1)
+        assert fraction_histograms(errors, np.full(shape, -3.5))[where][FRACTION_BINS // 2] == inside.sum()
+    k = rng.uniform(-50, 50, shape)
+    inside = truth.domain & truth.wall & outcome.valid
+    expected = np.bincount((np.floor(k[inside] * FRACTION_BINS + 0.5) % FRACTION_BINS).astype(int))
+    assert fraction_histograms(errors, k)["wall"] == expected.tolist()
+    seen = truth.domain & outcome.valid
+    assert share_of_estimates(errors, k > 20) == pytest.approx(np.mean(k[seen] > 20))
 
 
 def test_grouped_statistics_are_those_of_each_group():
     rng = np.random.default_rng(18)
     values, seen = rng.normal(size=5000), rng.random(5000) < 0.7
-    members = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 3000, 4999)] + [np.array([], int)]
-    groups = grouped(members, 5000)
-    count = counts(groups, seen)
-    found_means = means(groups, seen, count, np.stack([values, values**2], axis=1))
-    found_medians = medians(groups, seen, count, values, np.argsort(values))
+    members = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 401, 3000, 4999, 2999)] + [
+        np.array([], int)
+    ]
+    groups = grouped([members[:4], members[4:]], 5000)
+    np.testing.assert_array_equal(groups.pixels, np.unique(np.concatenate(members)))
+    inside, absolute = seen[groups.pixels], np.abs(values[groups.pixels])
+    count = np.array([seen[part].sum() for part in members])
+    negative = np.array([(seen[part] & (values[part] < 0)).sum() for part in members])
+    order = ascending(inside, absolute)
+    strata = (2 * groups.classes + (values[groups.pixels] < 0)).astype(np.int32)
+    middles, of_signs = medians(groups, strata, count, negative, order)
+    of_absolute = mean_of_middles(middles, absolute)
+    of_signed = mean_of_middles(of_signs, values[groups.pixels])
     for i, part in enumerate(members):
         chosen = values[part][seen[part]]
-        assert count[i] == chosen.size
         if chosen.size:
-            assert found_medians[i] == np.median(chosen)
-            # Sums in another order.
-            assert found_means[i] == pytest.approx([chosen.mean(), np.mean(chosen**2)], rel=1e-12)
+            assert of_absolute[i] == np.median(np.abs(chosen))
+            assert of_signed[i] == np.median(chosen)
         else:
-            assert np.isnan(found_medians[i])
-            assert np.isnan(found_means[i]).all()
+            assert np.isnan(of_absolute[i])
+            assert np.isnan(of_signed[i])
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_signed_medians_of_one_sign(sign):
+    values = sign * np.array([3.0, 1.0, 2.0, 5.0])
+    groups = grouped([[np.arange(3), np.array([3])], [np.arange(4)]], 4)
+    order = ascending(np.ones(4, bool), np.abs(values))
+    negative = groups.sizes * (sign < 0)
+    strata = (2 * groups.classes + (sign < 0)).astype(np.int32)
+    _, middles = medians(groups, strata, groups.sizes, negative, order)
+    np.testing.assert_array_equal(mean_of_middles(middles, values), sign * np.array([2.0, 5.0, 2.5]))
+
+
+def test_medians_of_seen_parts():
+    rng = np.random.default_rng(20)
+    values, part, seen = rng.random(3000), rng.integers(-1, 7, 3000), rng.random(3000) < 0.5
+    seen[part == 3] = False
+    count = np.bincount(part[seen & (part >= 0)], minlength=7)
+    found = medians_of_seen(sorted_parts(part, 7, values), seen, count)
+    expected = [np.median(values[seen & (part == i)]) if i != 3 else np.nan for i in range(7)]
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_ascending_is_argsort_to_single_precision():
     rng = np.random.default_rng(19)
-    values, seen = 10 ** rng.uniform(-12, 12, 20_000), rng.random(20_000) < 0.8
+    values, seen = 10 ** rng.uniform(-60, 60, 20_000), rng.random(20_000) < 0.8
     values[:5] = 0.0
-    order = ascending(seen, values)
+    order = places(ascending(seen, values))
     assert set(order) == set(np.flatnonzero(seen))
-    assert (np.diff(values[order].astype(np.float32)) >= 0).all()
+    with np.errstate(over="ignore"):
+        single = values[order].astype(np.float32)
+    assert (single[1:] >= single[:-1]).all()
 
 
 def test_a_row_is_strict_json(outcome):

@@ -1,66 +1,312 @@
 """Compiled loops over pixels and groups. Called through `groups`, which prepares the arguments."""
 
+import math
+
 import numpy as np
 from numba import njit
 
 DIGITS = 1 << 11
 
+COUNT, NEGATIVE, SQUARE_PX, GROSS, OFF_M, SQUARE_M, BIAS_M = range(7)
+"""Columns of the sums of a class; there is one more, so that a row is a power of two."""
+KINDS = 8
 
-@njit(cache=True, nogil=True)
-def count(labels, seen, counts):
-    """How many seen pixels each group has. labels : `[pixels, layers]`, group or -1; counts : written, `[groups]`."""
-    for pixel in range(labels.shape[0]):
-        if seen[pixel]:
-            for layer in range(labels.shape[1]):
-                if labels[pixel, layer] >= 0:
-                    counts[labels[pixel, layer]] += 1
+BLOCK = 2048
+"""Places of an order that are counted together before it is asked whether a middle lies among them."""
 
 
 @njit(cache=True, nogil=True)
-def add(labels, seen, values, sums):
-    """Sums over the seen pixels of each group. values : `[pixels, kinds]`; sums : written, `[groups, kinds]`."""
-    for pixel in range(labels.shape[0]):
-        if seen[pixel]:
-            for layer in range(labels.shape[1]):
-                group = labels[pixel, layer]
-                if group >= 0:
-                    for kind in range(values.shape[1]):
-                        sums[group, kind] += values[pixel, kind]
+def classes(labels, groups, out):
+    """Number the different rows of labels `[n, layers]`, each -1 .. groups - 1; return how many there are.
 
-
-@njit(cache=True, nogil=True)
-def medians(labels, seen, order, values, counts, passed, low, high):
-    """Both middle values (one, where the count is odd) of each group, in one walk over the pixels in ascending order.
-
-    order : pixels by ascending value; passed : `[groups]`, zeros; low, high : written, `[groups]`.
+    out : written, `[n]`, every row's number.
     """
-    for i in range(order.size):
-        pixel = order[i]
-        if not seen[pixel]:
+    number = 1
+    out[:] = 0
+    for layer in range(labels.shape[1]):
+        known = np.full((number, groups + 1), -1, dtype=np.int32)
+        number = 0
+        for i in range(out.size):
+            label = labels[i, layer] + 1
+            if known[out[i], label] < 0:
+                known[out[i], label] = number
+                number += 1
+            out[i] = known[out[i], label]
+    return number
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_errors(
+    pixels, classes, surface, weight, range_m, disparity, distance, valid, limits_px, limits_ratio,
+    seen, strata, absolute_px, off_m, logarithm, sums, domain, weighted, above, within,
+):  # fmt: skip
+    """All sums of errors, in one walk over the pixels.
+
+    pixels, classes, surface, weight, range_m : of the grouped pixels, `[n]`; see `groups.Groups` and `regions.Layout`.
+    disparity, distance, valid : of the whole picture, flat.
+    limits_px, limits_ratio : ascending.
+    seen, absolute_px, off_m : written, `[n]`; absolute errors, infinite where not seen.
+    strata : written, `[n]`: twice the class, and one more where the disparity's error is negative.
+    logarithm : written, `[n]`; the first of them, of the domain's seen pixels.
+    sums : written, `[classes, KINDS]`.
+    domain : written: seen pixels; sums of absolute disparity errors and of absolute relative errors.
+    weighted : written, as sums, with each of the domain's pixels counted by its weight; COUNT is that of the seen ones,
+        NEGATIVE that of all.
+    above : written, absolute disparity errors of the domain above each of `limits_px`.
+    within : written, logarithms of the domain nearer to zero than each of `limits_ratio`.
+    """
+    number = 0
+    for i in range(pixels.size):
+        pixel = pixels[i]
+        inside = surface[i] >= 0
+        if inside:
+            weighted[NEGATIVE] += weight[i]
+        d, r = disparity[pixel], distance[pixel]
+        seen[i] = valid[pixel] and math.isfinite(d)
+        if not seen[i]:
+            absolute_px[i], off_m[i] = math.inf, math.inf
             continue
-        for layer in range(labels.shape[1]):
-            group = labels[pixel, layer]
-            if group < 0:
-                continue
-            if passed[group] == (counts[group] - 1) // 2:
-                low[group] = values[pixel]
-            if passed[group] == counts[group] // 2:
-                high[group] = values[pixel]
-            passed[group] += 1
+        absolute, off = abs(d), abs(r)
+        absolute_px[i], off_m[i] = absolute, off
+        negative, gross = 1 if d < 0.0 else 0, 1.0 if absolute > 1.0 else 0.0
+        square_px, square_m = d * d, r * r
+        own = classes[i]
+        strata[i] = 2 * own + negative
+        sums[own, COUNT] += 1.0
+        sums[own, NEGATIVE] += negative
+        sums[own, SQUARE_PX] += square_px
+        sums[own, GROSS] += gross
+        sums[own, OFF_M] += off
+        sums[own, SQUARE_M] += square_m
+        sums[own, BIAS_M] += r
+        if inside:
+            w = weight[i]
+            weighted[COUNT] += w
+            weighted[SQUARE_PX] += w * square_px
+            weighted[GROSS] += w * gross
+            weighted[OFF_M] += w * off
+            weighted[SQUARE_M] += w * square_m
+            weighted[BIAS_M] += w * r
+            for j in range(limits_px.size):
+                if absolute <= limits_px[j]:
+                    break
+                above[j] += 1
+            relative = r / range_m[i]
+            domain[1] += absolute
+            domain[2] += abs(relative)
+            logarithm[number] = math.log1p(relative)
+            ratio = abs(logarithm[number])
+            for j in range(limits_ratio.size - 1, -1, -1):
+                if not ratio < limits_ratio[j]:
+                    break
+                within[j] += 1
+            number += 1
+    domain[0] = number
 
 
 @njit(cache=True, nogil=True)
-def sort_by_bits(keys, order, other):
-    """Sort `order`, indices into the 32-bit keys, by their keys: three passes of eleven bits. other : of its size."""
-    for shift in (0, 11, 22):
-        place = np.zeros(DIGITS + 1, dtype=np.int64)
-        for i in range(order.size):
-            place[((keys[order[i]] >> np.uint32(shift)) & np.uint32(DIGITS - 1)) + 1] += 1
+def ascending(bits, seen, number, order, other):
+    """Write the seen ones of the 32-bit keys in ascending order, `number` of them, each above its place: key << 32 | i.
+
+    Three passes of eleven bits over keys and places side by side, each of them stable; the sign bit is not looked at.
+    order, other : `[number]`; the result is what is returned, one of the two.
+    """
+    digits = np.zeros((3, DIGITS), dtype=np.int64)
+    mask = np.uint64(DIGITS - 1)
+    last = 0
+    for i in range(bits.size):
+        if seen[i]:
+            key = np.uint64(bits[i])
+            other[last] = key << np.uint64(32) | np.uint64(i)
+            last += 1
+            digits[0, key & mask] += 1
+            digits[1, (key >> np.uint64(11)) & mask] += 1
+            digits[2, (key >> np.uint64(22)) & mask] += 1
+    for turn in range(3):
+        place = digits[turn]
+        before = 0
         for digit in range(DIGITS):
-            place[digit + 1] += place[digit]
-        for i in range(order.size):
-            digit = (keys[order[i]] >> np.uint32(shift)) & np.uint32(DIGITS - 1)
-            other[place[digit]] = order[i]
+            here = place[digit]
+            place[digit] = before
+            before += here
+        shift = np.uint64(32 + 11 * turn)
+        for i in range(number):
+            digit = (other[i] >> shift) & mask
+            order[place[digit]] = other[i]
             place[digit] += 1
         order, other = other, order
-    return order
+    return other
+
+
+@njit(cache=True, nogil=True)
+def add_classes(labels, of_class, of_group):
+    """Add up what is known of classes to what is known of groups.
+
+    labels : `[classes, layers]`; of_class, of_group : `[classes, kinds]` and, written, `[groups, kinds]`.
+    """
+    for own in range(labels.shape[0]):
+        for layer in range(labels.shape[1]):
+            group = np.intp(labels[own, layer])
+            if group >= 0:
+                for kind in range(of_class.shape[1]):
+                    of_group[group, kind] += of_class[own, kind]
+
+
+@njit(cache=True, nogil=True)
+def find_ranks(order, strata, labels, layer_of_group, ranks, found):
+    """The places of some ranks in each group's own order.
+
+    Blocks of the order are counted by class, which is one step a pixel whatever the number of layers. Only a block in
+    which a rank must lie is looked through.
+
+    order : as from `ascending`.
+    strata : `[n]`, twice the class of each place, plus its sign, 0 or 1.
+    labels : `[classes, layers]`, a class's group in each layer, or -1.
+    layer_of_group : `[groups]`.
+    ranks : `[groups, 6]`: two among all places of the group, two among those of sign 0, two of sign 1; -1 for none.
+    found : written, `[groups, 6]`, places.
+    """
+    groups = ranks.shape[0]
+    passed, here = np.zeros((groups, 2), dtype=np.int64), np.zeros((groups, 2), dtype=np.int64)
+    counts = np.zeros((labels.shape[0], 2), dtype=np.int32)
+    low = np.uint64(0xFFFFFFFF)
+    for start in range(0, order.size, BLOCK):
+        stop = min(start + BLOCK, order.size)
+        counts[:] = 0
+        here[:] = 0
+        for j in range(start, stop):
+            stratum = strata[order[j] & low]
+            counts[stratum >> 1, stratum & 1] += 1
+        for own in range(labels.shape[0]):
+            if counts[own, 0] + counts[own, 1] > 0:
+                for layer in range(labels.shape[1]):
+                    member_of = np.intp(labels[own, layer])
+                    if member_of >= 0:
+                        here[member_of, 0] += counts[own, 0]
+                        here[member_of, 1] += counts[own, 1]
+        for group in range(groups):
+            wanted = False
+            for query in range(6):
+                kind = query // 2
+                if kind == 0:
+                    before, number = passed[group, 0] + passed[group, 1], here[group, 0] + here[group, 1]
+                else:
+                    before, number = passed[group, kind - 1], here[group, kind - 1]
+                wanted |= before <= ranks[group, query] < before + number
+            if wanted:
+                zeros, ones, layer = passed[group, 0], passed[group, 1], layer_of_group[group]
+                for j in range(start, stop):
+                    i = order[j] & low
+                    stratum = strata[i]
+                    if labels[stratum >> 1, layer] != group:
+                        continue
+                    sign = stratum & 1
+                    among = ones if sign else zeros
+                    for query in range(2):
+                        if ranks[group, query] == zeros + ones:
+                            found[group, query] = i
+                        if ranks[group, 2 + 2 * sign + query] == among:
+                            found[group, 2 + 2 * sign + query] = i
+                    ones += sign
+                    zeros += 1 - sign
+            passed[group, 0] += here[group, 0]
+            passed[group, 1] += here[group, 1]
+
+
+@njit(cache=True, nogil=True)
+def distribution(order, absolute, surface, weight, half, edges, edge_bits, ranks, histogram, quantiles):
+    """Histograms of either surface, and quantiles of the domain, from one walk in ascending order.
+
+    order : as from `ascending`.
+    absolute : `[n]`, what it is the order of.
+    half : half of the weight of all seen pixels of the domain.
+    edges, edge_bits : of the histogram's bins, and the bits of the same in single precision.
+    ranks : ascending, places in the domain's order.
+    histogram : written, `[2, bins]`, the last of which holds all that is above.
+    quantiles : written: the value up to which half of the weight lies, and those with the ranks.
+    """
+    reached, number, wanted, current = 0.0, 0, 0, 0
+    bins = histogram.shape[1]
+    for j in range(order.size):
+        i = order[j] & np.uint64(0xFFFFFFFF)
+        if surface[i] < 0:
+            continue
+        key = np.uint32(order[j] >> np.uint64(32))
+        while current + 1 < bins and key > edge_bits[current + 1]:
+            current += 1
+        # Equal in single precision: ask again.
+        further = current + 1 < bins and key == edge_bits[current + 1] and absolute[i] >= edges[current + 1]
+        histogram[surface[i], current + 1 if further else current] += 1
+        before = reached
+        reached += weight[i]
+        if before < half <= reached:
+            quantiles[0] = absolute[i]
+        while wanted < ranks.size and ranks[wanted] == number:
+            quantiles[1 + wanted] = absolute[i]
+            wanted += 1
+        number += 1
+
+
+@njit(cache=True, nogil=True)
+def weighted_middle(order, absolute, surface, weight, half):
+    """The value up to which half of the domain's weight lies."""
+    reached = 0.0
+    for j in range(order.size):
+        i = order[j] & np.uint64(0xFFFFFFFF)
+        if surface[i] >= 0:
+            reached += weight[i]
+            if reached >= half:
+                return absolute[i]
+    return math.nan
+
+
+@njit(cache=True, nogil=True)
+def deal(order, parts, place, out):
+    """Write the places of `order`, as from `ascending`, part by part. parts : `[n]`, -1 for none; place : starts."""
+    for j in range(order.size):
+        i = order[j] & np.uint64(0xFFFFFFFF)
+        if parts[i] >= 0:
+            out[place[parts[i]]] = i
+            place[parts[i]] += 1
+
+
+@njit(cache=True, nogil=True)
+def middles_of_parts(places, starts, seen, count, values, out):
+    """The median of the seen ones of each part, which lie one after the other in ascending order.
+
+    starts : `[parts + 1]`; count : seen ones of each part; out : written, `[parts]`, not where there are none.
+    """
+    for part in range(count.size):
+        passed = 0
+        if count[part] == 0:
+            continue
+        low = 0.0
+        for j in range(starts[part], starts[part + 1]):
+            i = places[j]
+            if seen[i]:
+                if passed == (count[part] - 1) // 2:
+                    low = values[i]
+                if passed == count[part] // 2:
+                    out[part] = (low + values[i]) / 2
+                    break
+                passed += 1
+
+
+@njit(cache=True, nogil=True)
+def add_fractions(pixels, surface, seen, k, histogram):
+    """Count positions between two samples of either surface. histogram : written, `[2, bins]`."""
+    bins = histogram.shape[1]
+    for i in range(pixels.size):
+        position = k[pixels[i]] * bins + 0.5
+        if seen[i] and surface[i] >= 0 and math.isfinite(position):
+            histogram[surface[i], math.floor(position) % bins] += 1
+
+
+@njit(cache=True, nogil=True)
+def count_flags(pixels, surface, seen, flags):
+    """How many of the domain's seen pixels have a flag."""
+    number = 0
+    for i in range(pixels.size):
+        if seen[i] and surface[i] >= 0 and flags[pixels[i]]:
+            number += 1
+    return number

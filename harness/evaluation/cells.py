@@ -1,14 +1,13 @@
 """A trial's errors in cells of surface, direction and range: the observations that the law is tested on."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from harness.evaluation.errors import Reference
-from harness.evaluation.groups import counts, means, medians
-from harness.evaluation.metrics import Ranked
-from harness.evaluation.regions import Layout
+from harness.evaluation._kernels import GROSS
+from harness.evaluation.groups import medians_of_seen
+from harness.evaluation.metrics import Tally
 from harness.stereo.ranging import paper_law
 
 MIN_PIXELS = 200
@@ -47,35 +46,33 @@ class Cell:
     """Share of the estimates that are off by more than one pixel."""
 
 
-def cells(layout: Layout, truth: Reference, errors: Ranked, baseline_m: float) -> list[dict[str, Any]]:
-    """The cells of one trial with enough estimates, as JSON-able tables in a fixed order."""
-    groups, seen = layout.cell_groups, errors.seen
-    count = counts(groups, seen)
-    range_m = medians(groups, seen, count, truth.range_m.ravel(), layout.by_range)
-    spread_m = NORMAL * medians(groups, seen, count, errors.off_m, errors.by_off)
-    spread_px = NORMAL * medians(groups, seen, count, errors.absolute_px, errors.by_absolute)
-    law = medians(groups, seen, count, truth.law.ravel(), layout.by_law)
-    bias_px = medians(groups, seen, count, errors.disparity_px, errors.by_disparity)
-    gross = means(groups, seen, count, (errors.absolute_px > 1).astype(np.float64)[:, None])[:, 0]
-    # The median of d²/|t| is that of d, squared, but for the mean of two middle values.
-    law_paper = paper_law(range_m, baseline_m)
+def cells(errors: Tally, baseline_m: float, pixel_rad: float) -> list[dict[str, Any]]:
+    """The cells of one trial with enough estimates, as JSON-able tables in a fixed order.
+
+    pixel_rad : one pixel of disparity in radians.
+    """
+    layout = errors.layout
+    own = slice(len(layout.regions), None)
+    count = errors.count[own]
+    range_m = medians_of_seen(layout.by_range, errors.seen, count)
+    law = medians_of_seen(layout.by_law, errors.seen, count)
+    with np.errstate(invalid="ignore"):
+        gross = errors.sums[own, GROSS] / count
+    columns = {
+        "pixels": count,
+        "range_m": range_m,
+        "spread_m": NORMAL * errors.median_abs_m[own],
+        "sigma_alpha": NORMAL * errors.median_abs_px[own] * pixel_rad,
+        "law_exact": law,
+        # The median of d²/|t| is that of d, squared, but for the mean of two middle values.
+        "law_paper": paper_law(range_m, baseline_m),
+        "disparity_bias_px": errors.median_px[own],
+        "missing": 1 - count / np.array([part.pixels.size for part in layout.cells]),
+        "gross": gross,
+    }
+    named = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [
-        asdict(
-            Cell(
-                surface=part.surface,
-                alpha_bin=part.alpha_bin,
-                range_bin=part.range_bin,
-                pixels=int(count[i]),
-                range_m=float(range_m[i]),
-                spread_m=float(spread_m[i]),
-                sigma_alpha=float(spread_px[i] * errors.pixel_rad),
-                law_exact=float(law[i]),
-                law_paper=float(law_paper[i]),
-                disparity_bias_px=float(bias_px[i]),
-                missing=float(1 - count[i] / part.pixels.size),
-                gross=float(gross[i]),
-            )
-        )
-        for i, part in enumerate(layout.cells)
-        if count[i] >= MIN_PIXELS
+        vars(Cell(part.surface, part.alpha_bin, part.range_bin, *values))
+        for part, values in zip(layout.cells, named, strict=True)
+        if values[0] >= MIN_PIXELS
     ]

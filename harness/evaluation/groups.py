@@ -1,7 +1,8 @@
 """Statistics of many overlapping groups of pixels at once.
 
-A median needs its values in order. To sort once and to walk through all groups at a time is some ten times as fast as a
-median for each, and what differs between trials of one geometry is only the values.
+A median needs its values in order. To sort once for all groups, and to count by the classes of pixels that are in the
+same groups, is some thirty times as fast as a median for each. What differs between trials of one geometry is only the
+values.
 """
 
 from collections.abc import Sequence
@@ -15,72 +16,162 @@ from harness.evaluation import _kernels
 
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+Order = NDArray[np.uint64]
+"""Places in ascending order of some values, each beneath its value: its bits in single precision << 32 | place."""
 
 
 @dataclass(frozen=True)
 class Groups:
     """Groups of the pixels of a picture, in layers within which they do not overlap."""
 
+    pixels: Indices
+    """`[n]`: the pixels that are in any group, as ascending flat indices. Arrays `[n]` are about these."""
+    classes: NDArray[np.int32]
+    """`[n]`: pixels of one class are in the same groups."""
     labels: NDArray[np.int16]
-    """`[pixels, layers]`: a pixel's group in each layer, -1 where it has none."""
+    """`[classes, layers]`: the groups of a class, -1 for none. Those of one layer do not overlap."""
+    layers: NDArray[np.int64]
+    """`[groups]`: the layer that each is in."""
     sizes: NDArray[np.int64]
     """`[groups]`: pixels in each."""
 
 
-def grouped(members: Sequence[Indices], pixels: int) -> Groups:
-    """Lay out groups, given as flat indices, in as few layers as they fit into one after the other."""
-    layers: list[NDArray[np.int16]] = []
-    for number, part in enumerate(members):
-        free = (layer for layer in layers if (layer[part] < 0).all())
-        layer = next(free, None)
-        if layer is None:
-            layer = np.full(pixels, -1, dtype=np.int16)
-            layers.append(layer)
-        layer[part] = number
-    labels = np.stack(layers, axis=1) if layers else np.empty((pixels, 0), dtype=np.int16)
-    return Groups(labels, np.array([part.size for part in members], dtype=np.int64))
+def grouped(sets: Sequence[Sequence[Indices]], size: int) -> Groups:
+    """Lay out groups, given as flat indices into a picture of this size, in layers.
 
-
-def counts(groups: Groups, seen: Mask) -> NDArray[np.int64]:
-    """Seen pixels of each group `[groups]`. seen : `[pixels]`."""
-    found = np.zeros(groups.sizes.size, dtype=np.int64)
-    _kernels.count(groups.labels, seen, found)
-    return found
-
-
-def means(groups: Groups, seen: Mask, count: NDArray[np.int64], values: Array) -> Array:
-    """Means over the seen pixels of each group `[groups, kinds]`, of which there are `count`; NaN for none.
-
-    values : `[pixels, kinds]`; anything where not seen.
+    Each goes into the first layer of its set in which it has room; they are counted through all sets.
     """
-    sums = np.zeros((groups.sizes.size, values.shape[1]))
-    _kernels.add(groups.labels, seen, values, sums)
-    with np.errstate(invalid="ignore"):
-        return sums / count[:, None]
+    layers: list[NDArray[np.int16]] = []
+    places_of_groups: list[int] = []
+    number = 0
+    for members in sets:
+        own: list[NDArray[np.int16]] = []
+        for part in members:
+            place = next((i for i, layer in enumerate(own) if (layer[part] < 0).all()), len(own))
+            if place == len(own):
+                own.append(np.full(size, -1, dtype=np.int16))
+            own[place][part] = number
+            places_of_groups.append(len(layers) + place)
+            number += 1
+        layers += own
+    anywhere = np.zeros(size, dtype=bool)
+    for layer in layers:
+        anywhere |= layer >= 0
+    pixels = np.flatnonzero(anywhere)
+    labels = np.empty((pixels.size, len(layers)), dtype=np.int16)
+    for i, layer in enumerate(layers):
+        labels[:, i] = layer[pixels]
+    classes = np.zeros(pixels.size, dtype=np.int32)
+    count = _kernels.classes(labels, number, classes) if pixels.size else 0
+    one_of_each = np.zeros(count, dtype=np.intp)
+    one_of_each[classes] = np.arange(pixels.size)
+    return Groups(
+        pixels=pixels,
+        classes=classes,
+        labels=labels[one_of_each],
+        layers=np.array(places_of_groups, dtype=np.int64),
+        sizes=np.array([part.size for members in sets for part in members], dtype=np.int64),
+    )
 
 
-def medians(groups: Groups, seen: Mask, count: NDArray[np.int64], values: Array, order: Indices) -> Array:
-    """Medians over the seen pixels of each group `[groups]`, of which there are `count`; NaN for none.
+def ascending(seen: Mask, values: Array, number: int | None = None) -> Order:
+    """The seen places by ascending value, to single precision; no value is negative.
+
+    The bits of floats that are not negative are in the order of the floats. Values that are one in single precision
+    keep the order of their places, so that a median may be its neighbour within 6e-8 of it.
 
     Parameters
     ----------
-    values
-        `[pixels]`; finite where seen.
+    seen, values
+        `[n]`.
+    number
+        Of those seen, if it is known.
+    """
+    number = int(np.count_nonzero(seen)) if number is None else number
+    with np.errstate(over="ignore"):
+        bits = values.astype(np.float32).view(np.uint32)
+    order, other = np.empty((2, number), dtype=np.uint64)
+    return np.asarray(_kernels.ascending(bits, seen, number, order, other))
+
+
+def places(order: Order) -> Indices:
+    """The places of an order alone."""
+    return (order & np.uint64(0xFFFFFFFF)).astype(np.intp)
+
+
+def medians(
+    groups: Groups, strata: NDArray[np.int32], count: NDArray[np.int64], negative: NDArray[np.int64], order: Order
+) -> tuple[Indices, Indices]:
+    """Where the middles of each group's absolute values are, and those of its signed ones.
+
+    In ascending order come the negative values, from the largest absolute one down, and then all others: which place
+    has a rank among signed values follows from the order of the absolute ones.
+
+    Parameters
+    ----------
+    strata
+        `[n]`: twice the class, and one more where the value is negative.
+    count, negative
+        `[groups]`: places of each group that are in the order, and how many of them have a negative value.
     order
-        The seen pixels, and perhaps more, by ascending value.
+        Of the absolute values.
+
+    Returns
+    -------
+    absolute, signed
+        `[groups, 2]`: places of both middles (twice the same, where the count is odd); -1 for an empty group.
     """
-    number = groups.sizes.size
-    low, high, passed = np.full(number, np.nan), np.full(number, np.nan), np.zeros(number, dtype=np.int64)
-    _kernels.medians(groups.labels, seen, order, values, count, passed, low, high)
-    return (low + high) / 2
+    middle = np.stack([(count - 1) // 2, count // 2], axis=1)
+    below, above = negative[:, None] - 1 - middle, middle - negative[:, None]
+    empty = (count == 0)[:, None]
+    ranks = np.where(np.tile(empty, 6), -1, np.concatenate([middle, above, below], axis=1))
+    found = np.full(ranks.shape, -1, dtype=np.intp)
+    _kernels.find_ranks(order, strata, groups.labels, groups.layers, ranks, found)
+    signed = np.where(below >= 0, found[:, 4:], found[:, 2:4])
+    return found[:, :2], np.where(empty, -1, signed)
 
 
-def ascending(seen: Mask, values: Array) -> Indices:
-    """The seen pixels by ascending value, to single precision; none of them negative.
+def mean_of_middles(places_of: Indices, values: Array) -> Array:
+    """Medians `[groups]` from the places of both middles; NaN for an empty group. values : `[n]`."""
+    if not values.size:
+        return np.full(len(places_of), np.nan)
+    return np.where(places_of[:, 0] < 0, np.nan, values[places_of].mean(axis=1))
 
-    The bits of floats that are not negative are in the order of the floats. Values that are one in single precision
-    keep the order of their pixels, so that a median may be its neighbour within 6e-8 of it.
+
+@dataclass(frozen=True)
+class Sorted:
+    """Values of parts that do not overlap, sorted within each, for medians over whatever is seen of them."""
+
+    values: Array
+    """`[n]`."""
+    places: Indices
+    """Part by part, in ascending order of value."""
+    starts: NDArray[np.int64]
+    """`[parts + 1]`, into `places`."""
+
+
+def sorted_parts(parts: NDArray[np.int64], number: int, values: Array) -> Sorted:
+    """Sort values part by part.
+
+    Parameters
+    ----------
+    parts
+        `[n]`: the part of each value, -1 for none.
+    number
+        Of the parts.
+    values
+        `[n]`; not negative.
     """
-    pixels = np.flatnonzero(seen)
-    keys = values.astype(np.float32).view(np.uint32)
-    return _kernels.sort_by_bits(keys, pixels, np.empty_like(pixels))
+    order = ascending(parts >= 0, values)
+    sizes = np.bincount(parts[parts >= 0], minlength=number)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    out = np.empty(order.size, dtype=np.intp)
+    _kernels.deal(order, parts, starts[:-1].copy(), out)
+    return Sorted(values, out, starts)
+
+
+def medians_of_seen(parts: Sorted, seen: Mask, count: NDArray[np.int64]) -> Array:
+    """Median of the seen values of each part `[parts]`, of which there are `count`; NaN for none."""
+    out = np.full(count.size, np.nan)
+    _kernels.middles_of_parts(parts.places, parts.starts, seen, count, parts.values, out)
+    return out

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
-from harness.evaluation.errors import Errors, Reference
-from harness.evaluation.groups import Indices, ascending, counts, means, medians
-from harness.evaluation.regions import Layout
-from harness.stereo.panorama import Grid
+from harness.evaluation import _kernels
+from harness.evaluation.errors import Errors
+from harness.evaluation.groups import ascending, mean_of_middles, medians
+from harness.evaluation.regions import SURFACES, Layout
 
 Measures = dict[str, float | None]
 Mask = NDArray[np.bool_]
@@ -44,6 +44,11 @@ ERROR_EDGES_PX = np.concatenate([[0.0], np.geomspace(1e-3, 300, 56)])
 """Of the histogram of absolute disparity errors, from which distributions are drawn."""
 
 FRACTION_BINS = 40
+
+_QUANTILES = np.array([0.5, 0.9, 0.95, 0.99])
+_LIMITS_PX = np.array([0.5, 2.0, 4.0])
+_LIMITS_RATIO = np.log([1.05, 1.1, 1.25])
+_EDGE_BITS = ERROR_EDGES_PX.astype(np.float32).view(np.uint32)
 
 
 def measure(domain: Mask, valid: Mask, found: Errors) -> Measures:
@@ -83,105 +88,128 @@ def _core(disparity: Array, distance: Array) -> Measures:
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """A trial's errors `[pixels]`, flat and in order: sorted once for all that needs medians of them."""
+class Tally:
+    """A trial's errors, added up and sorted once for all figures. Arrays `[n]` are of `layout.groups.pixels`."""
 
+    layout: Layout
     seen: Mask
-    """Pixels with an estimate and a true point."""
-    disparity_px: Array
-    distance_m: Array
-    """Signed errors."""
-    absolute_px: Array
-    off_m: Array
-    """Absolute errors."""
-    pixel_rad: float
-    """One pixel of disparity in radians."""
-    by_disparity: Indices
-    by_absolute: Indices
-    by_off: Indices
-    """Seen pixels by ascending error."""
+    """`[n]`: with an estimate."""
+    count: NDArray[np.int64]
+    """`[groups]`: seen pixels of each."""
+    sums: Array
+    """`[groups, kinds]`, of their errors; kinds are columns of `_kernels`."""
+    median_abs_px: Array
+    median_abs_m: Array
+    median_px: Array
+    """`[groups]`; the last one of signed errors. NaN where nothing is seen."""
+    mean_abs_px: float
+    abs_rel: float
+    logarithm: Array
+    """`[seen pixels of the domain]`: log(estimate/truth)."""
+    above: NDArray[np.int64]
+    within: NDArray[np.int64]
+    """Seen pixels of the domain with an error above each of three limits, and with a ratio below each of three."""
+    weighted: Array
+    """`[kinds]`: the sums over the domain, weighted by solid angle; see `_kernels.add_errors`."""
+    quantiles_px: Array
+    """Of the domain's absolute errors: the median weighted by solid angle, and four that are not weighted."""
+    weighted_median_m: float
+    histogram: NDArray[np.int64]
+    """`[surfaces, bins]`: absolute errors in pixels between `ERROR_EDGES_PX`."""
 
 
-def ranked(valid: Mask, found: Errors, grid: Grid) -> Ranked:
-    """Sort a trial's errors."""
+def tally(layout: Layout, valid: Mask, found: Errors) -> Tally:
+    """Add up and sort a trial's errors.
+
+    Parameters
+    ----------
+    valid
+        `[height, width]`: pixels with an estimate; one without a true point is left out.
+    """
+    groups, surface, weight = layout.groups, layout.surface, layout.solid_angle
     disparity, distance = found.disparity_px.ravel(), found.range_m.ravel()
-    seen = valid.ravel() & np.isfinite(disparity)
-    absolute, off = np.abs(disparity), np.abs(distance)
-    by_absolute = ascending(seen, absolute)
-    # Negative ones from the largest down, then the others up: no need to sort again.
-    negative = disparity[by_absolute] < 0
-    by_disparity = np.concatenate([by_absolute[negative][::-1], by_absolute[~negative]])
-    return Ranked(
-        seen,
-        disparity,
-        distance,
-        absolute,
-        off,
-        grid.phi_pitch,
-        by_disparity=by_disparity,
-        by_absolute=by_absolute,
-        by_off=ascending(seen, off),
+    size = groups.pixels.size
+    seen, strata = np.empty(size, dtype=bool), np.empty(size, dtype=np.int32)
+    absolute_px, off_m, logarithm = np.empty((3, size))
+    of_class, sums = (np.zeros((len(each), _kernels.KINDS)) for each in (groups.labels, groups.sizes))
+    weighted, domain, (above, within) = np.zeros(_kernels.KINDS), np.zeros(3), np.zeros((2, 3), dtype=np.int64)
+    _kernels.add_errors(
+        groups.pixels, groups.classes, surface, weight, layout.range_m, disparity, distance, valid.ravel(),
+        _LIMITS_PX, _LIMITS_RATIO,
+        seen, strata, absolute_px, off_m, logarithm, of_class, domain, weighted, above, within,
+    )  # fmt: skip
+    _kernels.add_classes(groups.labels, of_class, sums)
+    count, negative = sums[:, [_kernels.COUNT, _kernels.NEGATIVE]].astype(np.int64).T
+    number = int(domain[0])
+    by_px, by_m = ascending(seen, absolute_px), ascending(seen, off_m)
+    middles_px, middles_signed = medians(groups, strata, count, negative, by_px)
+    middles_m, _ = medians(groups, strata, count, negative, by_m)
+    ranks = np.minimum((_QUANTILES * number).astype(np.int64), number - 1)
+    histogram, quantiles = np.zeros((len(SURFACES), ERROR_EDGES_PX.size - 1), dtype=np.int64), np.full(5, np.nan)
+    half = weighted[_kernels.COUNT] / 2
+    _kernels.distribution(
+        by_px, absolute_px, surface, weight, half, ERROR_EDGES_PX, _EDGE_BITS, ranks, histogram, quantiles
+    )
+    with np.errstate(invalid="ignore"):
+        mean_abs_px, abs_rel = domain[1:] / number
+    return Tally(
+        layout=layout,
+        seen=seen,
+        count=count,
+        sums=sums,
+        median_abs_px=mean_of_middles(middles_px, absolute_px),
+        median_abs_m=mean_of_middles(middles_m, off_m),
+        median_px=mean_of_middles(middles_signed, disparity[groups.pixels]),
+        mean_abs_px=float(mean_abs_px),
+        abs_rel=float(abs_rel),
+        logarithm=logarithm[:number],
+        above=above,
+        within=within,
+        weighted=weighted,
+        quantiles_px=quantiles,
+        weighted_median_m=_kernels.weighted_middle(by_m, off_m, surface, weight, half),
+        histogram=histogram,
     )
 
 
-def measure_more(domain: Mask, errors: Ranked, truth: Reference) -> Measures:
-    """The rest of the field's usual figures.
+def measure_more(errors: Tally) -> Measures:
+    """The rest of the field's usual figures, over the domain.
 
     Disparity: mean absolute error, median signed error, shares of absolute errors above 0.5, 2 and 4 px, and the values
     that 50, 90, 95 and 99 % of them do not exceed. Range: mean relative absolute error, the scale-invariant
     logarithmic error (standard deviation of `log(estimate/truth)`), and the shares with
     `max(estimate/truth, truth/estimate)` below 1.05, 1.1 and 1.25.
     """
-    inside = domain.ravel()
-    chosen = errors.by_absolute[inside[errors.by_absolute]]
-    if not chosen.size:
+    number = errors.logarithm.size
+    if not number:
         return dict.fromkeys(MORE)
-    absolute = errors.absolute_px[chosen]
-    relative = errors.distance_m[chosen] / truth.range_m.ravel()[chosen]
-    logarithm = np.log1p(relative)
-    ratio = np.abs(logarithm)
-    signed = errors.by_disparity[inside[errors.by_disparity]]
-    quantiles = absolute[np.minimum((np.array([0.5, 0.9, 0.95, 0.99]) * absolute.size).astype(int), absolute.size - 1)]
-    above = 1 - np.searchsorted(absolute, [0.5, 2, 4], side="right") / absolute.size
-    within = [float(np.mean(ratio < np.log(limit))) for limit in (1.05, 1.1, 1.25)]
     values = [
-        float(np.mean(absolute)),
-        float(np.mean(errors.disparity_px[signed[[(signed.size - 1) // 2, signed.size // 2]]])),
-        *above.tolist(),
-        *quantiles.tolist(),
-        float(np.mean(np.abs(relative))),
-        float(np.std(logarithm)),
-        *within,
+        errors.mean_abs_px,
+        errors.median_px[0],
+        *(errors.above / number),
+        *errors.quantiles_px[1:],
+        errors.abs_rel,
+        np.std(errors.logarithm),
+        *(errors.within / number),
     ]
-    return dict(zip(MORE, values, strict=True))
+    return dict(zip(MORE, map(float, values), strict=True))
 
 
-def measure_by_solid_angle(domain: Mask, errors: Ranked, grid: Grid) -> Measures:
-    """Core figures with every pixel weighted by the solid angle that it covers, `dphi dz/(1 + z²)^(3/2)`.
+def measure_by_solid_angle(errors: Tally) -> Measures:
+    """Core figures of the domain with every pixel weighted by the solid angle that it covers, `dphi dz/(1 + z²)^(3/2)`.
 
     A panorama's pixels do not cover the sphere evenly: near its lower border they are a fifth of those at the horizon.
     """
-    weight = np.repeat((1 + grid.z**2) ** -1.5, grid.width_px)
-    inside = domain.ravel()
-    whole, pixels = float(weight[inside].sum()), inside & errors.seen
-    measures: Measures = {"density": float(weight[pixels].sum() / whole) if whole else None}
-    if not pixels.any():
+    sums = errors.weighted
+    seen, whole = float(sums[_kernels.COUNT]), float(sums[_kernels.NEGATIVE])
+    measures: Measures = {"density": seen / whole if whole else None}
+    if not seen:
         return measures | dict.fromkeys(CORE)
-    w = weight[pixels] / weight[pixels].sum()
-    disparity, distance = errors.disparity_px[pixels], errors.distance_m[pixels]
-    values = [
-        _weighted_median(errors.absolute_px, weight, errors.by_absolute[inside[errors.by_absolute]]),
-        np.sqrt(np.sum(w * disparity**2)),
-        np.sum(w * (np.abs(disparity) > 1)),
-        _weighted_median(errors.off_m, weight, errors.by_off[inside[errors.by_off]]),
-        np.sum(w * np.abs(distance)),
-        np.sqrt(np.sum(w * distance**2)),
-        np.sum(w * distance),
-    ]
-    return measures | dict(zip(CORE, map(float, values), strict=True))
+    mean = sums / seen
+    return measures | _core_of(mean, errors.quantiles_px[0], errors.weighted_median_m)
 
 
-def measure_regions(layout: Layout, errors: Ranked) -> list[dict[str, Any]]:
+def measure_regions(errors: Tally) -> list[dict[str, Any]]:
     """Core figures and the number of pixels of each part of the picture.
 
     Returns
@@ -189,54 +217,59 @@ def measure_regions(layout: Layout, errors: Ranked) -> list[dict[str, Any]]:
     list
         Of tables: `split` (`surface`, `alpha_1`, ...), `part`, `pixels`, and the figures of `measure`.
     """
-    groups, seen = layout.region_groups, errors.seen
-    count = counts(groups, seen)
-    disparity, distance = errors.disparity_px, errors.distance_m
-    kinds = np.stack([disparity**2, errors.absolute_px > 1, errors.off_m, distance**2, distance], axis=1)
-    square_px, gross, off_m, square_m, bias_m = means(groups, seen, count, kinds).T
-    columns = [
-        medians(groups, seen, count, errors.absolute_px, errors.by_absolute),
-        np.sqrt(square_px),
-        gross,
-        medians(groups, seen, count, errors.off_m, errors.by_off),
-        off_m,
-        np.sqrt(square_m),
-        bias_m,
+    table = []
+    for i, region in enumerate(errors.layout.regions):
+        number = int(errors.count[i])
+        row = {"split": region.split, "part": region.part, "pixels": int(region.pixels.size)}
+        row["density"] = number / region.pixels.size
+        if number:
+            row |= _core_of(errors.sums[i] / number, errors.median_abs_px[i], errors.median_abs_m[i])
+        else:
+            row |= dict.fromkeys(CORE)
+        table.append(row)
+    return table
+
+
+def _core_of(mean: Array, median_px: float, median_m: float) -> Measures:
+    """The core figures from the means of the kinds of sums."""
+    values = [
+        median_px,
+        np.sqrt(mean[_kernels.SQUARE_PX]),
+        mean[_kernels.GROSS],
+        median_m,
+        mean[_kernels.OFF_M],
+        np.sqrt(mean[_kernels.SQUARE_M]),
+        mean[_kernels.BIAS_M],
     ]
-    return [
-        {
-            "split": region.split,
-            "part": region.part,
-            "pixels": int(region.pixels.size),
-            "density": float(number / region.pixels.size),
-            **{name: float(value) if number else None for name, value in zip(CORE, values, strict=True)},
-        }
-        for region, number, values in zip(layout.regions, count, np.stack(columns, axis=1), strict=True)
-    ]
+    return dict(zip(CORE, map(float, values), strict=True))
 
 
-def error_histogram(pixels: Mask, errors: Ranked) -> list[int]:
-    """Counts of absolute disparity errors between `ERROR_EDGES_PX`; the last bin holds all larger ones."""
-    chosen = errors.by_absolute[pixels.ravel()[errors.by_absolute]]
-    below = np.searchsorted(errors.absolute_px[chosen], ERROR_EDGES_PX, side="left")
-    below[-1] = chosen.size
-    return [int(count) for count in np.diff(below)]
+def error_histograms(errors: Tally) -> dict[str, list[int]]:
+    """Counts of either surface's absolute disparity errors between `ERROR_EDGES_PX`; the last bin holds all larger."""
+    return dict(zip(SURFACES, errors.histogram.tolist(), strict=True))
 
 
-def fraction_histogram(pixels: Mask, k: Array) -> list[int]:
-    """Counts of the estimates' positions between two samples, 0 .. 1 in `FRACTION_BINS`: pixel locking shows as peaks.
+def fraction_histograms(errors: Tally, k: Array) -> dict[str, list[int]]:
+    """Counts of either surface's positions between two samples: pixel locking shows as peaks.
 
-    Shifted by half a bin, so that whole samples fall into the middle of the first one.
+    0 .. 1 in `FRACTION_BINS`, shifted by half a bin, so that whole samples fall into the middle of the first one.
+
+    Parameters
+    ----------
+    k
+        `[height, width]`, positions of the estimates in samples.
     """
-    bins = np.floor(k[pixels] * FRACTION_BINS + 0.5).astype(np.int64) % FRACTION_BINS
-    return [int(count) for count in np.bincount(bins, minlength=FRACTION_BINS)]
+    histogram = np.zeros((len(SURFACES), FRACTION_BINS), dtype=np.int64)
+    _kernels.add_fractions(errors.layout.groups.pixels, errors.layout.surface, errors.seen, k.ravel(), histogram)
+    return dict(zip(SURFACES, histogram.tolist(), strict=True))
+
+
+def share_of_estimates(errors: Tally, flags: Mask) -> float | None:
+    """Share of the domain's estimates that have a flag `[height, width]`; None where there are none."""
+    layout, number = errors.layout, errors.logarithm.size
+    found = _kernels.count_flags(layout.groups.pixels, layout.surface, errors.seen, flags.ravel())
+    return float(found / number) if number else None
 
 
 def _share(part: Mask, whole: Mask) -> float | None:
     return float(np.count_nonzero(part) / np.count_nonzero(whole)) if whole.any() else None
-
-
-def _weighted_median(values: Array, weights: Array, order: Indices) -> float:
-    """The value up to which half of the weight lies. order : pixels by ascending value."""
-    reached = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(reached, 0.5 * reached[-1])]])

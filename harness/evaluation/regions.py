@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.evaluation.errors import MIN_SINE_ALPHA_1, Reference
-from harness.evaluation.groups import Groups, ascending, grouped
+from harness.evaluation.groups import Groups, Sorted, grouped, sorted_parts
 from harness.simulation.truth import Truth
 from harness.stereo.panorama import Grid
 
@@ -26,6 +26,10 @@ SLANTED_DEG = 60.0
 
 RANGE_RATIO = 2**0.5
 """Cells bin ranges by powers of this. With baselines that are such powers too, so is |t|/d, the same for all."""
+
+
+SURFACES = ("wall", "floor")
+"""`floor` stands for ceilings too."""
 
 
 @dataclass(frozen=True)
@@ -50,28 +54,44 @@ class CellPixels:
 
 @dataclass(frozen=True)
 class Layout:
-    """All that scoring needs of the truth but the truth itself, ready for many trials of one geometry."""
+    """All that scoring needs of the truth but the truth itself, ready for many trials of one geometry.
+
+    Arrays `[n]` are of the pixels of `groups`.
+    """
 
     regions: tuple[Region, ...]
     cells: tuple[CellPixels, ...]
-    region_groups: Groups
-    cell_groups: Groups
-    by_range: NDArray[np.intp]
-    by_law: NDArray[np.intp]
-    """The domain's pixels in ascending order of true range, and of the law."""
+    groups: Groups
+    """The regions, then the cells."""
+    surface: NDArray[np.int8]
+    """`[n]`: index into `SURFACES`; -1 outside the domain."""
+    solid_angle: Array
+    """`[n]`: what a pixel covers of the sphere, in pixels at the horizon."""
+    range_m: Array
+    """`[n]`: the truth."""
+    by_range: Sorted
+    by_law: Sorted
+    """True range, and the law, cell by cell."""
 
 
 def layout(reference: Reference, truth: Truth, grid: Grid, directions_world: Array) -> Layout:
     """Divide a picture into regions and cells; see `regions` and `cell_pixels`."""
     parts, cells = regions(reference, truth, grid, directions_world), cell_pixels(reference)
-    domain = reference.domain.ravel()
+    groups = grouped([[part.pixels for part in each] for each in (parts, cells)], reference.domain.size)
+    pixels = groups.pixels
+    domain, wall = (mask.ravel()[pixels] for mask in (reference.domain, reference.wall))
+    range_m, law = (values.ravel()[pixels] for values in (reference.range_m, reference.law))
+    # The domain is divided up between the cells, which are the last layer.
+    cell = np.where(domain, groups.labels[groups.classes, -1] - len(parts), -1)
     return Layout(
         regions=parts,
         cells=cells,
-        region_groups=grouped([part.pixels for part in parts], domain.size),
-        cell_groups=grouped([part.pixels for part in cells], domain.size),
-        by_range=ascending(domain, reference.range_m.ravel()),
-        by_law=ascending(domain, reference.law.ravel()),
+        groups=groups,
+        surface=np.where(domain, np.where(wall, np.int8(0), np.int8(1)), np.int8(-1)),
+        solid_angle=((1 + grid.z**2) ** -1.5)[pixels // grid.width_px],
+        range_m=range_m,
+        by_range=sorted_parts(cell, len(cells), range_m),
+        by_law=sorted_parts(cell, len(cells), law),
     )
 
 

@@ -2,17 +2,16 @@
 
 from typing import Any
 
-import numpy as np
-
 from harness.evaluation.cells import cells
 from harness.evaluation.metrics import (
     CORE,
-    error_histogram,
-    fraction_histogram,
+    error_histograms,
+    fraction_histograms,
     measure_by_solid_angle,
     measure_more,
     measure_regions,
-    ranked,
+    share_of_estimates,
+    tally,
 )
 from harness.experiments.trial import Outcome
 
@@ -26,25 +25,22 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor.
     """
-    truth, grid = outcome.reference, outcome.trial.panorama
-    errors = ranked(outcome.valid, outcome.errors, grid)
-    surfaces = {"wall": truth.domain & truth.wall, "floor": truth.domain & ~truth.wall}
-    scored = {where: mask & outcome.valid for where, mask in surfaces.items()}
-    regions = measure_regions(outcome.layout, errors)
-    everywhere, refined = truth.domain & outcome.valid, outcome.matches.refined
+    trial, refined = outcome.trial, outcome.matches.refined
+    errors = tally(outcome.layout, outcome.valid, outcome.errors)
+    regions = measure_regions(errors)
     return {
         "figures": {
             **_figures(regions, "visible in both views"),
-            **measure_more(truth.domain, errors, truth),
+            **measure_more(errors),
             **{f"wall_{k}": v for k, v in _figures(regions, "wall").items()},
             **{f"floor_{k}": v for k, v in _figures(regions, "floor or ceiling").items()},
-            **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(truth.domain, errors, grid).items()},
-            "refined": float(np.mean(refined[everywhere])) if refined is not None and everywhere.any() else None,
+            **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(errors).items()},
+            "refined": None if refined is None else share_of_estimates(errors, refined),
         },
         "regions": regions,
-        "cells": cells(outcome.layout, truth, errors, outcome.trial.view_2.baseline_m),
-        "errors": {where: error_histogram(mask, errors) for where, mask in scored.items()},
-        "fractions": {where: fraction_histogram(mask, outcome.k) for where, mask in scored.items()},
+        "cells": cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch),
+        "errors": error_histograms(errors),
+        "fractions": fraction_histograms(errors, outcome.k),
     }
 
 
