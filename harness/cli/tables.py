@@ -46,7 +46,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
 
 
 def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
-    """How the main figures of two runs differ.
+    """How the main figures of two runs differ, the sub-pixel steps one below the other: it fits 80 columns.
 
     Parameters
     ----------
@@ -55,12 +55,19 @@ def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
     """
     from rich.markup import escape
 
-    table = _table()
-    for heading in ("figure", "step", "first", "second", "difference [95 %]", "second is"):
+    steps: dict[str, list[list[str]]] = {}
+    for figure, step, *cells in lines:
+        steps.setdefault(step, []).append([figure, *cells])
+    table = _table("means over pairs; disparity and range: median |error|")
+    for heading in ("figure", "first", "second", "difference [95 %]", "second is"):
         side: Literal["left", "right"] = "right" if heading in {"first", "second"} else "left"
-        table.add_column(heading, justify=side, no_wrap=heading != "figure")
-    for cells in lines:
-        table.add_row(*map(escape, cells))
+        table.add_column(heading, justify=side, no_wrap=heading in {"figure", "first", "second"})
+    for step, rows in steps.items():
+        if step:
+            table.add_row(f"[bold]{escape(step)}[/bold]")
+        for cells in rows:
+            table.add_row(*map(escape, cells))
+        table.add_section()
     return table
 
 

@@ -111,9 +111,11 @@ def _against(
             cells = way.of(sweep.cells[sweep.cells["surface"] == surface])
             if cells.empty:
                 continue
-            table = cells.assign(x=x[cells.index], value=y[cells.index]).pivot_table(
-                index=["seed", "condition"], columns="x", values="value", aggfunc=_log_mean if log_y else "mean"
+            values = np.log(y[cells.index]) if log_y else y[cells.index]
+            table = cells.assign(x=x[cells.index], value=values).pivot_table(
+                index=["seed", "condition"], columns="x", values="value", aggfunc="mean"
             )
+            table = np.exp(table) if log_y else table
             curve = mean_over_seeds(table, logarithmic=log_y)
             at = [float(value) for value in table.columns]
             draw_line(ax, way, at, curve, scale)
@@ -142,10 +144,6 @@ def _against(
     panels[0].set_ylabel(ordinate)
     plain = ordinate.replace("$\\sigma(\\alpha_2)$", "sigma of alpha 2")
     return theme.picture(fig, f"{plain} against {'|t|/d' if log_x else 'alpha 1'}: {'; '.join(told)}.", title)
-
-
-def _log_mean(values: "pd.Series[float]") -> float:
-    return float(np.exp(np.log(values).mean()))
 
 
 def _sigma_table(sweep: Sweep, law: dict[str, Any]) -> Table:
