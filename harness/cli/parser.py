@@ -5,12 +5,12 @@ import traceback
 from collections.abc import Sequence
 
 from harness import __version__
-from harness.cli import cache, compare, own_pair, render, report, run
+from harness.cli import cache, check, compare, own_pair, render, report, run
 from harness.cli.exits import INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
 from harness.errors import InputError
 
-_COMMANDS = (run, report, compare, cache, render, own_pair)
+_COMMANDS = (run, report, compare, cache, render, own_pair, check)
 """In the order in which `--help` lists them."""
 
 

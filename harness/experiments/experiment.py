@@ -18,7 +18,9 @@ from harness.experiments.spec import Trial
 from harness.simulation.scene import load_scene
 from harness.spec import Spec, parse, read_toml
 from harness.stereo.matching import registry
+from harness.stereo.matching.contract import Limits
 from harness.stereo.matching.program import with_absolute_files
+from harness.stereo.matching.registry import Matcher
 
 _KIND = "matching.kind"
 
@@ -161,6 +163,50 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
                 raise InputError(error.problem, file="--set", key=key) from error
         raise InputError(error.problem, file=file, key=error.key) from error
     return changed
+
+
+class _Matching(Spec):
+    matching: Matcher
+
+
+def load_matcher(kind_or_path: str, sets: Sequence[str] = (), parameters: Mapping[str, Any] | None = None) -> Limits:
+    """The settings of one matcher: by its `kind` alone, or from the table `matching` of a TOML file.
+
+    Parameters
+    ----------
+    kind_or_path
+        A path ends in `.toml`; the file may be an experiment, whose base trial's matcher is meant.
+    sets
+        `matching.key=value`: settings.
+    parameters
+        More of what only the matcher understands, see `Parametrised`.
+
+    Raises
+    ------
+    InputError
+        When there is no such matcher, or it does not take its settings.
+    """
+    file = None
+    table: dict[str, Any] = {"matching": {"kind": kind_or_path}}
+    if kind_or_path.endswith(".toml"):
+        file = Path(kind_or_path)
+        read = read_toml(file)
+        trial = read.get("trial", read)
+        if not (isinstance(trial, dict) and isinstance(trial.get("matching"), dict)):
+            raise InputError("has no table [matching], nor [trial.matching]", file=file)
+        table = {"matching": _absolute("", trial["matching"], file.parent, file)}
+    settings = {
+        key: _absolute(key, value, Path(), "--set") for key, value in (read_value("--set", each) for each in sets)
+    }
+    table = changed(table, settings, file="--set")
+    if parameters:
+        table["matching"]["parameters"] = {**table["matching"].get("parameters", {}), **parameters}
+    matcher = parse(_Matching, table, file=file).matching
+    try:
+        registry.check(matcher)
+    except InputError as error:
+        raise InputError(error.problem, file=file, key=f"matching.{error.key}") from error
+    return matcher
 
 
 def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:

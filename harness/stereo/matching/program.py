@@ -110,6 +110,11 @@ def match_pair(pair: Pair, program: Program) -> Matches:
     InputError
         When it cannot be started, takes too long, ends with another exit code than 0, or what it wrote is no answer.
     """
+    return as_matches(answer(pair, program), pair.grid, _name(program))
+
+
+def answer(pair: Pair, program: Program) -> Matches:
+    """What the program wrote, as it is; errors as in `match_pair`, but for what is in the arrays."""
     name = _name(program)
     with tempfile.TemporaryDirectory(prefix="omnirange-", ignore_cleanup_errors=True) as temporary:
         folder = Path(temporary)
@@ -117,7 +122,7 @@ def match_pair(pair: Pair, program: Program) -> Matches:
             (folder / part).mkdir()
         write_input(pair, program, folder / "input")
         _run(filled_in(program, folder), program.timeout_s, folder, name)
-        return as_matches(_read_answer(folder / "output", pair.grid, name), pair.grid, name)
+        return _read_answer(folder / "output", pair.grid, name)
 
 
 def check(program: Program) -> None:
@@ -269,7 +274,7 @@ def _read_array(path: Path, grid: Grid, name: str) -> NDArray[Any] | None:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError, TypeError, SyntaxError, OverflowError) as error:
         raise InputError(
-            f"{path.name} cannot be read as a .npy file of plain numbers: it is cut short, pickled or of another format",
+            f"{path.name} cannot be read as a .npy file of plain numbers: cut short, pickled or of another format",
             file=name,
         ) from error
     if not isinstance(array, np.ndarray):

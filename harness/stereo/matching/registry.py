@@ -80,13 +80,17 @@ def match_pair(pair: Pair, matcher: Limits) -> Matches:
     InputError
         When somebody else's matcher cannot be found, does not take its parameters, fails, or returns what is no answer.
     """
+    if isinstance(matcher, Plugin):
+        return as_matches(answer(pair, matcher), pair.grid, matcher.kind)
+    return _MATCHERS[type(matcher)](pair, matcher)
+
+
+def answer(pair: Pair, matcher: Limits) -> Any:
+    """What a matcher returns, not yet checked; errors as in `match_pair`."""
+    if isinstance(matcher, Program):
+        return program.answer(pair, matcher)
     if not isinstance(matcher, Plugin):
         return _MATCHERS[type(matcher)](pair, matcher)
-    return as_matches(answer(pair, matcher), pair.grid, matcher.kind)
-
-
-def answer(pair: Pair, matcher: Plugin) -> Any:
-    """What a plug-in returns, as it is; errors as in `match_pair`."""
     check(matcher)
     function = plugins.find(matcher.kind)
     try:
@@ -95,8 +99,9 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
     except InputError:
         raise
     except (Exception, SystemExit) as error:
+        hint = "; a pair's arrays are everybody's: change a copy" if "read-only" in str(error) else ""
         raise InputError(
-            f"fails: {type(error).__name__}: {error}{_place_in(function, error)}", file=matcher.kind
+            f"fails: {type(error).__name__}: {error}{_place_in(function, error)}{hint}", file=matcher.kind
         ) from error
 
 

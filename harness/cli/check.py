@@ -1,0 +1,58 @@
+"""`omnirange check`: whether a matcher does what every matcher has to do."""
+
+import os
+import sys
+from argparse import Namespace
+
+from harness.cli.exits import FAILED, OK
+from harness.cli.options import Commands, add_changes
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "check",
+        run,
+        brief="try out a matcher, also one of your own",
+        description="Try a matcher out on small scenes, and say what it does that a matcher must not do.",
+        epilog="docs/matchers.md says how to write one",
+    )
+    command.add_argument(
+        "matcher",
+        metavar="KIND",
+        help="package.module:function, the name of a matcher, or a TOML file with a table [matching]",
+    )
+    add_changes(command, axes=False)
+
+
+def run(options: Namespace) -> int:
+    """Carry out every check, a line for each."""
+    from harness.experiments.executors import ONE_THREAD
+
+    os.environ.update(ONE_THREAD | os.environ)
+
+    from harness.experiments.experiment import load_matcher
+
+    matcher = load_matcher(options.matcher, options.set)
+
+    from harness.conformity import CHECKS, conformity
+
+    marks = _marks()
+    width = max(len(check.title) for check in CHECKS)
+    passed = 0
+    for finding in conformity(matcher):
+        passed += finding.passed is True
+        print(f"{marks[finding.passed]} {finding.check.title:<{width}}  {finding.text}", flush=True)
+    verdict = "all" if passed == len(CHECKS) else f"{passed} of"
+    print(f"{options.matcher}: {verdict} {len(CHECKS)} checks passed")
+    return OK if passed == len(CHECKS) else FAILED
+
+
+def _marks() -> dict[bool | None, str]:
+    """What stands before a line; plain letters where the terminal has no others."""
+    marks: dict[bool | None, str] = {True: "✓", False: "✗", None: "-"}
+    try:
+        "".join(marks.values()).encode(sys.stdout.encoding or "ascii")
+    except UnicodeEncodeError:
+        return {True: "ok", False: "NO", None: "--"}
+    return marks
