@@ -61,6 +61,12 @@ def test_baseline_is_the_distance_of_the_viewpoints(view_1: Pose, view_2: Pose) 
     assert relative_motion(view_1, view_2).baseline_m == pytest.approx(distance, abs=ROUNDING)
 
 
+@given(poses, st.tuples(metres, metres, metres))
+def test_views_turned_alike_have_no_rotation_between_them(view_1: Pose, position_m: tuple) -> None:
+    motion = relative_motion(view_1, view_1.model_copy(update={"position_m": position_m}))
+    np.testing.assert_array_equal(motion.R_v2_from_v1, np.eye(3))
+
+
 def test_motion_applies_to_arrays_of_any_shape() -> None:
     motion = relative_motion(Pose(yaw_deg=20), Pose(position_m=(0.5, 0, 0.1), roll_deg=-5))
     points = np.random.default_rng(0).normal(size=(2, 3, 4, 3))

@@ -2,16 +2,23 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.stereo.ranging import paper_law, sensitivity_to_alpha_2, sensitivity_to_baseline, triangulate
+from harness.stereo.ranging import (
+    paper_law,
+    range_from_angles,
+    sensitivity_to_alpha_2,
+    sensitivity_to_baseline,
+    triangulate,
+)
 
 baselines = st.floats(0.05, 2)
 directions = st.floats(0.1, np.pi - 0.1)
 disparities = st.floats(0.01, 1.0)
 
 
+@settings(deadline=None)  # the first call loads the compiled loop
 @given(baselines, directions, disparities)
 def test_sine_rule_closes_the_triangle(baseline, alpha_1, disparity):
     alpha_2 = alpha_1 + disparity
@@ -25,6 +32,7 @@ def test_sine_rule_closes_the_triangle(baseline, alpha_1, disparity):
     assert abs(across) < 1e-11
 
 
+@settings(deadline=None)  # the first call loads the compiled loop
 @given(baselines, directions, disparities)
 def test_derivative_by_alpha_2_is_the_numeric_one_and_the_papers_eq_11(baseline, alpha_1, disparity):
     alpha_2 = alpha_1 + disparity
@@ -44,6 +52,7 @@ def test_derivative_by_alpha_2_is_the_numeric_one_and_the_papers_eq_11(baseline,
         assert eq_11 == pytest.approx(float(exact), rel=1e-6)
 
 
+@settings(deadline=None)  # the first call loads the compiled loop
 @given(baselines, directions, disparities)
 def test_derivative_by_the_baseline_is_eq_10(baseline, alpha_1, disparity):
     alpha_2 = alpha_1 + disparity
@@ -54,6 +63,24 @@ def test_derivative_by_the_baseline_is_eq_10(baseline, alpha_1, disparity):
     d_1 = float(triangulate(alpha_1, alpha_2, baseline)[0])
     # Range is linear in |t|: the difference is exact but for rounding, 1e-16/1e-4.
     assert (up - down) / (2 * h) == pytest.approx(float(sensitivity_to_baseline(d_1, baseline)), rel=1e-6)
+
+
+def test_ranges_of_arrays_are_the_sine_rule_pixel_by_pixel():
+    rng = np.random.default_rng(3)
+    alpha_1, alpha_2 = rng.uniform(-0.2, np.pi, (40, 50)), rng.uniform(0, np.pi + 0.2, (40, 50))
+    alpha_2[::7] = np.nan
+    alpha_2[1, :5] = alpha_1[1, :5]
+    d_1, d_2 = triangulate(alpha_1, alpha_2, 0.7)
+    meets = (alpha_1 > 0) & (alpha_1 < alpha_2) & (alpha_2 < np.pi)
+    assert 100 < meets.sum() < meets.size - 100
+    np.testing.assert_array_equal(np.isfinite(d_1), meets)
+    np.testing.assert_array_equal(np.isfinite(d_2), meets)
+    # By cotangents: from the foot of the point's perpendicular on the baseline. Their difference loses digits with the
+    # disparity, of which the smallest here is some 1e-4.
+    height = 0.7 / (1 / np.tan(alpha_1[meets]) - 1 / np.tan(alpha_2[meets]))
+    np.testing.assert_allclose(d_1[meets], height / np.sin(alpha_1[meets]), rtol=1e-9)
+    np.testing.assert_allclose(d_2[meets], height / np.sin(alpha_2[meets]), rtol=1e-9)
+    np.testing.assert_array_equal(range_from_angles(alpha_1, alpha_2, 0.7), d_1)
 
 
 def test_the_papers_worked_example():

@@ -51,8 +51,10 @@ class Motion:
 def relative_motion(view_1: Pose, view_2: Pose) -> Motion:
     """The motion that takes view 1 to view 2."""
     R_1, R_2 = view_1.R_world_from_view, view_2.R_world_from_view
+    # Views that are turned alike have no rotation between them, whichever way they look: not even a rounding.
+    alike = np.array_equal(R_1, R_2)
     return Motion(
-        R_v2_from_v1=R_2.T @ R_1,
+        R_v2_from_v1=np.eye(3) if alike else R_2.T @ R_1,
         t_v1=R_1.T @ np.subtract(view_2.position_m, view_1.position_m),
     )
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from harness.camera.angles import Array, angle_between, normalise
+from harness.stereo import _kernels
 
 
 def triangulate(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> tuple[Array, Array]:
@@ -12,12 +13,24 @@ def triangulate(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> tu
     Both angles are measured in v1's orientation, so that alpha_2 > alpha_1. NaN where the rays do not meet in front
     of both viewpoints (alpha_2 <= alpha_1: parallel, or diverging).
     """
-    alpha_1, alpha_2 = np.asarray(alpha_1, dtype=np.float64), np.asarray(alpha_2, dtype=np.float64)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        disparity = np.sin(alpha_2 - alpha_1)
-        meets = (alpha_2 > alpha_1) & (disparity > 0) & (alpha_1 > 0) & (alpha_2 < np.pi)
-        scale = np.where(meets, baseline_m / disparity, np.nan)
-    return scale * np.sin(alpha_2), scale * np.sin(alpha_1)
+    alpha_1, alpha_2 = _alike(alpha_1, alpha_2)
+    d_1, d_2 = np.empty(alpha_1.shape), np.empty(alpha_1.shape)
+    _kernels.sine_rule(alpha_1.ravel(), alpha_2.ravel(), float(baseline_m), d_1.reshape(-1), d_2.reshape(-1))
+    return d_1, d_2
+
+
+def range_from_angles(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> Array:
+    """The range d_1 alone, as `triangulate` has it."""
+    alpha_1, alpha_2 = _alike(alpha_1, alpha_2)
+    d_1 = np.empty(alpha_1.shape)
+    _kernels.sine_rule(alpha_1.ravel(), alpha_2.ravel(), float(baseline_m), d_1.reshape(-1), np.empty(0))
+    return d_1
+
+
+def _alike(alpha_1: ArrayLike, alpha_2: ArrayLike) -> tuple[Array, Array]:
+    """Arrays of floats of one shape."""
+    a_1, a_2 = np.broadcast_arrays(np.asarray(alpha_1, dtype=np.float64), np.asarray(alpha_2, dtype=np.float64))
+    return a_1, a_2
 
 
 def points(directions: ArrayLike, range_m: ArrayLike) -> Array:
