@@ -19,6 +19,8 @@ from harness.errors import InputError
 from harness.spec import nearest
 from harness.stereo.matching import plugins, program, window
 from harness.stereo.matching.contract import Limits, Matches, Parametrised, as_matches
+from harness.stereo.matching.peers import matchers as peers
+from harness.stereo.matching.peers.settings import StereoBM, StereoReconstruct, StereoSGBM
 from harness.stereo.matching.program import Program
 from harness.stereo.matching.window_settings import WindowMatcher
 from harness.stereo.pair import Pair
@@ -50,6 +52,9 @@ class Plugin(Parametrised):
 _MATCHERS: dict[type[Limits], Callable[[Pair, Any], Matches]] = {
     WindowMatcher: window.match_pair,
     Program: program.match_pair,
+    StereoBM: peers.match_pair,
+    StereoSGBM: peers.match_pair,
+    StereoReconstruct: peers.match_pair,
 }
 
 BUILT_IN: dict[str, type[Limits]] = {
@@ -66,6 +71,9 @@ def _tag(value: Any) -> str:
 Matcher = Annotated[
     Annotated[WindowMatcher, Tag("WindowMatcher")]
     | Annotated[Program, Tag("Program")]
+    | Annotated[StereoBM, Tag("StereoBM")]
+    | Annotated[StereoSGBM, Tag("StereoSGBM")]
+    | Annotated[StereoReconstruct, Tag("StereoReconstruct")]
     | Annotated[Plugin, Tag("Plugin")],
     Discriminator(_tag),
 ]

@@ -1,0 +1,1 @@
+"""OpenCV's matchers, behind the same door as those here."""
