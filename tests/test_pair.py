@@ -94,7 +94,7 @@ def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
     there[:10] = there[-10:] = False
     assert there.sum() > 3000
     # The noise is so strong that what else is in the residuals (interpolation, slant: they make the prediction of weak
-    # noise too large) hardly counts. Its correlation is measured over the whole panorama, but differs from place to place.
+    # noise too large) hardly counts. Its correlation is measured over all of the panorama, but differs within it.
     assert np.median(np.mean(predicted, axis=0)[there] / spread[there]) == pytest.approx(1, abs=0.25)
 
 
