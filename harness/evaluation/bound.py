@@ -1,0 +1,283 @@
+"""The Cramér-Rao bound: how well any unbiased window matcher can know alpha_2 and the range, pixel by pixel.
+
+Data: all raw pixels of mirror image 1 whose centres lie in the window's footprint, `y_1 = K_1 T + n_1`, and those of
+mirror image 2 that the same piece of surface covers, `y_2 = K_2 (T ∘ W_θ) + n_2`, with white Gaussian noise of one
+sigma on both. T is the texture, unknown; W_θ maps image 2 to image 1; K_1 and K_2 are what a camera makes of it (the
+footprints of its pixels, their density), whatever that is. θ is, for the two models,
+
+- `slanted`: the window's plane, `1/d = m · x̂` (three numbers), gain and offset of image 2 against image 1;
+- `frontal`: one number, the inverse range at the window's middle p, by which the true plane moves along `δm ∝ x̂_p`.
+  Slant, gain and offset are known.
+
+Let s dθ be what dθ changes in the picture of T. The information on θ that is left when T is unknown is the least of
+`|K_1 dT|² + |K_2 (dT + s dθ)|²` over dT, divided by sigma². Whatever the texture may be, moved, stretched over
+the plane or with other grey levels it is a texture too, so `dT = -s Λ dθ` is among the choices for any matrix Λ, and
+the least over Λ alone is the parallel sum of `J_k = Σ s_k s_kᵀ` over the raw pixels of image k:
+
+    cov(θ) >= sigma² (J_1⁻¹ + J_2⁻¹),      s_k = (∂I_k/∂ξ x̂, I_k, 1),    ξ = 1/d.
+
+In words: to know how far a thing has moved one has to know where it was and where it is, each no better than with
+its texture given. Where both images are alike, J_1 = J_2 = Σ g², the variance is at least the well-known
+`2 sigma²/Σ g²`. Where image 2 has kappa pixels for one of image 1, J_2 = kappa J_1, and every pixel counts
+`kappa/(1 + kappa)`: noise sigma² (1/δ_1 + 1/δ_2) for densities δ of pixels on the surface. `docs/bound.md` has
+the derivation in full, when the bound is sharp, and who may be below it: matchers with priors or a wider support, and
+biased ones.
+
+Then `var(ξ) = x̂ᵀ cov(m) x̂`, and by the exact sensitivity `std(d) = d² std(ξ)`, `std(alpha_2) = std(d)/law`.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.camera.angles import Array, angle_between
+from harness.camera.pose import Motion
+from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, unproject
+from harness.evaluation import _bound_kernels
+from harness.simulation.truth import Truth
+from harness.stereo.panorama import Grid, directions
+from harness.stereo.ranging import exact_alpha_2, sensitivity_to_alpha_2
+
+Model = Literal["slanted", "frontal"]
+Mask = NDArray[np.bool_]
+Image = NDArray[np.float32] | Array
+
+PLANE_TOLERANCE = 1e-4
+"""Two pixels are on one plane when their m differ by less than this share of |m|: 0.002 px in a disparity of 20."""
+
+_STEP_PX = 1e-3
+"""Of the central differences of rays: a share of 1e-10 is lost to rounding, and less to the third derivative."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The smallest standard deviation that an unbiased matcher of this window can have; read-only, `[height, width]`.
+
+    NaN outside `pixels`; infinite where the texture is so weak that the range would be uncertain by more than itself:
+    there a bound to first order says nothing, and sums over no texture at all are zero but for rounding.
+    """
+
+    alpha_2: Array
+    """Radians."""
+    disparity_px: Array
+    """The same in pixels of `2 pi / width`."""
+    range_m: Array
+    """To first order in the noise."""
+    pixels: Mask
+    """The window is whole, sees one plane, no discontinuity, and every pixel's point is seen by both views."""
+    count_1: Array
+    """Raw pixels of image 1 in the window's footprint."""
+    count_2: Array
+    """Raw pixels of image 2 on the same piece of surface, by area: a fraction."""
+
+
+def cramer_rao(
+    images: tuple[Image, Image],
+    sensor: Sensor,
+    motion: Motion,
+    grid: Grid,
+    truth: Truth,
+    *,
+    R_world_from_v1: Array,
+    window_px: int,
+    sigma_grey: float,
+    model: Model = "slanted",
+) -> Bound:
+    """The bound for every pixel of view 1's panorama.
+
+    Parameters
+    ----------
+    images
+        Mirror images 1 and 2 without noise, `[sensor height, sensor width]`, grey levels; each with its own exposure.
+    truth
+        On `grid`, with the second view.
+    R_world_from_v1
+        `[3, 3]`, view 1's orientation: the truth's normals are in the world's frame.
+    window_px
+        Side of the window in pixels of the panorama, odd. A filter before the matcher widens its support.
+    sigma_grey
+        Standard deviation of the noise in grey levels, above zero.
+
+    Raises
+    ------
+    ValueError
+        When sizes do not fit, the window is even or less than 3, or sigma is not above zero.
+    """
+    if truth.range_m.shape != grid.shape:
+        raise ValueError(f"the truth is {truth.range_m.shape}, the panorama {grid.shape} (rows, columns)")
+    if window_px < 3 or window_px % 2 == 0 or window_px > min(grid.shape):
+        raise ValueError(f"window_px must be odd, at least 3, within the panorama; found {window_px}")
+    if not sigma_grey > 0:
+        raise ValueError(f"sigma_grey must be above zero; found {sigma_grey}")
+    if model not in {"slanted", "frontal"}:
+        raise ValueError(f"model must be slanted or frontal; found {model!r}")
+
+    x = directions(grid)
+    planes = _planes(truth, x, np.asarray(R_world_from_v1, dtype=np.float64))
+    pixels = _on_one_plane(truth, planes, window_px)
+    cells = _cells(images, sensor, motion, grid, planes)
+    informations, counts = np.zeros((2, *grid.shape)), np.full((2, *grid.shape), np.nan)
+    for view in range(2):
+        _bound_kernels.window_information(
+            cells[view], pixels, window_px // 2, x, model == "slanted", informations[view], counts[view]
+        )
+    with np.errstate(divide="ignore"):
+        std_xi = np.where(pixels, sigma_grey * np.sqrt(1 / informations[0] + 1 / informations[1]), np.nan)
+    range_m = truth.range_m**2 * std_xi
+    range_m[range_m > truth.range_m] = np.inf
+    alpha_2 = exact_alpha_2(truth.range_m[..., None] * x, motion.t_v1)
+    alpha_1 = angle_between(x, motion.t_v1)
+    with np.errstate(invalid="ignore"):
+        std = range_m / np.abs(sensitivity_to_alpha_2(alpha_1, alpha_2, motion.baseline_m))
+    bound = Bound(std, std / grid.phi_pitch, range_m, pixels, counts[0], counts[1])
+    for array in vars(bound).values():
+        array.flags.writeable = False
+    return bound
+
+
+def least_std(s_1: Array, s_2: Array, towards: Array, sigma_grey: float) -> float:
+    """The bound for one window, from its raw pixels' derivatives: the formula itself, and the reference of the kernels.
+
+    Parameters
+    ----------
+    s_1, s_2
+        `[pixels of image k, parameters]`: derivative of each raw pixel by each parameter.
+    towards
+        `[parameters]`: the combination of parameters that is asked for.
+
+    Returns
+    -------
+    float
+        `sigma sqrt(cᵀ (J_1⁻¹ + J_2⁻¹) c)`, in the parameters' units.
+    """
+    variance = sum(float(towards @ np.linalg.solve(s.T @ s, towards)) for s in (s_1, s_2))
+    return sigma_grey * float(np.sqrt(variance))
+
+
+def _planes(truth: Truth, x: Array, R_world_from_v1: Array) -> Array:
+    """The tangent plane of each pixel, `1/d = m · x̂` in v1's frame, `[height, width, 3]`; NaN without truth."""
+    normal = truth.normal @ R_world_from_v1
+    distance = truth.range_m * np.sum(normal * x, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(normal / distance[..., None])
+
+
+def _on_one_plane(truth: Truth, planes: Array, window_px: int) -> Mask:
+    """Pixels whose window is whole, sees one plane, no discontinuity, and is seen by view 2."""
+    seen = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
+    good = _smallest(seen.astype(np.float64), window_px) > 0
+    half = window_px // 2
+    good[:half] = good[good.shape[0] - half :] = False
+    size = np.linalg.norm(planes, axis=-1)
+    for component in np.moveaxis(planes, -1, 0):
+        finite = np.where(seen, component, 0.0)
+        spread = -_smallest(-finite, window_px) - _smallest(finite, window_px)
+        with np.errstate(invalid="ignore"):
+            good &= spread <= PLANE_TOLERANCE * size
+    return np.asarray(good)
+
+
+def _smallest(values: Array, window_px: int) -> Array:
+    """The least value of each window; columns go round."""
+    return np.asarray(ndimage.minimum_filter(values, size=window_px, mode=("nearest", "wrap")))
+
+
+def _cells(
+    images: tuple[Image, Image], sensor: Sensor, motion: Motion, grid: Grid, planes: Array
+) -> tuple[Array, Array]:
+    """For each image the products of derivatives of all raw pixels of view 1 in each panorama pixel, `[h, w, 15]`."""
+    raw = _raw_pixels(sensor, grid)
+    plane = planes.reshape(-1, 3)[raw.cell]
+    omega = raw.omega
+    R, t = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.R_v2_from_v1, motion.t_v1))
+    xi = np.sum(plane * omega, axis=-1)
+    place, _ = project(sensor, (omega - xi[:, None] * t) @ R.T)
+    # Behind a plane that a neighbour of another face has been given, or off image 2: in no window that counts.
+    camera = sensor.camera
+    with np.errstate(invalid="ignore"):
+        usable = (xi > 0) & np.all(np.abs(place + 0.5) < np.array([camera.width_px, camera.height_px]) + 1, axis=-1)
+        usable &= np.all(place > -1.5, axis=-1)
+    place[~usable] = np.nan
+    u, v = np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1])
+    cells = np.zeros((2, grid.height_px * grid.width_px, _bound_kernels.PRODUCTS))
+    _bound_kernels.add_raw_pixels(
+        _spline(images[0], sensor),
+        _spline(images[1], sensor),
+        raw.pixel,
+        raw.cell,
+        omega,
+        raw.omega_u,
+        raw.omega_v,
+        plane,
+        R,
+        t,
+        place,
+        rays_of(sensor, u, v),
+        (rays_of(sensor, u + _STEP_PX, v) - rays_of(sensor, u - _STEP_PX, v)) / (2 * _STEP_PX),
+        (rays_of(sensor, u, v + _STEP_PX) - rays_of(sensor, u, v - _STEP_PX)) / (2 * _STEP_PX),
+        cells[0],
+        cells[1],
+    )
+    first, second = cells.reshape(2, *grid.shape, -1)
+    return first, second
+
+
+@dataclass(frozen=True)
+class _RawPixels:
+    """The pixels of a mirror image that fall on a panorama, in v1's frame; read-only."""
+
+    pixel: NDArray[np.int64]
+    """`[n, 2]`, (row, column)."""
+    cell: NDArray[np.int64]
+    """`[n]`: index of the panorama's pixel that its centre falls on."""
+    omega: Array
+    """`[n, 3]`, unit direction."""
+    omega_u: Array
+    omega_v: Array
+    """`[n, 3]`: derivatives of the direction by the pixel's coordinates."""
+
+
+@lru_cache(maxsize=4)
+def _raw_pixels(sensor: Sensor, grid: Grid) -> _RawPixels:
+    omega, valid = pixel_directions(sensor)
+    pixel = np.argwhere(valid)
+    chosen = omega[valid]
+    # Rows span half-open intervals of z, columns of phi, as the pixels of the panorama do.
+    row = np.floor((grid.z_max - chosen[:, 2] / np.hypot(chosen[:, 0], chosen[:, 1])) / grid.z_pitch)
+    column = np.floor((np.arctan2(chosen[:, 1], chosen[:, 0]) + np.pi) / grid.phi_pitch).astype(np.int64)
+    inside = (row >= 0) & (row < grid.height_px)
+    pixel, chosen, row = pixel[inside], chosen[inside], row[inside].astype(np.int64)
+    place = pixel[:, ::-1].astype(np.float64)
+    steps = np.array([[_STEP_PX, 0.0], [0.0, _STEP_PX]])
+    omega_u, omega_v = (
+        (unproject(sensor, place + step)[0] - unproject(sensor, place - step)[0]) / (2 * _STEP_PX) for step in steps
+    )
+    raw = _RawPixels(pixel, row * grid.width_px + column[inside] % grid.width_px, chosen, omega_u, omega_v)
+    for array in vars(raw).values():
+        array.flags.writeable = False
+    return raw
+
+
+def _spline(image: Image, sensor: Sensor) -> Array:
+    """Coefficients of the quintic B-spline through an image, of which what the sensor does not see is filled.
+
+    Black beyond the rim would ring into the picture.
+    """
+    shape = (sensor.camera.height_px, sensor.camera.width_px)
+    if image.shape != shape:
+        raise ValueError(f"the image is {image.shape}, the sensor {shape} (rows, columns)")
+    rows, columns = _nearest_seen(sensor)
+    filled = np.asarray(image, dtype=np.float64)[rows, columns]
+    return np.asarray(ndimage.spline_filter(filled, order=5, mode="mirror"))
+
+
+@lru_cache(maxsize=4)
+def _nearest_seen(sensor: Sensor) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Row and column of the nearest seen pixel, for each pixel of the mirror image."""
+    _, seen = pixel_directions(sensor)
+    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    return rows, columns
