@@ -166,6 +166,9 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
             f"{type(answer).__name__}",
         )
         return
+    if given["alpha_2"] is None:
+        yield Fault("form", "alpha_2 is missing")
+        return
     broken = [fault for name, value in given.items() if value is not None for fault in _no_array(name, value, grid)]
     yield from broken
     if broken:

@@ -255,6 +255,8 @@ def _last_words(log: Path) -> str:
 
 
 def _read_answer(folder: Path, grid: Grid, name: str) -> Matches:
+    if not folder.is_dir():
+        raise InputError("removed the output folder", file=name)
     alpha_2 = _read_array(folder / "alpha_2.npy", grid, name)
     if alpha_2 is None:
         others = ", ".join(sorted(path.name for path in folder.iterdir())[:5]) or "nothing"
