@@ -83,7 +83,7 @@ def test_opencv_has_the_same_camera(cv2, sensor):
 def test_opencv_looks_where_the_rectangle_says(cv2, t):
     """OpenCV's rectification maps against our projection of the rectangle's directions, with margins, in both views."""
     pair = blank(t, TURN, SENSORS["bent"])
-    rectangle = rectangle_for(pair, 1, 40)
+    rectangle = rectangle_for(pair, 1, 32, 9)
     rectified = rectify(pair, rectangle, "linear", cv2)
     looking = rectangle.directions(rectified.R_rect_from_v1)
     for R, seen in zip((np.eye(3), TURN), rectified.seen, strict=True):
@@ -257,18 +257,23 @@ def test_constant_disparity_is_found_all_round(t, matcher, disparity_px, toleran
     assert np.percentile(np.abs(error[matched]), 95) < 0.3
 
 
+@pytest.mark.parametrize("matcher", [StereoSGBM(), StereoBM(block_px=21)], ids=["sgbm", "bm"])
 @pytest.mark.usefixtures("cv2")
-def test_the_seam_of_the_rectangle_is_no_border():
-    """For a vertical baseline the seam crosses the picture, at phi = ±pi: turning the world turns the answer."""
+def test_the_seam_of_the_rectangle_is_no_border(matcher):
+    """For a vertical baseline the seam crosses the picture, at phi = ±pi: turning the world turns the answer.
+
+    StereoBM matches no pixel whose block leaves the image, and would leave twenty columns blank.
+    """
     half = GRID.width_px // 2
     straight, turned = (
-        match_pair(constant((0.0, 0.0, 0.5), 8.3, turned=angle), StereoSGBM()).alpha_2 for angle in (0.0, np.pi)
+        match_pair(constant((0.0, 0.0, 0.5), 8.3, turned=angle), matcher).alpha_2 for angle in (0.0, np.pi)
     )
-    difference = np.abs(np.roll(straight, half, axis=1) - turned) / GRID.phi_pitch
-    at_the_seam = np.r_[:15, -15:0]
-    # Same density, same disparities but for the mirror pixels, which are others after the turn.
-    assert np.isfinite(difference[:, at_the_seam]).mean() > 0.97 * np.isfinite(straight).mean()
-    assert np.nanpercentile(difference[:, at_the_seam], 90) < 0.2
+    there = np.roll(straight, half, axis=1)[:, np.r_[:10, -10:0]]
+    difference = np.abs(there - turned[:, np.r_[:10, -10:0]]) / GRID.phi_pitch
+    assert np.isfinite(there).mean() > 0.5
+    assert np.isfinite(difference).sum() > 0.97 * np.isfinite(there).sum()
+    # But for the mirror pixels, which are others after the turn.
+    assert np.nanpercentile(difference, 90) < 0.2
 
 
 @pytest.mark.usefixtures("cv2")

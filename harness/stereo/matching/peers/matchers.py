@@ -59,7 +59,7 @@ def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches
     step = Rectangle(around_of(pair, matcher.rectified_scale)).step
     number = disparities(matcher, baseline, step)
     # The first columns have no partner for every disparity, and no disparity therefore.
-    rectangle = rectangle_for(pair, matcher.rectified_scale, number + matcher.block_px)
+    rectangle = rectangle_for(pair, matcher.rectified_scale, number, matcher.block_px)
     rectified = pair.shared(
         "rectify", (rectangle, matcher.interpolation), lambda: rectify(pair, rectangle, matcher.interpolation, cv2)
     )

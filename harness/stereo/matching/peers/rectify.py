@@ -27,7 +27,7 @@ from harness.stereo.matching.contract import Limits
 from harness.stereo.pair import Pair
 
 _AROUND_THE_SEAM = 24
-"""Degrees of h that are there twice: more than the largest block, and what a path of StereoSGBM remembers."""
+"""Degrees of h, at least, that are there twice on each side: what a path of StereoSGBM remembers."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,10 @@ def around_of(pair: Pair, scale: float) -> int:
     return 2 * round(pair.grid.width_px * scale / 2)
 
 
-def rectangle_for(pair: Pair, scale: float, margin_columns: int) -> Rectangle:
-    """A rectangle with margins."""
+def rectangle_for(pair: Pair, scale: float, number: int, block_px: int) -> Rectangle:
+    """A rectangle with the margins that `number` disparities and a block need."""
     around = around_of(pair, scale)
-    return Rectangle(around, margin_columns, math.ceil(around * _AROUND_THE_SEAM / 360))
+    return Rectangle(around, number + block_px, max(block_px, math.ceil(around * _AROUND_THE_SEAM / 360)))
 
 
 def frame_along(t_v1: Array) -> Array:
