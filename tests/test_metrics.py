@@ -1,5 +1,7 @@
 """Figures, regions and cells against plain definitions."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,12 @@ from harness.evaluation.cells import MIN_PIXELS, NORMAL, cells
 from harness.evaluation.errors import Errors
 from harness.evaluation.groups import (
     ascending,
+    bins,
     grouped,
     mean_of_middles,
     medians,
     medians_of_seen,
+    members,
     places,
     sorted_parts,
 )
@@ -191,23 +195,43 @@ def test_histograms_count_every_pixel(outcome):
     assert share_of_estimates(errors, k > 20) == pytest.approx(np.mean(k[seen] > 20))
 
 
+def labels_of(members, size):
+    labels = np.full(size, -1, dtype=np.int16)
+    for number, part in members.items():
+        labels[part] = number
+    return labels
+
+
+def test_bins_and_members_are_those_of_plain_comparisons():
+    rng = np.random.default_rng(21)
+    values, edges = rng.normal(size=(50, 60)), (-1.0, -0.5, 0.25, 1.5)
+    values[0, :4], values[1, 0] = edges, np.nan
+    found = bins(values, edges)
+    for i, (low, high) in enumerate(pairwise(edges)):
+        np.testing.assert_array_equal(found == i, (values >= low) & (values < high))
+    for i, part in enumerate(members(found, 5)):
+        np.testing.assert_array_equal(part, np.flatnonzero(found == i))
+    assert members(np.full(7, -1, np.int16), 0) == []
+
+
 def test_grouped_statistics_are_those_of_each_group():
     rng = np.random.default_rng(18)
     values, seen = rng.normal(size=5000), rng.random(5000) < 0.7
-    members = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 401, 3000, 4999, 2999)] + [
+    parts = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 401, 3000, 4999, 2999)] + [
         np.array([], int)
     ]
-    groups = grouped([members[:4], members[4:]], 5000)
-    np.testing.assert_array_equal(groups.pixels, np.unique(np.concatenate(members)))
+    groups = grouped([labels_of({i: part}, 5000) for i, part in enumerate(parts)], len(parts))
+    np.testing.assert_array_equal(groups.sizes, [part.size for part in parts])
+    np.testing.assert_array_equal(groups.pixels, np.unique(np.concatenate(parts)))
     inside, absolute = seen[groups.pixels], np.abs(values[groups.pixels])
-    count = np.array([seen[part].sum() for part in members])
-    negative = np.array([(seen[part] & (values[part] < 0)).sum() for part in members])
+    count = np.array([seen[part].sum() for part in parts])
+    negative = np.array([(seen[part] & (values[part] < 0)).sum() for part in parts])
     order = ascending(inside, absolute)
     strata = (2 * groups.classes + (values[groups.pixels] < 0)).astype(np.int32)
     middles, of_signs = medians(groups, strata, count, negative, order)
     of_absolute = mean_of_middles(middles, absolute)
     of_signed = mean_of_middles(of_signs, values[groups.pixels])
-    for i, part in enumerate(members):
+    for i, part in enumerate(parts):
         chosen = values[part][seen[part]]
         if chosen.size:
             assert of_absolute[i] == np.median(np.abs(chosen))
@@ -220,7 +244,7 @@ def test_grouped_statistics_are_those_of_each_group():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_signed_medians_of_one_sign(sign):
     values = sign * np.array([3.0, 1.0, 2.0, 5.0])
-    groups = grouped([[np.arange(3), np.array([3])], [np.arange(4)]], 4)
+    groups = grouped([labels_of({0: [0, 1, 2], 1: [3]}, 4), labels_of({2: [0, 1, 2, 3]}, 4)], 3)
     order = ascending(np.ones(4, bool), np.abs(values))
     negative = groups.sizes * (sign < 0)
     strata = (2 * groups.classes + (sign < 0)).astype(np.int32)

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from harness.camera.lens import Lens
 from harness.camera.pose import Pose
-from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
 from harness.simulation.cast import cast
 from harness.simulation.geometry import geometry_of
 from harness.simulation.scene import Box, Plane, Scene, load_scene
 from harness.simulation.texture import GreyTexture
-from harness.simulation.truth import discontinuities, ranges, truth
+from harness.simulation.truth import discontinuities, on_sensor, ranges, truth
 
 GREY = GreyTexture(kind="grey", value=100)
 FIRST, SECOND = Pose(position_m=(0, 0, 1)), Pose(position_m=(0.5, 0, 1))
@@ -144,6 +145,23 @@ def test_field_of_the_second_view():
     assert 0 < expected.mean() < 1
     np.testing.assert_array_equal(result.visible, result.unoccluded & expected)
     assert result.unoccluded.all()
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        Sensor(),
+        Sensor(lens=Lens(k1=-0.2, k2=0.05, p1=0.002, p2=-0.001, k3=0.01)),
+        Sensor(camera=Camera(width_px=300, height_px=260, cx_px=170, cy_px=120, aspect=1.1)),
+        Sensor(field=FieldOfView(elevation_min_deg=-40, elevation_max_deg=-5)),
+    ],
+)
+def test_what_is_on_the_sensor_is_what_project_says(sensor):
+    pose = Pose(yaw_deg=40, pitch_deg=-10, roll_deg=25)
+    directions = np.random.default_rng(9).normal(size=(20_000, 3))
+    expected = project(sensor, directions @ pose.R_world_from_view)[1]
+    assert 500 < expected.sum() < 19_500
+    np.testing.assert_array_equal(on_sensor(sensor, pose, directions), expected)
 
 
 def test_room_keeps_its_promises():

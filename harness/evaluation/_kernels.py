@@ -15,6 +15,55 @@ BLOCK = 2048
 """Places of an order that are counted together before it is asked whether a middle lies among them."""
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def true_angles(range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, alpha_2, law, half_step):
+    """Write what `errors.Reference` says of these, `[n]`; NaN where range is.
+
+    directions : `[n, 3]`, unit vectors; baseline : `[3]`, t.
+    phi_sampled : whether `step` is one of phi.
+    """
+    tx, ty, tz = baseline
+    length = math.sqrt(tx * tx + ty * ty + tz * tz)
+    for i in range(range_m.size):
+        d_1 = range_m[i]
+        if math.isnan(d_1):
+            alpha_2[i] = law[i] = half_step[i] = math.nan
+            continue
+        # From viewpoint 2 to the point.
+        x, y, z = d_1 * directions[i, 0] - tx, d_1 * directions[i, 1] - ty, d_1 * directions[i, 2] - tz
+        cx, cy, cz = y * tz - z * ty, z * tx - x * tz, x * ty - y * tx
+        square = x * x + y * y + z * z
+        alpha_2[i] = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), x * tx + y * ty + z * tz)
+        law[i] = square / (length * math.sin(alpha_1[i]))
+        half_step[i] = abs(step[i]) / 2.0
+        if phi_sampled:
+            half_step[i] *= (x * x + y * y) / square / abs(n_z[i])
+
+
+@njit(cache=True, nogil=True)
+def bins(values, edges, out):
+    """Write the bin of ascending edges that each value is in; -1 for none."""
+    last = edges.size - 1
+    for i in range(values.size):
+        value = values[i]
+        found = -1
+        if edges[0] <= value < edges[last]:
+            found = 0
+            while value >= edges[found + 1]:
+                found += 1
+        out[i] = found
+
+
+@njit(cache=True, nogil=True)
+def gather_members(labels, place, out):
+    """Write the places of each label from 0 on, one label after the other. place : where each begins; is moved on."""
+    for i in range(labels.size):
+        label = labels[i]
+        if label >= 0:
+            out[place[label]] = i
+            place[label] += 1
+
+
 @njit(cache=True, nogil=True)
 def classes(labels, groups, out):
     """Number the different rows of labels `[n, layers]`, each -1 .. groups - 1; return how many there are.

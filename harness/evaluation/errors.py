@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
+from harness.evaluation import _kernels
 from harness.simulation.truth import Truth
-from harness.stereo.epipolar import Curves, angular_step
-from harness.stereo.ranging import exact_alpha_2, sensitivity_to_alpha_2
+from harness.stereo.epipolar import Curves
 
 MIN_SINE_ALPHA_1 = 0.5
 """Directions nearer than 30° to the baseline are left out: there range answers to angle more than twice as strongly."""
@@ -49,6 +49,10 @@ class Errors:
 def reference(truth: Truth, directions_v1: Array, curves: Curves) -> Reference:
     """What the matches are compared with.
 
+    With the point known, so is p = d_1 x_1 - t, and all follows without another angle: alpha_2 between p and t (eq. 6),
+    the law |p|²/(|t| sin alpha_1) (eq. 11), and the step of alpha_2 with phi, see `epipolar.angular_step`, where
+    1 - u_z² = (p_x² + p_y²)/|p|².
+
     Parameters
     ----------
     truth
@@ -56,16 +60,28 @@ def reference(truth: Truth, directions_v1: Array, curves: Curves) -> Reference:
     directions_v1
         `[height, width, 3]`, unit vectors of the same pixels.
     """
-    baseline = float(np.linalg.norm(curves.t))
-    alpha_2 = exact_alpha_2(truth.range_m[..., None] * directions_v1, curves.t)
+    shape = truth.range_m.shape
+    alpha_2, law, half_step = np.empty((3, *shape))
+    _kernels.true_angles(
+        truth.range_m.ravel(),
+        directions_v1.reshape(-1, 3),
+        curves.alpha_1.ravel(),
+        curves.step.ravel(),
+        curves.n[..., 2].ravel(),
+        curves.t,
+        curves.sampling == "phi",
+        alpha_2.reshape(-1),
+        law.reshape(-1),
+        half_step.reshape(-1),
+    )
     return Reference(
         domain=truth.visible & (np.sin(curves.alpha_1) >= MIN_SINE_ALPHA_1),
         wall=np.abs(np.nan_to_num(truth.normal[..., 2], nan=1.0)) < _WALL,
         range_m=truth.range_m,
         alpha_1=curves.alpha_1,
         alpha_2=alpha_2,
-        law=np.abs(sensitivity_to_alpha_2(curves.alpha_1, alpha_2, baseline)),
-        half_step=angular_step(curves, alpha_2) / 2,
+        law=law,
+        half_step=half_step,
     )
 
 

@@ -36,42 +36,39 @@ class Groups:
     """`[groups]`: pixels in each."""
 
 
-def grouped(sets: Sequence[Sequence[Indices]], size: int) -> Groups:
-    """Lay out groups, given as flat indices into a picture of this size, in layers.
-
-    Each goes into the first layer of its set in which it has room; they are counted through all sets.
-    """
-    layers: list[NDArray[np.int16]] = []
-    places_of_groups: list[int] = []
-    number = 0
-    for members in sets:
-        own: list[NDArray[np.int16]] = []
-        for part in members:
-            place = next((i for i, layer in enumerate(own) if (layer[part] < 0).all()), len(own))
-            if place == len(own):
-                own.append(np.full(size, -1, dtype=np.int16))
-            own[place][part] = number
-            places_of_groups.append(len(layers) + place)
-            number += 1
-        layers += own
-    anywhere = np.zeros(size, dtype=bool)
-    for layer in layers:
-        anywhere |= layer >= 0
-    pixels = np.flatnonzero(anywhere)
-    labels = np.empty((pixels.size, len(layers)), dtype=np.int16)
-    for i, layer in enumerate(layers):
-        labels[:, i] = layer[pixels]
+def grouped(layers: Sequence[NDArray[np.int16]], groups: int) -> Groups:
+    """Lay out groups, numbered from 0, that are given as layers of labels `[size]`: a pixel's group, -1 for none."""
+    size = layers[0].size if layers else 0
+    pixels = np.flatnonzero(np.max(layers, axis=0) >= 0) if layers else np.empty(0, dtype=np.intp)
+    whole = pixels.size == size
+    labels = np.stack([layer if whole else layer[pixels] for layer in layers] or [np.empty(0, np.int16)], axis=1)
     classes = np.zeros(pixels.size, dtype=np.int32)
-    count = _kernels.classes(labels, number, classes) if pixels.size else 0
+    count = _kernels.classes(labels, groups, classes) if pixels.size else 0
     one_of_each = np.zeros(count, dtype=np.intp)
     one_of_each[classes] = np.arange(pixels.size)
-    return Groups(
-        pixels=pixels,
-        classes=classes,
-        labels=labels[one_of_each],
-        layers=np.array(places_of_groups, dtype=np.int64),
-        sizes=np.array([part.size for members in sets for part in members], dtype=np.int64),
-    )
+    of_classes, in_class = labels[one_of_each], np.bincount(classes, minlength=count)
+    layer_of_group, sizes = np.zeros((2, groups), dtype=np.int64)
+    for i, column in enumerate(of_classes.T):
+        there = column >= 0
+        layer_of_group[column[there]] = i
+        np.add.at(sizes, column[there], in_class[there])
+    return Groups(pixels, classes, of_classes, layer_of_group, sizes)
+
+
+def members(labels: NDArray[np.int16], groups: int) -> list[Indices]:
+    """The ascending flat indices of each of the groups 0, 1, ... in labels of any shape, -1 for none."""
+    flat = labels.reshape(-1)
+    starts = np.cumsum(np.bincount(flat + 1, minlength=groups + 1))
+    out = np.empty(int(starts[-1] - starts[0]), dtype=np.intp)
+    _kernels.gather_members(flat, starts[:-1] - starts[0], out)
+    return np.split(out, (starts[1:-1] - starts[0]).astype(np.intp)) if groups else []
+
+
+def bins(values: Array, edges: Sequence[float]) -> NDArray[np.int16]:
+    """Which bin `[i, i + 1)` of ascending edges each value is in, in the values' shape; -1 for none."""
+    out = np.empty(values.shape, dtype=np.int16)
+    _kernels.bins(np.ascontiguousarray(values).reshape(-1), np.asarray(edges), out.reshape(-1))
+    return out
 
 
 def ascending(seen: Mask, values: Array, number: int | None = None) -> Order:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.evaluation.errors import MIN_SINE_ALPHA_1, Reference
-from harness.evaluation.groups import Groups, Sorted, grouped, sorted_parts
+from harness.evaluation.groups import Groups, Sorted, bins, grouped, members, sorted_parts
 from harness.simulation.truth import Truth
 from harness.stereo.panorama import Grid
 
+Labels = NDArray[np.int16]
 Mask = NDArray[np.bool_]
 
 ALPHA_1_EDGES_DEG = (30.0, 50.0, 70.0, 90.0, 110.0, 130.0, 150.0)
@@ -76,13 +77,15 @@ class Layout:
 
 def layout(reference: Reference, truth: Truth, grid: Grid, directions_world: Array) -> Layout:
     """Divide a picture into regions and cells; see `regions` and `cell_pixels`."""
-    parts, cells = regions(reference, truth, grid, directions_world), cell_pixels(reference)
-    groups = grouped([[part.pixels for part in each] for each in (parts, cells)], reference.domain.size)
+    named, layers = _regions(reference, truth, grid, directions_world)
+    parts = tuple(named)
+    cells, of_cell = _cells(reference)
+    layers.append(np.where(of_cell >= 0, of_cell + np.int16(len(parts)), np.int16(-1)).reshape(-1))
+    groups = grouped(layers, len(parts) + len(cells))
     pixels = groups.pixels
     domain, wall = (mask.ravel()[pixels] for mask in (reference.domain, reference.wall))
     range_m, law = (values.ravel()[pixels] for values in (reference.range_m, reference.law))
-    # The domain is divided up between the cells, which are the last layer.
-    cell = np.where(domain, groups.labels[groups.classes, -1] - len(parts), -1)
+    cell = of_cell[pixels].astype(np.int64)
     return Layout(
         regions=parts,
         cells=cells,
@@ -103,49 +106,88 @@ def regions(reference: Reference, truth: Truth, grid: Grid, directions_world: Ar
     directions_world
         `[height, width, 3]`, unit directions of the pixels in the world's orientation, for the slant.
     """
-    named = _masks(reference, truth, grid, directions_world)
-    found = [Region(split, part, np.flatnonzero(mask)) for split, part, mask in named]
-    return tuple(region for region in found if region.pixels.size)
+    return tuple(_regions(reference, truth, grid, directions_world)[0])
 
 
-def _masks(reference: Reference, truth: Truth, grid: Grid, directions_world: Array) -> Iterator[tuple[str, str, Mask]]:
-    domain = reference.domain
+def _regions(
+    reference: Reference, truth: Truth, grid: Grid, directions_world: Array
+) -> tuple[list[Region], list[Labels]]:
+    """The regions, and layers of labels `[pixels]`, which are numbers of regions, -1 for none."""
+    found: list[Region] = []
+    layers = []
+    for split, parts, labels in _splits(reference, truth, grid, directions_world):
+        number = np.full(len(parts) + 1, -1, dtype=np.int16)
+        for i, (part, pixels) in enumerate(zip(parts, members(labels, len(parts)), strict=True)):
+            if pixels.size:
+                number[i] = len(found)
+                found.append(Region(split, part, pixels))
+        layers.append(number[labels.reshape(-1)])
+    return found, layers
+
+
+def _splits(
+    reference: Reference, truth: Truth, grid: Grid, directions_world: Array
+) -> Iterator[tuple[str, tuple[str, ...], Labels]]:
+    """Every split: its name, those of its parts, and the part of each pixel, -1 for none."""
+    domain, wall = reference.domain, reference.wall
     looked_at = (np.sin(reference.alpha_1) >= MIN_SINE_ALPHA_1) & np.isfinite(truth.range_m)
-    yield "visibility", "visible in both views", domain
     # Outside the domain: there is no true match, and an estimate is an invention.
-    yield "visibility", "occluded in view 2", looked_at & truth.in_field_2 & ~truth.unoccluded
-    yield "surface", "wall", domain & reference.wall
-    yield "surface", "floor or ceiling", domain & ~reference.wall
+    occluded = looked_at & truth.in_field_2 & ~truth.unoccluded & ~domain
+    yield "visibility", ("visible in both views", "occluded in view 2"), _labels(domain, occluded)
+    yield "surface", ("wall", "floor or ceiling"), _labels(domain & wall, domain & ~wall)
     with np.errstate(invalid="ignore"):
-        slanted = np.abs(np.sum(truth.normal * directions_world, axis=-1)) < np.cos(np.radians(SLANTED_DEG))
-    yield "kind", "discontinuity", domain & truth.discontinuity
-    yield "kind", "textureless", domain & truth.textureless
-    yield "kind", f"slanted by more than {SLANTED_DEG:.0f}°", domain & slanted
-    yield "kind", "none of these", domain & ~truth.discontinuity & ~truth.textureless & ~slanted
+        towards = np.einsum("ijk,ijk->ij", truth.normal, directions_world)
+        slanted = np.abs(towards) < np.cos(np.radians(SLANTED_DEG))
+    none = ~(truth.discontinuity | truth.textureless | slanted)
+    yield "kind", ("discontinuity",), _labels(domain & truth.discontinuity)
+    yield "kind", ("textureless",), _labels(domain & truth.textureless)
+    yield (
+        "kind",
+        (f"slanted by more than {SLANTED_DEG:.0f}°", "none of these"),
+        _labels(domain & slanted, domain & none),
+    )
     elevation = np.broadcast_to(np.degrees(np.arctan(grid.z))[:, None], grid.shape)
     for split, values, edges, unit in (
         ("alpha_1", np.degrees(reference.alpha_1), ALPHA_1_EDGES_DEG, "°"),
         ("elevation", elevation, ELEVATION_EDGES_DEG, "°"),
         ("range", reference.range_m, RANGE_EDGES_M, " m"),
     ):
-        for low, high in pairwise(edges):
-            with np.errstate(invalid="ignore"):
-                yield split, f"{low:g} to {high:g}{unit}", domain & (values >= low) & (values < high)
+        parts = tuple(f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges))
+        label = bins(values, edges)
+        label[~domain] = -1
+        yield split, parts, label
+
+
+def _labels(*masks: Mask) -> Labels:
+    """Labels of parts that do not overlap."""
+    labels = np.full(masks[0].shape, -1, dtype=np.int16)
+    for i, mask in enumerate(masks):
+        labels[mask] = i
+    return labels
 
 
 def cell_pixels(reference: Reference) -> tuple[CellPixels, ...]:
     """The cells that the domain falls into, in a fixed order."""
+    return _cells(reference)[0]
+
+
+def _cells(reference: Reference) -> tuple[tuple[CellPixels, ...], Labels]:
+    """The same, and the cell of each pixel `[pixels]`, -1 for none."""
     domain = np.flatnonzero(reference.domain)
     alpha_deg = np.degrees(reference.alpha_1.ravel()[domain])
-    alpha_bin = np.clip(np.digitize(alpha_deg, ALPHA_1_EDGES_DEG) - 1, 0, len(ALPHA_1_EDGES_DEG) - 2)
-    range_bin = np.floor(np.log(reference.range_m.ravel()[domain]) / np.log(RANGE_RATIO)).astype(np.int64)
-    wall = reference.wall.ravel()[domain]
-    order = np.lexsort((wall, alpha_bin, range_bin))
-    keys = np.stack([range_bin, alpha_bin, wall])[:, order]
-    starts = np.flatnonzero(np.any(np.diff(keys, axis=1, prepend=keys[:, :1] - 1) != 0, axis=0))
-    return tuple(
-        CellPixels("wall" if is_wall else "floor", int(alpha), int(distance), members)
-        for (distance, alpha, is_wall), members in zip(
-            keys[:, starts].T, np.split(domain[order], starts[1:]), strict=False
-        )
-    )
+    # Within the domain the sine is at least a half, but for a rounding.
+    alpha_bin = bins(np.clip(alpha_deg, 30.0, np.nextafter(150.0, 0)), ALPHA_1_EDGES_DEG)
+    range_bin = np.floor(np.log(reference.range_m.ravel()[domain]) / np.log(RANGE_RATIO)).astype(np.int16)
+    wall = reference.wall.ravel()[domain].astype(np.int16)
+    # One number for range, direction and surface, in this order.
+    nearest = int(range_bin.min(initial=0))
+    label = ((range_bin - nearest) * len(ALPHA_1_EDGES_DEG) + alpha_bin) * 2 + wall
+    found: list[CellPixels] = []
+    of_pixel = np.full(reference.domain.size, -1, dtype=np.int16)
+    for number, part in enumerate(members(label, int(label.max(initial=-1)) + 1)):
+        if part.size:
+            of_pixel[domain[part]] = len(found)
+            place, surface = divmod(number, 2)
+            distance, direction = divmod(place, len(ALPHA_1_EDGES_DEG))
+            found.append(CellPixels(SURFACES[1 - surface], direction, distance + nearest, domain[part]))
+    return tuple(found), of_pixel

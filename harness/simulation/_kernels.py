@@ -283,3 +283,102 @@ def face_ranges(face_of_pixel, directions, w_rows, distances, out):
                 + w_rows[face, 1] * directions[i, 1]
                 + w_rows[face, 2] * directions[i, 2]
             )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def describe_surfaces(
+    place, rays, range_of_ray, face_of_ray, normals, textureless_of_face, range_m, face, normal, world, textureless
+):
+    """Write what rays meet to where they belong in a picture; leave the others.
+
+    place, rays, range_of_ray, face_of_ray : of each ray, `[n]`; a flat index into the picture, world direction, hit.
+    range_m, face, normal, world, textureless : written, flat. The normal is turned towards the viewpoint; world is the
+        ray itself.
+    """
+    for i in range(place.size):
+        pixel, f = place[i], face_of_ray[i]
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        world[pixel, 0], world[pixel, 1], world[pixel, 2] = x, y, z
+        if f < 0:
+            continue
+        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+        along = nx * x + ny * y + nz * z
+        sign = -1.0 if along > 0.0 else 1.0 if along < 0.0 else 0.0
+        normal[pixel, 0], normal[pixel, 1], normal[pixel, 2] = sign * nx, sign * ny, sign * nz
+        range_m[pixel] = range_of_ray[i]
+        face[pixel] = f
+        textureless[pixel] = textureless_of_face[f]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look_from(from_1, from_2, rays, range_m, towards, distance):
+    """Unit directions, and distances, in which a second viewpoint has the points that rays from a first one meet."""
+    for i in range(range_m.size):
+        x = from_1[0] + range_m[i] * rays[i, 0] - from_2[0]
+        y = from_1[1] + range_m[i] * rays[i, 1] - from_2[1]
+        z = from_1[2] + range_m[i] * rays[i, 2] - from_2[2]
+        length = math.sqrt(x * x + y * y + z * z)
+        distance[i] = length
+        towards[i, 0], towards[i, 1], towards[i, 2] = x / length, y / length, z / length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mark_jumps(range_m, normal, directions, wrap_columns, ratio, jump):
+    """Mark both pixels of every pair with a jump in range between them; see `truth.discontinuities`."""
+    height, width = range_m.shape
+    for i in range(height):
+        for j in range(width):
+            for below in range(2):
+                i_2, j_2 = (i + 1, j) if below else (i, j + 1)
+                if j_2 == width and wrap_columns:
+                    j_2 = 0
+                if i_2 == height or j_2 == width:
+                    continue
+                r_1, r_2 = range_m[i, j], range_m[i_2, j_2]
+                if not abs(r_1 - r_2) > ratio * min(r_1, r_2):
+                    continue
+                behind_2 = _continued(r_1, normal[i, j], directions[i, j], directions[i_2, j_2]) - r_2
+                behind_1 = _continued(r_2, normal[i_2, j_2], directions[i_2, j_2], directions[i, j]) - r_1
+                same_plane = abs(behind_2) <= 1e-9 * r_2 or abs(behind_1) <= 1e-9 * r_1
+                if not same_plane and (behind_1 > 0.0) != (behind_2 > 0.0):
+                    jump[i, j] = jump[i_2, j_2] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _continued(range_m, normal, direction, other):
+    """Range along another direction of the plane through a point; infinite where it is never met."""
+    towards = normal[0] * other[0] + normal[1] * other[1] + normal[2] * other[2]
+    if not towards < 0.0:
+        return math.inf
+    along = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
+    return range_m * along / towards
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def in_view(directions, rotation, sensor, lowest, highest, width, height, out):
+    """Write whether world directions `[n, 3]` fall into a sensor's field and onto its image.
+
+    As `harness.camera.sensor.project` says it. `rotation` turns the sensor's frame into the world's; `lowest` and
+    `highest` are sines of elevation.
+    """
+    a, b, e, fu, fv, cu, cv, k1, k2, p1, p2, k3, fold = sensor
+    for i in range(out.size):
+        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+        y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+        z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+        length = math.sqrt(x * x + y * y + z * z)
+        sine, reach = z / length, a * length - e * z
+        out[i] = False
+        if not (lowest <= sine <= highest and reach > 0.0):
+            continue
+        scale = b * b / reach
+        below = scale * z + 2.0 * e
+        x, y = scale * x / below, scale * y / below
+        r2 = x * x + y * y
+        if math.sqrt(r2) > fold:
+            continue
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) * fu + cu
+        v = (y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)) * fv + cv
+        out[i] = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5

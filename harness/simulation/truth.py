@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from harness.camera.angles import Array
+from harness.camera.lens import fold_radius
 from harness.camera.pose import Pose
-from harness.camera.sensor import Sensor, project
+from harness.camera.sensor import Sensor
+from harness.simulation._kernels import describe_surfaces, in_view, look_from, mark_jumps
 from harness.simulation.cast import cast, rotated
 from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_of
 from harness.simulation.scene import Scene
@@ -82,30 +84,38 @@ def truth(
     valid = np.asarray(valid, dtype=bool)
     directions = np.asarray(directions_v1, dtype=np.float64)
     geometry = geometry_of(scene)
-    rays = rotated(directions[valid], pose_1.R_world_from_view)
-    range_valid, face_valid = _seen(geometry, pose_1, rays, threads)
+    place = np.flatnonzero(valid)
+    rays = rotated(directions.reshape(-1, 3)[place], pose_1.R_world_from_view)
+    range_hit, face_hit = _seen(geometry, pose_1, rays, threads)
 
     range_m = np.full(valid.shape, np.nan)
-    range_m[valid] = range_valid
     face = np.full(valid.shape, -1, dtype=np.int32)
-    face[valid] = face_valid
+    normal, world = np.full((2, *directions.shape), np.nan)
+    textureless = np.zeros(valid.shape, dtype=bool)
+    describe_surfaces(
+        place,
+        rays,
+        range_hit,
+        face_hit,
+        geometry.normals,
+        geometry.textureless[geometry.texture_of_face],
+        range_m.reshape(-1),
+        face.reshape(-1),
+        normal.reshape(-1, 3),
+        world.reshape(-1, 3),
+        textureless.reshape(-1),
+    )
     has_range = face >= 0
-    world = np.full(directions.shape, np.nan)
-    world[valid] = rays
-    normal = np.full(directions.shape, np.nan)
-    n = geometry.normals[face[has_range]]
-    towards = -np.sign(np.sum(n * world[has_range], axis=-1, keepdims=True))
-    normal[has_range] = n * towards
-
     unoccluded, in_field_2 = has_range.copy(), has_range.copy()
     if pose_2 is not None:
-        points = pose_1.position_m + range_m[has_range, None] * world[has_range]
-        unoccluded[has_range] = _unoccluded(geometry, pose_2, points, face[has_range], threads)
+        met = face_hit >= 0
+        if not met.all():
+            place, rays, range_hit, face_hit = place[met], rays[met], range_hit[met], face_hit[met]
+        towards, distance = np.empty((place.size, 3)), np.empty(place.size)
+        look_from(np.asarray(pose_1.position_m), np.asarray(pose_2.position_m), rays, range_hit, towards, distance)
+        unoccluded.reshape(-1)[place] = _unoccluded(geometry, pose_2, towards, distance, face_hit, threads)
         if sensor_2 is not None:
-            seen_from_2 = rotated(points - pose_2.position_m, pose_2.R_world_from_view.T)
-            in_field_2[has_range] = project(sensor_2, seen_from_2)[1]
-    textureless = np.zeros(valid.shape, dtype=bool)
-    textureless[has_range] = geometry.textureless[geometry.texture_of_face[face[has_range]]]
+            in_field_2.reshape(-1)[place] = on_sensor(sensor_2, pose_2, towards)
     result = Truth(
         range_m=range_m,
         normal=normal,
@@ -119,6 +129,28 @@ def truth(
     for array in vars(result).values():
         array.flags.writeable = False
     return result
+
+
+def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
+    """Whether world directions `[n, 3]` are in the field and on the image of a sensor: the mask of `project` alone."""
+    mirror, camera, lens = sensor.mirror, sensor.camera, sensor.lens
+    lowest, highest = np.sin(np.radians([sensor.field.elevation_min_deg, sensor.field.elevation_max_deg]))
+    out = np.empty(len(directions), dtype=bool)
+    in_view(
+        directions,
+        pose.R_world_from_view,
+        (
+            *(mirror.a_m, mirror.b_m, mirror.e_m),
+            *(camera.focal_px, camera.focal_px * camera.aspect, camera.cx_px, camera.cy_px),
+            *(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, fold_radius(lens)),
+        ),
+        lowest,
+        highest,
+        camera.width_px,
+        camera.height_px,
+        out,
+    )
+    return out
 
 
 def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *, threads: int | None = None) -> Array:
@@ -147,36 +179,8 @@ def discontinuities(range_m: Array, normal: Array, directions: Array, *, wrap_co
         `[rows, columns, 3]`, in one frame; directions of unit length.
     """
     jump = np.zeros(range_m.shape, dtype=bool)
-    for axis in (0, 1):
-        wraps = wrap_columns and axis == 1
-        here = np.arange(range_m.shape[axis] - (0 if wraps else 1))
-        there = (here + 1) % range_m.shape[axis]
-        r1, n1, d1 = (np.take(a, here, axis=axis) for a in (range_m, normal, directions))
-        r2, n2, d2 = (np.take(a, there, axis=axis) for a in (range_m, normal, directions))
-        differ = np.abs(r1 - r2) > DISCONTINUITY_RATIO * np.minimum(r1, r2)
-        pair = np.zeros(differ.shape, dtype=bool)
-        pair[differ] = _do_not_meet(r1[differ], n1[differ], d1[differ], r2[differ], n2[differ], d2[differ])
-        first, second = np.nonzero(pair)
-        if axis == 0:
-            jump[here[first], second] = jump[there[first], second] = True
-        else:
-            jump[first, here[second]] = jump[first, there[second]] = True
+    mark_jumps(range_m, normal, directions, wrap_columns, DISCONTINUITY_RATIO, jump)
     return jump
-
-
-def _do_not_meet(r1: Array, n1: Array, d1: Array, r2: Array, n2: Array, d2: Array) -> Mask:
-    behind_2 = _continued(r1, n1, d1, d2) - r2
-    behind_1 = _continued(r2, n2, d2, d1) - r1
-    same_plane = (np.abs(behind_2) <= 1e-9 * r2) | (np.abs(behind_1) <= 1e-9 * r1)
-    return np.asarray(~same_plane & ((behind_1 > 0) != (behind_2 > 0)))
-
-
-def _continued(range_m: Array, normal: Array, direction: Array, other: Array) -> Array:
-    """Range along another direction of the plane through a point; infinite where it is never met."""
-    towards = np.sum(normal * other, axis=-1)
-    with np.errstate(divide="ignore"):
-        reach = range_m * np.sum(normal * direction, axis=-1) / towards
-    return np.where(towards < 0, reach, np.inf)
 
 
 def _seen(geometry: Geometry, pose: Pose, rays: Array, threads: int | None) -> tuple[Array, Ints]:
@@ -185,11 +189,12 @@ def _seen(geometry: Geometry, pose: Pose, rays: Array, threads: int | None) -> t
     return hits.range_m, geometry.face_of_triangle[hits.triangle]
 
 
-def _unoccluded(geometry: Geometry, pose_2: Pose, points: Array, face: Ints, threads: int | None) -> Mask:
+def _unoccluded(
+    geometry: Geometry, pose_2: Pose, towards: Array, distance: Array, face: Ints, threads: int | None
+) -> Mask:
+    """Whether nothing stops the rays from view 2 towards points on faces at a distance."""
     check_viewpoint(geometry, pose_2.position_m)
-    towards = points - pose_2.position_m
-    distance = np.linalg.norm(towards, axis=-1)
-    hits = cast(geometry, pose_2.position_m, towards / distance[:, None], threads=threads)
+    hits = cast(geometry, pose_2.position_m, towards, threads=threads)
     reached = geometry.face_of_triangle[hits.triangle] == face
     # In an open scene a ray may miss a point on the very outline: nothing stopped it before the point.
     return np.asarray(reached | ~(hits.range_m < (1 - OCCLUSION_TOLERANCE) * distance))
