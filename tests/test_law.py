@@ -6,7 +6,7 @@ import pytest
 
 from harness.evaluation.law import verdict
 from harness.evaluation.law_geometry import BASELINE_M, check_geometry, second_order_bias
-from harness.evaluation.law_images import best_baselines, fit_laws, residuals, sigma_alpha_slopes
+from harness.evaluation.law_images import best_baselines, fit_laws, noise_limited, residuals, sigma_alpha_slopes
 from harness.stereo.ranging import triangulate
 
 BASELINES = 2.0 ** np.arange(-3, 0.5, 0.5)
@@ -166,3 +166,22 @@ def test_the_verdict_names_directions_that_exclude_one():
 def test_nothing_to_fit_is_said():
     assert "not tested" in verdict([], made_up().iloc[:0])
     assert the(fit_laws(made_up().iloc[:2]))["slope"] is None
+
+
+def test_cells_limited_by_noise_follow_the_law_where_systematic_errors_hide_it():
+    """A systematic error that grows with the baseline bends the slope; where noise dominates it does not."""
+    cells = made_up(scatter=0.02, seed_scatter=0.0)
+    systematic = 1e-3 * (cells["baseline_m"] / cells["range_m"]) ** 2 * 10 * cells["law_exact"]
+    noise = cells["spread_m"].where(cells["condition"] == "noisy", 0.0)
+    place = cells[["seed", "baseline_m"]].astype(str).agg(" ".join, axis=1)
+    bent = cells.assign(
+        spread_m=np.hypot(systematic, noise), sigma_grey=np.where(noise > 0, 10.0, 0.0), quiet=place, condition="all"
+    )
+    limited = noise_limited(bent)
+    assert 0 < len(limited) < (noise > 0).sum()
+    quiet = bent[bent["sigma_grey"] == 0].set_index(["quiet", "range_bin", "alpha_bin"])["spread_m"]
+    partner = quiet.loc[list(limited[["quiet", "range_bin", "alpha_bin"]].itertuples(index=False, name=None))]
+    assert (partner.to_numpy() <= 0.5 * limited["spread_m"].to_numpy()).all()
+    assert abs(the(fit_laws(bent))["slope"] - 1) > 0.2
+    # At most half of the error is systematic: up to 12 % of a cell's, over a factor of ten in the law.
+    assert the(fit_laws(limited))["slope"] == pytest.approx(1, abs=0.06)

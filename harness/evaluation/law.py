@@ -5,7 +5,7 @@ from typing import Any
 import pandas as pd
 
 from harness.evaluation.law_geometry import check_geometry
-from harness.evaluation.law_images import best_baselines, fit_laws, sigma_alpha_slopes
+from harness.evaluation.law_images import best_baselines, fit_laws, noise_limited, sigma_alpha_slopes
 
 GROSS = 0.1
 """Where more than this share of the estimates is off by over a pixel, errors are mismatches, not small errors."""
@@ -20,9 +20,11 @@ def test_law(cells: pd.DataFrame) -> dict[str, Any]:
         See `law_images`; may be empty, and then only geometry is spoken of.
     """
     images = fit_laws(cells) if len(cells) else []
+    limited = noise_limited(cells) if len(cells) else cells
     return {
         "geometry": check_geometry().summary(),
         "images": images,
+        "noise_limited": fit_laws(limited) if len(limited) else [],
         "sigma_alpha": sigma_alpha_slopes(cells) if len(cells) else [],
         "best_baseline": best_baselines(cells) if len(cells) else [],
         "verdict": verdict(images, cells),

@@ -23,6 +23,8 @@ from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 
 BOOTSTRAP_DRAWS = 2000
 LAWS = ("exact", "paper")
+MOST_SYSTEMATIC = 0.5
+"""Error without noise over error with it, in a cell that counts as limited by noise: a quarter of its variance."""
 _METHOD = ["matcher", "subpixel"]
 
 
@@ -56,6 +58,25 @@ def fit_laws(cells: pd.DataFrame) -> list[dict[str, Any]]:
                 }
             )
     return found
+
+
+def noise_limited(cells: pd.DataFrame) -> pd.DataFrame:
+    """Cells in which noise makes most of the error: the same cell without noise has at most half of it.
+
+    There the premise of the law, that sigma(alpha_2) is one constant of the images, has its best chance: what is left
+    out are the matcher's own systematic errors, which the law does not speak of.
+
+    Parameters
+    ----------
+    cells
+        With the columns `sigma_grey` and `quiet`, what tells a trial from others but for its noise, as well. Cells of
+        trials with noise that have no partner without are left out.
+    """
+    same = [*_METHOD, "surface", "quiet", "alpha_bin", "range_bin"]
+    noisy = cells[cells["sigma_grey"] > 0]
+    without = cells[cells["sigma_grey"] == 0][[*same, "spread_m"]].rename(columns={"spread_m": "quiet_spread_m"})
+    paired = noisy.merge(without, on=same, how="inner", validate="many_to_one")
+    return paired[paired["quiet_spread_m"] <= MOST_SYSTEMATIC * paired["spread_m"]].drop(columns="quiet_spread_m")
 
 
 def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:

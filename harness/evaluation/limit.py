@@ -1,4 +1,4 @@
-"""How near a matcher comes to the Cramér-Rao bound: its spread over draws of the noise, pixel by pixel, against the bound.
+"""How near a matcher comes to the Cramér-Rao bound: its spread over draws of the noise against it, pixel by pixel.
 
 Spread and bias are told apart, and gross errors from both: a matcher that takes one brick for another is not imprecise
 but wrong, and no bound on precision speaks of it.

@@ -160,5 +160,5 @@ def write_estimate(found: Estimate, folder: Path) -> None:
     stream = io.BytesIO()
     Image.fromarray(millimetres).save(stream, format="PNG")
     write(folder / "range_mm.png", stream.getvalue())
-    cloud = trimesh.PointCloud(found.points_m, colors=found.colours)
-    write(folder / "points.ply", cloud.export(file_type="ply"))
+    cloud = trimesh.PointCloud(found.points_m, colors=found.colours)  # type: ignore[no-untyped-call]
+    write(folder / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]

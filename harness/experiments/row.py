@@ -13,6 +13,7 @@ from harness.evaluation.metrics import (
     share_of_estimates,
     tally,
 )
+from harness.experiments.sample import calibration_of, confidence_of, sampled
 from harness.experiments.trial import Outcome
 
 
@@ -23,11 +24,17 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
     -------
     dict
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
-        `errors` and `fractions`: histograms for wall and floor.
+        `errors` and `fractions`: histograms for wall and floor; `sample`, `confidence` and `calibration`, where there
+        is something to say: see `sample`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
     regions = measure_regions(errors)
+    beyond = {
+        "sample": sampled(outcome),
+        "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
+        "calibration": calibration_of(outcome),
+    }
     return {
         "figures": {
             **_figures(regions, "visible in both views"),
@@ -41,6 +48,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "cells": cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch),
         "errors": error_histograms(errors),
         "fractions": fraction_histograms(errors, outcome.k),
+        **{name: said for name, said in beyond.items() if said is not None},
     }
 
 

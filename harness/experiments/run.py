@@ -15,7 +15,7 @@ import pandas as pd
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
 from harness.experiments import executors, worker
-from harness.experiments.analysis import cell_table, law_of
+from harness.experiments.analysis import cell_table, law_of, limit_of
 from harness.experiments.environment import environment, source_hash
 from harness.experiments.experiment import Experiment, Planned, Settings, shown, text_of, value_at
 from harness.experiments.files import write
@@ -171,6 +171,9 @@ def result_of(experiment: Experiment, store: Store) -> Result:
         "trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)},
     }
     cells = cell_table((row.planned, row.payload) for row in done)
+    limit = limit_of((row.planned, row.payload) for row in done)
+    if limit:
+        summary["limit"] = limit
     law = law_of(cells)
     if law is not None:
         summary["law"] = law

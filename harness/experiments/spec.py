@@ -102,11 +102,13 @@ class Filter(Spec):
 class Scoring(Spec):
     """What is kept of a trial beyond its figures.
 
-    `sample_px`: the errors of every so many rows and columns, for what needs pixels of several trials at once, such as
-    the spread over seeds; 0 for none.
+    - `sample_px`: the errors of every so many rows and columns, for what needs pixels of several trials at once, such
+      as the spread over seeds; 0 for none.
+    - `confidence`: how well the matcher's confidence puts its errors in order, which takes as long as all figures.
     """
 
     sample_px: Annotated[int, Field(ge=0, le=256)] = 0
+    confidence: bool = False
 
 
 class Trial(Spec):

@@ -16,6 +16,7 @@ from harness.camera.angles import Array
 from harness.camera.pose import Pose
 from harness.camera.sensor import in_field
 from harness.errors import InputError
+from harness.evaluation.bound import cramer_rao
 from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
 from harness.evaluation.regions import CellPixels, Layout, Region, layout
@@ -59,6 +60,9 @@ class Outcome:
     reference: Reference
     layout: Layout
     errors: Errors
+    bound_px: Array | None
+    """The Cramér-Rao bound of the matcher's own window at a noise of one grey level, pixels of disparity; see
+    `bound.cramer_rao`. None where nobody asks for it, or the matcher has no window of its own."""
     seconds: dict[str, float]
     """Wall time of each stage, in the order of the pipeline."""
 
@@ -210,6 +214,25 @@ def run_trial(
             lambda: _expected(seen, looking, poses[0], grid, curves),
         )
         found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
+    bound_px = None
+    support = trial.matching.support(trial.filter.log_sigma_px)
+    if trial.scoring.sample_px and support is not None:
+        with clock("bound"):
+            bound_px = kept.get(
+                "bound",
+                (tuple(exposed), grid, support),
+                lambda: cramer_rao(
+                    clean,
+                    trial.sensor,
+                    motion,
+                    grid,
+                    seen,
+                    R_world_from_v1=poses[0].R_world_from_view,
+                    window_px=min(support.window_px, grid.height_px - 1 | 1),
+                    sigma_grey=1.0,
+                    model=support.model,
+                ).disparity_px,
+            )
     return Outcome(
         trial=trial,
         pair=pair,
@@ -222,6 +245,7 @@ def run_trial(
         reference=expected,
         layout=parts,
         errors=found,
+        bound_px=bound_px,
         seconds=clock.seconds,
     )
 

@@ -9,6 +9,11 @@ _TRUNCATE = 4.0
 """The kernel is cut at four standard deviations, where the Gaussian has fallen to 3e-4 of its top."""
 
 
+def kernel_reach(sigma_px: float) -> int:
+    """How many pixels to each side the filter looks at."""
+    return int(_TRUNCATE * sigma_px + 0.5)
+
+
 def laplacian_of_gaussian(panorama: Panorama, sigma_px: float) -> Panorama:
     """`sigma² ∇²(G_sigma * I)`, scale-normalised, around the seam at phi = ±pi.
 
@@ -32,7 +37,7 @@ def laplacian_of_gaussian(panorama: Panorama, sigma_px: float) -> Panorama:
     )
     valid = panorama.valid
     if not valid.all():
-        size = 2 * int(_TRUNCATE * sigma_px + 0.5) + 1
+        size = 2 * kernel_reach(sigma_px) + 1
         valid = ndimage.minimum_filter(valid, size=size, mode=mode)
     values = np.asarray(values, dtype=np.float32)
     values.flags.writeable = False

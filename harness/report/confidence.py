@@ -1,0 +1,171 @@
+"""What the methods say of how sure they are, and what it is worth: on the base trial."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.angles import Array
+from harness.evaluation.confidence import EXPECTED_WITHIN, Roc, calibration, exceeding, roc, sparsification
+from harness.experiments.sample import BAD_PX, surest
+from harness.report import theme
+from harness.report.data import Data, Heading, Table, number, words
+from harness.report.methods import Method
+from harness.report.theme import HALF, Picture
+
+_LEAST = 100
+"""Pixels of a kind for a curve to be drawn."""
+
+
+@dataclass(frozen=True)
+class Confidences:
+    """Figures and a table; empty when no method says anything."""
+
+    pictures: list[Picture]
+    table: Table | None
+    data: Data | None
+
+
+def confidences(methods: list[Method]) -> Confidences:
+    """Draw and tabulate."""
+    sure = [(method, confidence) for method in methods if (confidence := surest(method.outcome)) is not None]
+    if not sure:
+        return Confidences([], None, None)
+    rows: list[list[Any]] = []
+    pictures = [_sparsification(sure, rows)]
+    predicting = [method for method, _ in sure if method.outcome.matches.sigma_alpha_2 is not None]
+    if predicting:
+        pictures.append(_calibration(predicting, rows))
+    warned = _blank_walls(sure)
+    if warned:
+        pictures.append(_roc(warned, rows, f"({'abc'[len(pictures)]}) telling what has no texture"))
+    data = Data("confidence", ["method", "curve", "x", "y"], rows)
+    return Confidences(pictures, _table(sure), data)
+
+
+def _axes(title_of_x: str, title_of_y: str) -> tuple[Any, Any]:
+    fig = theme.figure(HALF, 320)
+    ax = theme.axes(fig, 62, 34, HALF - 76, 236)
+    ax.set_xlabel(title_of_x)
+    ax.set_ylabel(title_of_y)
+    ax.grid(color="#E8E8E8", linewidth=0.5)
+    ax.set_axisbelow(True)
+    return fig, ax
+
+
+def _domain_error(method: Method) -> Array:
+    outcome = method.outcome
+    return np.where(outcome.reference.domain, outcome.errors.disparity_px, np.nan)
+
+
+def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> Picture:
+    fig, ax = _axes("least confident pixels left out (%)", "mean |disparity error| of the rest (px)")
+    told, values = [], []
+    for method, confidence in sure:
+        curve = sparsification(_domain_error(method), confidence)
+        if not curve.pixels:
+            continue
+        ax.plot(100 * curve.removed, curve.remaining, color=method.colour, label=method.label)
+        ax.plot(100 * curve.removed, curve.oracle, color=method.colour, linewidth=0.9, linestyle=(0, (3, 2)))
+        for name, line in (("remaining_px", curve.remaining), ("oracle_px", curve.oracle)):
+            rows += [[method.label, name, *each] for each in zip(curve.removed[::5], line[::5], strict=True)]
+        values.append(curve.remaining)
+        told.append(f"{method.label} from {curve.remaining[0]:.3g} to {curve.remaining[50]:.3g} px at half")
+    ax.set_xlim(0, 99)
+    known = np.concatenate([each[each > 0] for each in values]) if values else np.array([0.1, 1.0])
+    if known.size and known.min() < known.max():
+        theme.logarithmic(ax, "y", max(float(known.min()) / 1.3, float(known.max()) / 1000), 1.3 * float(known.max()))
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+    alt = f"Mean absolute disparity error of the pixels that remain as the least confident go: {'; '.join(told)}."
+    return theme.picture(fig, alt, "(a) sparsification (dashed: in the order of the true errors)")
+
+
+def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
+    """The distribution of |error|/sigma against that of a normal variable."""
+    from scipy import stats
+
+    fig, ax = _axes("|error| / predicted standard deviation", "share of pixels below (%)")
+    x = np.linspace(0, 4, 81)
+    ax.plot(x, 100 * (2 * stats.norm.cdf(x) - 1), color=theme.FAINT, linestyle=(0, (3, 2)), label="normal")
+    told = []
+    for method in predicting:
+        outcome = method.outcome
+        domain = outcome.reference.domain
+        error, sigma = outcome.errors.alpha_2[domain], outcome.matches.sigma_alpha_2
+        scaled = np.abs(error) / sigma[domain] if sigma is not None else np.empty(0)
+        scaled = np.sort(scaled[np.isfinite(scaled)])
+        if not scaled.size:
+            continue
+        share = np.searchsorted(scaled, x, side="right") / scaled.size
+        ax.plot(x, 100 * share, color=method.colour, label=method.label)
+        rows += [[method.label, "below_sigmas", *each] for each in zip(x[::4], share[::4], strict=True)]
+        told.append(f"{method.label} {100 * share[20]:.0f} % within one")
+    ax.set_xlim(0, 4)
+    ax.set_ylim(0, 100)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+    alt = (
+        f"Share of errors within so many predicted standard deviations, beside a normal variable's: {'; '.join(told)}."
+    )
+    return theme.picture(fig, alt, "(b) calibration of the predicted standard deviation")
+
+
+def _blank_walls(sure: list[tuple[Method, Array]]) -> list[tuple[Method, Roc]]:
+    """How well confidence tells pixels without texture; a pixel without a match has the least of all."""
+    found = []
+    for method, confidence in sure:
+        outcome = method.outcome
+        bare: NDArray[np.bool_] = outcome.truth.textureless
+        domain = outcome.reference.domain
+        if (domain & bare).sum() >= _LEAST and (domain & ~bare).sum() >= _LEAST:
+            found.append((method, roc(np.where(outcome.valid, confidence, np.nan), bare, among=domain)))
+    return found
+
+
+def _roc(warned: list[tuple[Method, Roc]], rows: list[list[Any]], title: str) -> Picture:
+    fig, ax = _axes("pixels with texture left out (%)", "pixels without texture left out (%)")
+    ax.plot([0, 100], [0, 100], color=theme.FAINT, linewidth=0.8, linestyle=(0, (3, 2)), label="chance")
+    told = []
+    for method, found in warned:
+        some = np.unique(np.linspace(0, found.lost.size - 1, 300).astype(int))
+        ax.plot(100 * found.lost[some], 100 * found.caught[some], color=method.colour, label=method.label)
+        few = some[::10]
+        rows += [[method.label, "roc", *each] for each in zip(found.lost[few], found.caught[few], strict=True)]
+        told.append(f"{method.label} area {found.auc:.3f}")
+    ax.set_xlim(0, 100)
+    ax.set_ylim(0, 100)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+    return theme.picture(fig, f"Receiver operating characteristic: {'; '.join(told)}.", title)
+
+
+def _table(sure: list[tuple[Method, Array]]) -> Table:
+    headings = [
+        Heading("Method", text=True),
+        Heading("AUSE", "px"),
+        Heading("AUSE, share of chance", "%"),
+        Heading("AUC, error above 1\u00a0px"),
+        *(
+            Heading(f"within {k}σ", f"%, normal {100 * share:.1f}")
+            for k, share in zip("123", EXPECTED_WITHIN, strict=True)
+        ),
+    ]
+    rows = []
+    for method, confidence in sure:
+        error = _domain_error(method)
+        curve = sparsification(error, confidence)
+        bad, among = exceeding(error, BAD_PX)
+        sigma = method.outcome.matches.sigma_alpha_2
+        within: list[float | None] = [None] * 3
+        if sigma is not None:
+            angle = np.where(method.outcome.reference.domain, method.outcome.errors.alpha_2, np.nan)
+            within = list(calibration(angle, sigma).within)
+        rows.append(
+            [
+                words(method.label, method.colour),
+                number(curve.ause, ".3f"),
+                number(curve.ause_over_random, ".1f", 100),
+                number(roc(confidence, bad, among=among).auc, ".3f"),
+                *(number(each, ".1f", 100) for each in within),
+            ]
+        )
+    return Table(headings, rows)

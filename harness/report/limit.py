@@ -1,0 +1,176 @@
+"""How near the methods come to the Cramér-Rao bound, over the noise."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.evaluation.limit import GROSS_PX
+from harness.report import theme
+from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.report.sweep import Sweep, Way, in_words
+from harness.report.theme import HALF, Picture
+
+Entry = dict[str, Any]
+"""Of the summary's `limit`."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Figures and a table."""
+
+    pictures: list[Picture]
+    table: Table
+    data: Data
+    condition: str
+    """Which of several conditions the figures are about; empty when there is one."""
+
+
+def limit(sweep: Sweep, entries: list[Entry]) -> Limit:
+    """Draw and tabulate the `limit` of a summary."""
+    conditions = list(dict.fromkeys(entry["condition"] for entry in entries))
+    drawn = [entry for entry in entries if entry["condition"] == conditions[0]]
+    of_way = [(way, [each for each in drawn if _is_of(each, way)]) for way in sweep.ways]
+    return Limit(
+        pictures=[_efficiency(of_way), _apart(of_way)],
+        table=_table(sweep, entries, several=len(conditions) > 1),
+        data=Data("limit", _NAMES, [[_flat(entry, name) for name in _NAMES] for entry in entries]),
+        condition=in_words(conditions[0]) if len(conditions) > 1 else "",
+    )
+
+
+_NAMES = [
+    "matcher",
+    "subpixel",
+    "condition",
+    "sigma_grey",
+    "seeds",
+    "density",
+    "median_abs_px",
+    "bad_1px",
+    "bad_3px",
+    "bound_px",
+    "std_px",
+    "bias_px",
+    "std_over_bound",
+    "rms_over_bound",
+    "within_1_sigma",
+    "within_2_sigma",
+    "within_3_sigma",
+]
+
+
+def _flat(entry: Entry, name: str) -> Any:
+    if not name.startswith("within_"):
+        return entry[name]
+    within = entry["within_sigma"]
+    return within[int(name[len("within_")]) - 1] if within else None
+
+
+def _is_of(entry: Entry, way: Way) -> bool:
+    return (entry["matcher"], entry["subpixel"]) == (way.matcher, way.subpixel)
+
+
+def _axes(ordinate: str) -> tuple[Any, Any]:
+    fig = theme.figure(HALF, 340)
+    ax = theme.axes(fig, 62, 12, HALF - 76, 278)
+    ax.set_xlabel(r"noise $\sigma$ (grey levels)")
+    ax.set_ylabel(ordinate)
+    ax.grid(color="#E8E8E8", linewidth=0.5)
+    ax.set_axisbelow(True)
+    return fig, ax
+
+
+def _line(entries: list[Entry], value: Callable[[Entry], float | None]) -> tuple[list[float], list[float]]:
+    known = [(each["sigma_grey"], found) for each in entries if (found := value(each))]
+    return [x for x, _ in known], [y for _, y in known]
+
+
+def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
+    fig, ax = _axes("standard deviation / bound")
+    ax.axhline(1, color=theme.TRUTH, linewidth=1.0, zorder=1)
+    told, values = [], [1.0]
+    for way, entries in of_way:
+        x, y = _line(entries, lambda entry: entry["std_over_bound"])
+        if not x:
+            continue
+        ax.plot(x, y, color=way.colour, linestyle=way.stroke, marker=way.marker, markersize=4.5, label=way.label)
+        ends = [each["std_over_bound_quartiles"] for each in entries if each["std_over_bound"]]
+        low, high = (np.array([end[i] for end in ends]) for i in (0, 1))
+        ax.vlines(x, low, high, color=way.colour, linewidth=0.8, alpha=0.6)
+        values += [*low[low > 0], *high]
+        told.append(f"{way.label} {y[0]:.2f} to {y[-1]:.2f}")
+    theme.logarithmic(ax, "y", 0.85 * min(values), 1.2 * max(values))
+    ax.set_xlim(0, None)
+    if told:
+        ax.legend(loc="best")
+    else:
+        theme.note(ax, "no method with a window of its own was run with noise and three seeds")
+    alt = f"Standard deviation over the bound against the noise: {'; '.join(told) or 'nothing drawn'}."
+    return theme.picture(fig, alt, "(a) efficiency: medians, strokes from quartile to quartile")
+
+
+def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
+    fig, ax = _axes("disparity (px)")
+    told, values = [], []
+    for way, entries in of_way:
+        x, std = _line(entries, lambda entry: entry["std_px"])
+        if not x:
+            continue
+        style = {"color": way.colour, "markersize": 4.5}
+        ax.plot(x, std, linestyle=way.stroke, marker=way.marker, label=way.label, **style)
+        x_bias, bias = _line(entries, lambda entry: entry["bias_px"])
+        ax.plot(x_bias, bias, linestyle=(0, (1, 1.5)), linewidth=1.0, **style)
+        _, bound = _line(entries, lambda entry: entry["bound_px"])
+        if bound:
+            ax.plot(x[: len(bound)], bound, color=way.colour, linewidth=0.6, alpha=0.7)
+        values += [*std, *bias, *bound]
+        told.append(f"{way.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
+    if values:
+        theme.logarithmic(ax, "y", max(min(values) / 1.3, max(values) / 1000), 1.3 * max(values))
+        ax.legend(loc="best")
+    else:
+        theme.note(ax, "no method was run with noise and three seeds")
+    ax.set_xlim(0, None)
+    alt = f"Spread and bias of the disparity against the noise; at the most noise {'; '.join(told) or 'nothing drawn'}."
+    return theme.picture(fig, alt, "(b) spread (marked lines), bias (dotted), bound (thin)")
+
+
+def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
+    headings = [
+        Heading("Method", text=True),
+        *([Heading("Setting", text=True)] if several else []),
+        Heading("Noise", "grey"),
+        Heading("Seeds"),
+        Heading("Density", "%"),
+        Heading("Median |error|", "px"),
+        Heading(f"Above {GROSS_PX:g}\u00a0px", "%"),
+        Heading("Spread", "px"),
+        Heading("Bias", "px"),
+        Heading("Bound", "px"),
+        Heading("Spread / bound"),
+        Heading("Within 1σ", "%"),
+    ]
+    ways = {(way.matcher, way.subpixel): way for way in sweep.ways}
+    rows: list[list[Cell]] = []
+    for entry in entries:
+        way = ways[entry["matcher"], entry["subpixel"]]
+        within = entry["within_sigma"]
+        rows.append(
+            [
+                words(way.label, way.colour),
+                *([words(in_words(entry["condition"]))] if several else []),
+                number(entry["sigma_grey"], "g"),
+                count(entry["seeds"]),
+                number(entry["density"], ".1f", 100),
+                number(entry["median_abs_px"], ".3f"),
+                number(entry["bad_3px"], ".2f", 100),
+                number(entry["std_px"], ".3f"),
+                number(entry["bias_px"], ".3f"),
+                number(entry["bound_px"], ".4f"),
+                number(entry["std_over_bound"], ".2f"),
+                number(within[0] if within else None, ".1f", 100),
+            ]
+        )
+    return Table(headings, rows)
