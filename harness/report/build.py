@@ -8,13 +8,16 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
+from harness.evaluation.limit import GROSS_PX
 from harness.experiments.run import Result
 from harness.experiments.trial import Outcome
 from harness.report import (
+    confidence,
     curve,
     distributions,
     downloads,
     images,
+    limit,
     locking,
     maps,
     measures,
@@ -32,6 +35,7 @@ from harness.report.statistics import FEW_SEEDS
 from harness.report.sweep import Sweep, sweep_of, value_text
 from harness.report.theme import Picture
 from harness.spec import dump_toml
+from harness.stereo.matching.registry import method_of
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,13 @@ def build_report(result: Result) -> str:
         figures=figures,
         downloads=downloads.of_base_trial(methods, figures.search, figures.row),
         min_sine=MIN_SINE_ALPHA_1,
+        gross_px=GROSS_PX,
         toward=_azimuth_of_t(outcome),
         domain_px=int(reference.domain.sum()),
         domain_share=float(reference.domain.mean()),
         wall_px=int((reference.domain & reference.wall).sum()),
         column_deg=column_deg,
+        stepped=method_of(outcome.trial.matching)[1] == "none",
         law=example,
         example=example.worked_example(),
         within=[example.within_steps(method.outcome, method.label) for method in methods],
@@ -105,6 +111,7 @@ def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column
     locking_pictures, locking_data, near = locking.histograms(swept)
     region_pictures, regions_table = regions.over_trials(swept)
     found: dict[str, Any] = {
+        "sure": confidence.confidences(methods),
         "swept": figures,
         "swept_key": sweeps.key_picture(swept, laws=any(each.law for each in figures)),
         "line_key": sweeps.key_picture(swept, laws=False),
@@ -115,6 +122,7 @@ def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column
         "regions_table": regions_table,
         "regions_base": regions.of_base_trial(methods),
         "measures": measures.all_measures(swept),
+        "limited": limit.limit(swept, result.summary["limit"]) if "limit" in result.summary else None,
         "failures": measures.failures(result),
         "durations": measures.durations(result),
         "findings": [],
@@ -135,6 +143,8 @@ def _sections(result: Result, swept: Sweep, over_all: dict[str, Any]) -> dict[st
     }
     if not over_all["swept"]:
         del of_all["sweeps"]
+    if over_all["limited"]:
+        of_all["limit"] = "The limit that noise sets"
     if over_all["findings"]:
         of_all = {
             "verdict": "The law of the range error, tested",
@@ -149,8 +159,11 @@ def _sections(result: Result, swept: Sweep, over_all: dict[str, Any]) -> dict[st
         "profiles": "Range profiles",
         "maps": "Range-error maps",
         "distributions": "Error distributions",
+        "confidence": "Confidence",
         "law": "The law of the range error: worked example" if over_all["findings"] else "The law of the range error",
     }
+    if not over_all["sure"].pictures:
+        del of_base["confidence"]
     last = {"failures": "Failures"} if result.summary["trials"]["failed"] else {}
     last |= {"settings": "Settings", "environment": "Provenance and durations"}
     return (of_all | of_base if swept.several else of_base | of_all) | last
