@@ -1,5 +1,6 @@
 """What `run` and `report` end in: files made from the rows of a run, and what is said of them."""
 
+import gc
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +32,11 @@ def write(
         from harness.report.build import build_report
 
         result = result_of(experiment, store)
-        write_result(result, build_report(result), store, folder)
+        gc.freeze()  # rows are millions of objects that stay: not to be searched again while figures are drawn
+        try:
+            write_result(result, build_report(result), store, folder)
+        finally:
+            gc.unfreeze()
         show(result.summary, folder)
     if not now.failed:
         return OK

@@ -40,31 +40,28 @@ class _Part:
 
 def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
     """Means over all trials of each way, with intervals by bootstrap over seeds."""
-    records = [
-        {"way": (matcher, subpixel), "seed": seed, "trial": index, **region}
-        for index, (matcher, subpixel, seed, payload) in enumerate(
-            zip(sweep.trials["matcher"], sweep.trials["subpixel"], sweep.trials["seed"], sweep.payloads, strict=True)
-        )
-        for region in payload["regions"]
-    ]
-    table = pd.DataFrame(records)
-    table["part"] = [_part_text(part) for part in table["part"]]
+    found = [(index, region) for index, payload in enumerate(sweep.payloads) for region in payload["regions"]]
+    columns: dict[str, Any] = {name: [region[name] for _, region in found] for name in ("split", "part")}
+    columns |= {name: np.array([region[name] for _, region in found], dtype=np.float64) for name in ("pixels", *_KEYS)}
+    table = pd.DataFrame(columns | {"trial": [index for index, _ in found]})
+    names = {part: _part_text(part) for part in dict.fromkeys(columns["part"])}
+    table["part"] = table["part"].map(names)
+    table["place"], places = pd.factorize(pd.MultiIndex.from_frame(table[["split", "part"]]))
+    of_trial = sweep.trials[["matcher", "subpixel", "seed"]].iloc[table["trial"]].reset_index(drop=True)
+    table = pd.concat([table, of_trial], axis=1)
     parts = _ordered(table)
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
     curves: dict[tuple[Way, str], dict[_Part, tuple[float, float, float]]] = {}
     for way in sweep.ways:
-        mine = table[[pair == (way.matcher, way.subpixel) for pair in table["way"]]]
+        mine = way.of(table)
         for key in _KEYS:
-            values = mine.assign(value=pd.to_numeric(mine[key])).pivot_table(
-                index=["seed", "trial"], columns=["split", "part"], values="value", aggfunc="mean"
-            )
+            values = mine.pivot_table(index=["seed", "trial"], columns="place", values=key, aggfunc="mean")
             if values.empty:
                 continue
             curve = mean_over_seeds(values, logarithmic="median" in key)
-            for place, *found in zip(curve.x, curve.mean, curve.low, curve.high, strict=True):
-                mean, low, high = map(float, found)
-                curves.setdefault((way, key), {})[_Part(*place)] = (mean, low, high)  # type: ignore[misc]
+            for place, mean, low, high in zip(values.columns, curve.mean, curve.low, curve.high, strict=True):
+                curves.setdefault((way, key), {})[_Part(*places[place])] = (float(mean), float(low), float(high))
     pixels = table.groupby(["split", "part"])["pixels"].mean()
     for part in parts:
         for way in sweep.ways:

@@ -112,6 +112,17 @@ class Sweep:
         """Whether there is more to it than the trials that the report shows in detail."""
         return bool(self.axes) or len(self.seeds) > 1 or len({way.matcher for way in self.ways}) > 1
 
+    def cells_of(self, way: Way, surface: str) -> pd.DataFrame:
+        """The cells of a way on a surface, as often as asked; `condition` is a number, which is quicker to group by."""
+        return self._parts.get((way.matcher, way.subpixel, surface), self.cells.iloc[:0])
+
+    @cached_property
+    def _parts(self) -> dict[tuple[str, str, str], pd.DataFrame]:
+        if self.cells.empty:
+            return {}
+        numbered = self.cells.assign(condition=pd.factorize(self.cells["condition"])[0])
+        return {key: part for key, part in numbered.groupby(["matcher", "subpixel", "surface"], sort=False)}  # noqa: C416
+
     @property
     def surfaces(self) -> list[str]:
         """Those that cells lie on: `wall`, `floor`."""

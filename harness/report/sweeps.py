@@ -101,9 +101,8 @@ def _over_range(sweep: Sweep, column_deg: float) -> Swept:
     lines = []
     shapes: dict[str, dict[str, tuple[Array, Array]]] = {}
     for surface in sweep.surfaces:
-        there = sweep.cells[sweep.cells["surface"] == surface]
         for way in sweep.ways:
-            cells = way.of(there)
+            cells = sweep.cells_of(way, surface)
             if cells.empty:
                 continue
             for name, column, scale in (
@@ -114,7 +113,7 @@ def _over_range(sweep: Sweep, column_deg: float) -> Swept:
                 x = [middle[index] for index in table.columns]
                 texts = [f"{each:.2f}" for each in x]
                 lines.append(_Line(way, surface, name, x, texts, mean_over_seeds(table, logarithmic=True)))
-        found = [way.of(there) for way in sweep.ways]
+        found = [sweep.cells_of(way, surface) for way in sweep.ways]
         largest = max(found, key=len)
         shapes[surface] = {
             law: _shape(
@@ -147,7 +146,7 @@ def _law_over_baselines(sweep: Sweep) -> dict[str, dict[str, tuple[Array, Array]
     """How the laws grow and shrink with the baseline, over the places that every baseline has."""
     shapes = {}
     for surface in sweep.surfaces:
-        cells = max((way.of(sweep.cells[sweep.cells["surface"] == surface]) for way in sweep.ways), key=len)
+        cells = max((sweep.cells_of(way, surface) for way in sweep.ways), key=len)
         places = ["seed", "condition", "alpha_bin", "range_bin"]
         laws = {}
         for law in LAWS:

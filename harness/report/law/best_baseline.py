@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.lines import Line2D
 
 from harness.camera.angles import Array
 from harness.evaluation.law_images import baseline_curve
@@ -22,104 +24,113 @@ _RANGES = ("#440154", "#414487", "#2A788E", "#22A884", "#7AD151", "#C9B800")
 """Of ranges, from near to far."""
 
 
+@dataclass(frozen=True)
+class _Curve:
+    """Spread against the baseline for one range, `[baselines]`, metres."""
+
+    range_bin: int
+    baselines: Array
+    error: Array
+    low: Array
+    high: Array
+    """The 95 % interval; NaN where there is one seed only."""
+
+    @property
+    def range_m(self) -> float:
+        """The middle of its band of ranges."""
+        return float(RANGE_RATIO ** (self.range_bin + 0.5))
+
+
+_Curves = dict[tuple[Way, str], list[_Curve]]
+"""For each method and surface, by range."""
+
+
 def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Part:
     """Spread against the baseline, a curve for each range, and where each is lowest."""
-    curves: list[list[Any]] = []
-    pictures = _trade_off(sweep, curves)
+    curves = {
+        (way, surface): list(_curves(sweep.cells_of(way, surface))) for surface in sweep.surfaces for way in sweep.ways
+    }
+    rows = [
+        [way.matcher, way.subpixel, surface, curve.range_m, *each]
+        for (way, surface), found in curves.items()
+        for curve in found
+        for each in zip(curve.baselines, curve.error, curve.low, curve.high, strict=True)
+    ]
     headings = ["matcher", "subpixel", "surface", "range_m", "baseline_m", "spread_m", "ci95_low", "ci95_high"]
     return Part(
-        {"curves": pictures},
-        {"baselines": _baseline_table(sweep, law)},
-        {"curves": Data("law-best-baseline", headings, curves)},
+        {"curves": _trade_off(sweep, curves)},
+        {"baselines": _baseline_table(sweep, law, curves)},
+        {"curves": Data("law-best-baseline", headings, rows)},
     )
 
 
-def _trade_off(sweep: Sweep, rows: list[list[Any]]) -> list[Picture]:
+def _trade_off(sweep: Sweep, curves: _Curves) -> list[Picture]:
     """Error against the baseline, a curve for each range: a picture for each surface and matcher."""
+    bins = sorted({curve.range_bin for found in curves.values() for curve in found})
+    colours = {range_bin: _RANGES[index % len(_RANGES)] for index, range_bin in enumerate(bins)}
+    matchers = list(dict.fromkeys(way.matcher for way in sweep.ways))
     pictures = []
-    for matcher in dict.fromkeys(way.matcher for way in sweep.ways):
+    for matcher in matchers:
         for surface in sweep.surfaces:
             ways = [way for way in sweep.ways if way.matcher == matcher][:3]
-            curves = {way: list(_curves(way.of(sweep.cells[sweep.cells["surface"] == surface]))) for way in ways}
-            if any(curves.values()):
-                pictures.append(
-                    _trade_off_picture(ways, surface, curves, rows, len({way.matcher for way in sweep.ways}) > 1)
-                )
+            here = {way: curves[way, surface] for way in ways}
+            if any(here.values()):
+                name = f"{matcher}, {SURFACES[surface]}" if len(matchers) > 1 else SURFACES[surface]
+                pictures.append(_trade_off_picture(name, here, colours))
     return pictures
 
 
-def _curves(cells: pd.DataFrame) -> Iterator[tuple[int, Array, Array, Array, Array]]:
-    """Range bin, baselines, spread, and its interval."""
+def _curves(cells: pd.DataFrame) -> Iterator[_Curve]:
     for range_bin, part in cells.groupby("range_bin", sort=True):
         curve = baseline_curve(part)
         if curve is not None:
             baselines, errors, draws = curve
             low, high = between(draws, part["seed"].nunique())
-            yield int(range_bin), baselines, np.exp(errors), np.exp(low), np.exp(high)
+            yield _Curve(int(range_bin), baselines, np.exp(errors), np.exp(low), np.exp(high))
 
 
-def _trade_off_picture(
-    ways: list[Way], surface: str, curves: dict[Way, list[Any]], rows: list[list[Any]], named: bool
-) -> Picture:
-    fig, panels = theme.pair(len(ways), height=330, top=46)
+def _trade_off_picture(name: str, curves: dict[Way, list[_Curve]], colours: dict[int, str]) -> Picture:
+    fig, panels = theme.pair(len(curves), height=330, top=46)
     every = [curve for found in curves.values() for curve in found]
-    bins = sorted({curve[0] for curve in every})
-    spread = 1000 * np.concatenate([np.concatenate(curve[2:3]) for curve in every])
-    lengths = np.concatenate([curve[1] for curve in every])
+    spread = 1000 * np.concatenate([curve.error for curve in every])
+    lengths = np.concatenate([curve.baselines for curve in every])
     told = []
-    for ax, way in zip(panels, ways, strict=True):
+    handles: dict[int, Line2D] = {}
+    for ax, (way, found) in zip(panels, curves.items(), strict=True):
         step = way.label.split(", ")[-1]
         ax.set_title(step, pad=20)
-        for range_bin, baselines, error, low, high in curves[way]:
-            colour = _RANGES[bins.index(range_bin) % len(_RANGES)]
-            if np.isfinite(low).all():
-                ax.fill_between(baselines, 1000 * low, 1000 * high, color=colour, alpha=0.15, linewidth=0)
-            ax.plot(
-                baselines, 1000 * error, color=colour, linewidth=1.2, label=f"{RANGE_RATIO ** (range_bin + 0.5):.1f} m"
-            )
-            flat = error <= 1.1 * error.min()
-            ax.plot(
-                np.where(flat, baselines, np.nan),
-                np.where(flat, 1000 * error, np.nan),
-                color=colour,
-                linewidth=4,
-                alpha=0.45,
-            )
-            best = int(np.argmin(error))
-            ax.plot(baselines[best], 1000 * error[best], "o", color=colour, markersize=6, markeredgecolor=theme.PAPER)
-            distance = RANGE_RATIO ** (range_bin + 0.5)
-            told.append(f"{step} at {distance:.1f} m best with {baselines[best]:g} m")
-            rows += [
-                [way.matcher, way.subpixel, surface, distance, *each]
-                for each in zip(baselines, error, low, high, strict=True)
-            ]
+        for curve in found:
+            x, y, colour = curve.baselines, 1000 * curve.error, colours[curve.range_bin]
+            if np.isfinite(curve.low).all():
+                ax.fill_between(x, 1000 * curve.low, 1000 * curve.high, color=colour, alpha=0.15, linewidth=0)
+            (handles[curve.range_bin],) = ax.plot(x, y, color=colour, linewidth=1.2)
+            flat = y <= 1.1 * y.min()
+            ax.plot(np.where(flat, x, np.nan), np.where(flat, y, np.nan), color=colour, linewidth=4, alpha=0.45)
+            best = int(np.argmin(y))
+            ax.plot(x[best], y[best], "o", color=colour, markersize=6, markeredgecolor=theme.PAPER)
+            told.append(f"{step} at {curve.range_m:.1f} m best with {x[best]:g} m")
         theme.logarithmic(ax, "x", float(lengths.min()) / 1.12, float(lengths.max()) * 1.12, most=4)
         theme.logarithmic(ax, "y", float(spread.min()) / 1.3, float(spread.max()) * 1.3)
         ax.set_xlabel("baseline |t| (m)")
     panels[0].set_ylabel("spread of the range (mm)")
-    handles: dict[str, Any] = {}
-    for ax in panels:
-        found, labels = ax.get_legend_handles_labels()
-        handles |= dict(zip(labels, found, strict=True))
-    ordered = sorted(handles, key=lambda text: float(text.split()[0]))
+    shown = sorted(handles)
     panels[0].legend(
-        [handles[text] for text in ordered],
-        ordered,
+        [handles[range_bin] for range_bin in shown],
+        [f"{RANGE_RATIO ** (range_bin + 0.5):.1f} m" for range_bin in shown],
         loc="lower left",
         bbox_to_anchor=(-0.02, 0.995),
-        ncol=len(ordered),
+        ncol=len(shown),
         columnspacing=0.9,
         handlelength=1.0,
         handletextpad=0.35,
         borderaxespad=0.2,
     )
-    name = f"{ways[0].matcher}, {SURFACES[surface]}" if named else SURFACES[surface]
     return theme.picture(
         fig, f"Spread of the range against the baseline for several ranges, {name}: {'; '.join(told)}.", name
     )
 
 
-def _baseline_table(sweep: Sweep, law: dict[str, Any]) -> Table:
+def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table:
     headings = [
         Heading("Surface", text=True),
         Heading("Method", text=True),
@@ -135,10 +146,7 @@ def _baseline_table(sweep: Sweep, law: dict[str, Any]) -> Table:
     rows = []
     for surface in sweep.surfaces:
         for way in sweep.ways:
-            costs = {
-                range_bin: float(error[-1] / error.min())
-                for range_bin, _, error, _, _ in _curves(way.of(sweep.cells[sweep.cells["surface"] == surface]))
-            }
+            costs = {curve.range_bin: float(curve.error[-1] / curve.error.min()) for curve in curves[way, surface]}
             for each in law["best_baseline"]:
                 if not is_of(each, way, surface):
                     continue

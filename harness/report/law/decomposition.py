@@ -108,7 +108,7 @@ def _against(
     for ax, (surface, surface_words) in zip(panels, SURFACES.items(), strict=True):
         ax.set_title(surface_words)
         for way in sweep.ways:
-            cells = way.of(sweep.cells[sweep.cells["surface"] == surface])
+            cells = sweep.cells_of(way, surface)
             if cells.empty:
                 continue
             values = np.log(y[cells.index]) if log_y else y[cells.index]

@@ -81,13 +81,11 @@ def _adjusted(cells: pd.DataFrame) -> "pd.Series[float]":
 
 
 def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binned: list[list[Any]]) -> Picture:
-    there = sweep.cells[sweep.cells["surface"] == surface]
-    cells = way.of(there)
+    there = [found for each in sweep.ways if len(found := sweep.cells_of(each, surface))]
+    cells = sweep.cells_of(way, surface)
     y = np.exp(_adjusted(cells))
-    limits_y = _around(
-        np.exp(pd.concat([_adjusted(each.of(there)) for each in sweep.ways if len(each.of(there))])), 0.003
-    )
-    limits_x = _around(pd.concat([there["law_exact"] / there["range_m"], there["law_paper"] / there["range_m"]]), 0.001)
+    limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in there])), 0.003)
+    limits_x = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
     fig, panels = theme.pair(height=330, top=46)
     told = []
     for ax, law in zip(panels, LAWS, strict=True):
@@ -150,8 +148,8 @@ def _density(
 
 def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: list[list[Any]]) -> Picture:
     fig, panels = theme.pair()
-    there = sweep.cells[sweep.cells["surface"] == surface]
-    limits = _around(pd.concat([there["law_exact"] / there["range_m"], there["law_paper"] / there["range_m"]]), 0.001)
+    there = [sweep.cells_of(each, surface) for each in sweep.ways]
+    limits = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
     told, reach = [], [0.5]
     for ax, law in zip(panels, LAWS, strict=True):
         theme.logarithmic(ax, "x", *limits, most=4)
@@ -162,7 +160,7 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
             fit = next((f for f in fits if is_of(f, way, surface) and f["law"] == law and f["slope"] is not None), None)
             if fit is None:
                 continue
-            x, off = np.array(list(residuals(sweep.cells, fit))).T
+            x, off = np.array(list(residuals(sweep.cells_of(way, surface), fit))).T
             edges = log_edges(pd.Series(x), 9)
             index = np.digitize(x, edges) - 1
             points = [

@@ -66,7 +66,7 @@ def _reasons(sweep: Sweep, way: Way, surface: str, exact: Fit, law: dict[str, An
                 else "a small dependence, but one that the data can tell from none"
             )
             yield f"σ(α₂) goes with {power}: {tail}."
-    cells = way.of(sweep.cells[sweep.cells["surface"] == surface])
+    cells = sweep.cells_of(way, surface)
     low_half, high_half = _gross_halves(cells)
     if max(low_half, high_half) > GROSS:
         yield (
