@@ -160,6 +160,8 @@ def _explain(problems: list[_Problem]) -> tuple[Place, str]:
         deepest = max(tried, key=lambda each: len(each.place))
         if len(deepest.place) > problem.fork:  # the member that got furthest is the one that was meant
             problem = deepest
+        elif len(tried) == 1:
+            problem = tried[0]
         else:
             expected = dict.fromkeys(_expected(each) for each in tried)
             return stem, f"must be {' or '.join(expected)}; found {_shown(problem.error['input'])}"

@@ -16,6 +16,10 @@ _LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "
 """Those that the pipeline computes with."""
 
 
+_OPTIONAL = ("opencv-contrib-python-headless",)
+"""Those that only some matchers compute with."""
+
+
 def environment() -> dict[str, Any]:
     """The program, the machine and the libraries."""
     return {
@@ -26,7 +30,9 @@ def environment() -> dict[str, Any]:
         "platform": platform.platform(),
         "cpu": _cpu_model(),
         "cpus": len(os.sched_getaffinity(0)),
-        "packages": {name: metadata.version(name) for name in (*_LIBRARIES, "matplotlib")},
+        "packages": {
+            name: version for name in (*_LIBRARIES, *_OPTIONAL, "matplotlib") if (version := _version_if_there(name))
+        },
     }
 
 
@@ -42,8 +48,9 @@ def code_hash() -> str:
     Not of the report, the command line, or what runs trials and keeps their rows.
     """
     rooms = ("camera", "simulation", "stereo", "evaluation")
-    files = ("spec.py", *(f"experiments/{name}.py" for name in ("spec", "trial", "row")))
+    files = ("spec.py", *(f"experiments/{name}.py" for name in ("spec", "trial", "row", "sample")))
     versions = [f"{name} {metadata.version(name)}" for name in _LIBRARIES]
+    versions += [f"{name} {each}" for name in _OPTIONAL if (each := _version_if_there(name))]
     source = _hash_of(*(f"{room}/**/*.py" for room in rooms), *files)
     return hashlib.sha256("\n".join([source, platform.python_version(), *versions]).encode()).hexdigest()
 
@@ -52,6 +59,13 @@ def code_hash() -> str:
 def render_hash() -> str:
     """SHA-256 of the source that a rendered image depends on."""
     return _hash_of("camera/**/*.py", "simulation/**/*.py", "spec.py")
+
+
+def _version_if_there(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def _hash_of(*patterns: str) -> str:
