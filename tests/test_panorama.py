@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from harness.camera.lens import Lens
 from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.stereo import _kernels
 from harness.stereo.panorama import Grid, cylinder, unwrap
 
 SENSOR = Sensor()
@@ -61,6 +63,16 @@ def test_bilinear_values_are_the_weighted_mean_of_four_pixels():
     )
     # Single precision of values up to 255.
     np.testing.assert_allclose(panorama.values, by_hand, atol=1e-4)
+
+
+def test_bilinear_samples_are_scipys_beyond_the_border_too():
+    rng = np.random.default_rng(5)
+    image = rng.uniform(0, 255, (20, 30)).astype(np.float32)
+    where = np.concatenate([rng.uniform(-3, 33, (2, 1000)), np.mgrid[-2:21, -2:31].reshape(2, -1)], axis=1)
+    found = np.empty(where.shape[1], np.float32)
+    _kernels.bilinear(image, where[0], where[1], found)
+    expected = ndimage.map_coordinates(image, where, order=1, mode="nearest", output=np.float64)
+    np.testing.assert_allclose(found, expected, rtol=2e-7)  # single precision
 
 
 @pytest.mark.parametrize("columns", [1, 90, -250])

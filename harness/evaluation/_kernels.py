@@ -16,7 +16,9 @@ BLOCK = 2048
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def true_angles(range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, alpha_2, law, half_step):
+def true_angles(
+    range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, least_sine, sideways, alpha_2, law, half_step
+):
     """Write what `errors.Reference` says of these, `[n]`; NaN where range is.
 
     directions : `[n, 3]`, unit vectors; baseline : `[3]`, t.
@@ -25,6 +27,8 @@ def true_angles(range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, 
     tx, ty, tz = baseline
     length = math.sqrt(tx * tx + ty * ty + tz * tz)
     for i in range(range_m.size):
+        sine = math.sin(alpha_1[i])
+        sideways[i] = sine >= least_sine
         d_1 = range_m[i]
         if math.isnan(d_1):
             alpha_2[i] = law[i] = half_step[i] = math.nan
@@ -34,7 +38,7 @@ def true_angles(range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, 
         cx, cy, cz = y * tz - z * ty, z * tx - x * tz, x * ty - y * tx
         square = x * x + y * y + z * z
         alpha_2[i] = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), x * tx + y * ty + z * tz)
-        law[i] = square / (length * math.sin(alpha_1[i]))
+        law[i] = square / (length * sine)
         half_step[i] = abs(step[i]) / 2.0
         if phi_sampled:
             half_step[i] *= (x * x + y * y) / square / abs(n_z[i])

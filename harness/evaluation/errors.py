@@ -23,6 +23,8 @@ class Reference:
 
     domain: NDArray[np.bool_]
     """Pixels that every figure is about: the truth is visible in both views and sin(alpha_1) >= 0.5."""
+    sideways: NDArray[np.bool_]
+    """Pixels with sin(alpha_1) >= 0.5, whatever is seen there."""
     wall: NDArray[np.bool_]
     """Pixels on steep surfaces; the rest of the domain is floor or ceiling."""
     range_m: Array
@@ -62,6 +64,7 @@ def reference(truth: Truth, directions_v1: Array, curves: Curves) -> Reference:
     """
     shape = truth.range_m.shape
     alpha_2, law, half_step = np.empty((3, *shape))
+    sideways = np.empty(shape, dtype=bool)
     _kernels.true_angles(
         truth.range_m.ravel(),
         directions_v1.reshape(-1, 3),
@@ -70,12 +73,15 @@ def reference(truth: Truth, directions_v1: Array, curves: Curves) -> Reference:
         curves.n[..., 2].ravel(),
         curves.t,
         curves.sampling == "phi",
+        MIN_SINE_ALPHA_1,
+        sideways.reshape(-1),
         alpha_2.reshape(-1),
         law.reshape(-1),
         half_step.reshape(-1),
     )
     return Reference(
-        domain=truth.visible & (np.sin(curves.alpha_1) >= MIN_SINE_ALPHA_1),
+        domain=truth.visible & sideways,
+        sideways=sideways,
         wall=np.abs(np.nan_to_num(truth.normal[..., 2], nan=1.0)) < _WALL,
         range_m=truth.range_m,
         alpha_1=curves.alpha_1,

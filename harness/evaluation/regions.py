@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
-from harness.evaluation.errors import MIN_SINE_ALPHA_1, Reference
+from harness.evaluation.errors import Reference
 from harness.evaluation.groups import Groups, Sorted, bins, grouped, members, sorted_parts
 from harness.simulation.truth import Truth
 from harness.stereo.panorama import Grid
@@ -130,7 +130,7 @@ def _splits(
 ) -> Iterator[tuple[str, tuple[str, ...], Labels]]:
     """Every split: its name, those of its parts, and the part of each pixel, -1 for none."""
     domain, wall = reference.domain, reference.wall
-    looked_at = (np.sin(reference.alpha_1) >= MIN_SINE_ALPHA_1) & np.isfinite(truth.range_m)
+    looked_at = reference.sideways & np.isfinite(truth.range_m)
     # Outside the domain: there is no true match, and an estimate is an invention.
     occluded = looked_at & truth.in_field_2 & ~truth.unoccluded & ~domain
     yield "visibility", ("visible in both views", "occluded in view 2"), _labels(domain, occluded)

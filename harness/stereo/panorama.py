@@ -12,6 +12,7 @@ from scipy import ndimage
 from harness.camera.angles import Array, cylinder_point, normalise
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.spec import Finite, Spec
+from harness.stereo import _kernels
 
 Interpolation = Literal["bilinear", "cubic"]
 
@@ -121,9 +122,13 @@ def unwrap(
     rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
     order = {"bilinear": 1, "cubic": 3}[interpolation]
     coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
-    # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
-    source = image if order == 1 else _extend(image, pixel_directions(sensor)[1])
-    values = ndimage.map_coordinates(source, coordinates, order=order, mode="nearest", output=np.float32)
+    if order == 1:
+        values = np.empty(grid.shape, dtype=np.float32)
+        _kernels.bilinear(image, coordinates[0].reshape(-1), coordinates[1].reshape(-1), values.reshape(-1))
+    else:
+        # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
+        extended = _extend(image, pixel_directions(sensor)[1])
+        values = ndimage.map_coordinates(extended, coordinates, order=order, mode="nearest", output=np.float32)
     values.flags.writeable = False
     return Panorama(grid, values, valid)
 

@@ -23,7 +23,7 @@ def range_from_angles(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float)
     """The range d_1 alone, as `triangulate` has it."""
     alpha_1, alpha_2 = _alike(alpha_1, alpha_2)
     d_1 = np.empty(alpha_1.shape)
-    _kernels.sine_rule(alpha_1.ravel(), alpha_2.ravel(), float(baseline_m), d_1.reshape(-1), np.empty(0))
+    _kernels.sine_rule_1(alpha_1.ravel(), alpha_2.ravel(), float(baseline_m), d_1.reshape(-1))
     return d_1
 
 
