@@ -2,9 +2,11 @@
 
 import csv
 import itertools
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -485,6 +487,28 @@ def test_a_failure_is_one_trials_alone(tmp_path: Path) -> None:
     assert failure["message"].startswith("mine:match: fails: ValueError: seven (")
     assert "mine.py, line 6)" in failure["message"]
     assert "raise ValueError('seven')" in failure["traceback"]
+
+
+@pytest.mark.slow
+def test_on_a_cluster_whose_worker_has_it_in_its_folder(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    from test_dask import end, free_port, start, wait_for_workers
+
+    (tmp_path / "mine.py").write_text(FAR)
+    write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2]\n")
+    run = ("run", "small.toml", "--set", "matching.kind=mine:match", "--no-report", "--out")
+    address = f"tcp://127.0.0.1:{free_port()}"
+    scheduler = ("--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard")
+    options = ("--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1", "--no-nanny")
+    with ExitStack() as ends:
+        ends.callback(end, start(tmp_path, "scheduler", "scheduler", *scheduler))
+        ends.callback(end, start(tmp_path, "worker", "worker", address, *options))
+        shutil.copy(tmp_path / "mine.py", tmp_path / "worker" / "mine.py")
+        wait_for_workers(address, 1)
+        there = omnirange(tmp_path, *run, "there", "--dask", address)
+    assert there.returncode == 0, there.stderr
+    assert omnirange(tmp_path, *run, "here").returncode == 0
+    assert (tmp_path / "there" / "trials.csv").read_bytes() == (tmp_path / "here" / "trials.csv").read_bytes()
 
 
 def test_beside_a_matcher_of_this_program(module: Write) -> None:
