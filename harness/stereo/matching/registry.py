@@ -17,11 +17,12 @@ from pydantic import Discriminator, Tag, field_validator
 
 from harness.errors import InputError
 from harness.spec import nearest
-from harness.stereo.matching import plugins, program, window
+from harness.stereo.matching import plugins, program, semi_global, window
 from harness.stereo.matching.contract import Limits, Matches, Parametrised, as_matches
 from harness.stereo.matching.peers import matchers as peers
 from harness.stereo.matching.peers.settings import StereoBM, StereoReconstruct, StereoSGBM
 from harness.stereo.matching.program import Program
+from harness.stereo.matching.semi_global import SemiGlobal
 from harness.stereo.matching.window_settings import WindowMatcher
 from harness.stereo.pair import Pair
 
@@ -51,6 +52,7 @@ class Plugin(Parametrised):
 
 _MATCHERS: dict[type[Limits], Callable[[Pair, Any], Matches]] = {
     WindowMatcher: window.match_pair,
+    SemiGlobal: semi_global.match_pair,
     Program: program.match_pair,
     StereoBM: peers.match_pair,
     StereoSGBM: peers.match_pair,
@@ -70,6 +72,7 @@ def _tag(value: Any) -> str:
 
 Matcher = Annotated[
     Annotated[WindowMatcher, Tag("WindowMatcher")]
+    | Annotated[SemiGlobal, Tag("SemiGlobal")]
     | Annotated[Program, Tag("Program")]
     | Annotated[StereoBM, Tag("StereoBM")]
     | Annotated[StereoSGBM, Tag("StereoSGBM")]

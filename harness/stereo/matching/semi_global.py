@@ -1,0 +1,456 @@
+"""Semi-global matching around the seam (Hirschmüller 2005, 2008), on parallaxes.
+
+**Labels** are whole steps k of alpha_2 - alpha_1, the angle that the baseline fills as seen from the point. It is
+defined and continuous in every direction but those of t and -t themselves, where it tends to 0: paths run straight on
+across their azimuths, where a label that counts columns changes its sign, and a vertical baseline is no exception.
+`asin(|t|/d_min)` bounds the number of labels everywhere; in columns, the floor under the sensor takes twice as many.
+
+**Views are compared on the sphere's longitudes and latitudes about the baseline.** There all points of an epipolar
+curve lie in one row, the sample k of a pixel is k columns on, and a patch of the floor keeps its height and nearly its
+width; on the cylinder, whose rows stretch towards the nadir, it may become five times as high from one view to the
+other. The rows of view 2 that its panorama has not got, but its mirror image has, are there as well: a tenth of the
+pixels of the paper's box are seen in them. Each pixel of view 1's panorama is compared at the nearest such place, the
+same in both views, so that one image as both views has no parallax at all. What this rounding costs is the change of
+the parallax over half a step, and measured, finer steps gain nothing.
+
+**The matching cost** is the number of differing bits of census transforms (5 x 5, after a slight blur), averaged over a
+box of pixels with one label. Any growing function of the grey levels leaves it as it is.
+
+**Paths run over view 1's panorama.** Around a row they have neither beginning nor end: each is followed until it
+repeats itself, so that every pixel has the costs of an endless path, and a turn of the panorama by whole columns turns
+the result. Rows end above and below.
+"""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy import ndimage
+
+from harness.camera.angles import Array
+from harness.camera.sensor import Sensor, project
+from harness.spec import Positive
+from harness.stereo.epipolar import Curves, alpha_2_at, epipolar_curves
+from harness.stereo.matching import _semi_global_kernels as kernels
+from harness.stereo.matching.contract import Limits, Matches, Reason
+from harness.stereo.matching.subpixel import refine
+from harness.stereo.pair import Pair
+from harness.stereo.panorama import directions
+
+PER_BIT = 2
+"""Costs are counted in halves of a bit."""
+BITS = (2 * kernels.REACH + 1) ** 2 - 1
+"""Of a census code: the most that two pixels differ by."""
+_PER_GREY = 16
+"""Steps in a grey level of what the census compares, before the blur adds four bits."""
+
+
+class SemiGlobal(Limits):
+    """Settings of semi-global matching. One set for all scenes; measured on box, corridor and room, without noise and
+    with 10 grey levels of it.
+
+    - `pitch_px` 1: half of it doubles the time, and helps a little without noise and harms with it.
+    - `blur`: (1 2 1)/4 along rows and columns before the census. Without it, a third more pixels are off by more than
+      1 px at noise 10; without noise it is the blur that costs a little.
+    - `box_px` 5: of 1, 3, 5 and 7 the best on average; the smaller ones only win where there is neither noise nor
+      slant.
+    - `p1_bits`, `p2_bits`: what a step and a jump from one pixel to the next cost, in differing bits of 24. Errors
+      change little from half to twice these.
+    - `edge_grey`: P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, Hirschmüller's idea; 0 leaves P2 as it
+      is, since it gains nothing at the room's edges, and more pixels go astray in noise.
+    - `paths`: 4 directions, along rows and columns, or the diagonals as well, which takes half as long again and gains
+      nothing on these scenes.
+    - `subpixel`: `v`, two lines of opposite slopes through the three best sums, `parabola3`, or `none`.
+    - `consistency_px`: a pixel whose place in view 2 is a better match of another pixel, with a parallax that differs
+      by more than this, is `Reason.INCONSISTENT`; 0 keeps all. At 2 hardly any of the right pixels of box and corridor
+      are lost, and nearly half of the room's wrong ones; at 1 several times as many right ones are, on slanted surfaces.
+    """
+
+    kind: Literal["sgm"] = "sgm"
+    sampling: Literal["alpha"] = "alpha"
+    pitch_px: Positive = 1.0
+    blur: bool = True
+    box_px: Annotated[int, Field(ge=1, le=15)] = 5
+    p1_bits: Annotated[float, Field(ge=0)] = 8.0
+    p2_bits: Annotated[float, Field(ge=0)] = 64.0
+    edge_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
+    paths: Literal[4, 8] = 4
+    subpixel: Literal["none", "parabola3", "v"] = "v"
+    consistency_px: Annotated[float, Field(ge=0)] = 2.0
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "SemiGlobal":
+        if self.box_px % 2 == 0:
+            raise ValueError(f"box_px must be odd, so that the box has a centre; found {self.box_px}")
+        if self.p1_bits > self.p2_bits:
+            raise ValueError(f"p1_bits = {self.p1_bits:g} must not be above p2_bits = {self.p2_bits:g}")
+        # A path cost is at most a matching cost and P2, P1 is added to it, and 8 bits must hold that.
+        largest = 255 / PER_BIT - BITS
+        if self.p1_bits + self.p2_bits > largest:
+            raise ValueError(
+                f"p1_bits + p2_bits must not be above {largest:g}; found {self.p1_bits:g} + {self.p2_bits:g}"
+            )
+        return self
+
+
+def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
+    """Match the mirror images, resampled about the baseline as `pair.interpolation` says.
+
+    A pixel is `CURVE_LEAVES_IMAGE` if its best sample is at a place that view 2 does not see.
+    """
+    geometry = _geometry(pair, matcher)
+    settings = ("about the baseline", geometry.places, pair.interpolation)
+    views = pair.shared("about the baseline", settings, lambda: _views(pair, geometry))
+    searched = matcher.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
+    found = pair.shared(
+        "match", (searched, pair.interpolation), lambda: search(views, geometry, searched, pair.available_threads)
+    )
+    return pair.shared("sub-pixel", (matcher, pair.interpolation), lambda: match(found, geometry, matcher))
+
+
+# -- Geometry: depends on the pose and the limits alone, and is kept for the next pair of images -----------------------
+
+
+@dataclass(frozen=True)
+class Places:
+    """Directions about t, the same for both views: row b is a half plane through t, and column a an angle to t."""
+
+    t_v1: tuple[float, float, float]
+    rows: int
+    """Once around, in steps of `2 pi/rows`."""
+    columns: int
+    step: float
+    """Radians from a column to the next; column 0 looks along t."""
+
+    @property
+    def directions(self) -> Array:
+        """`[rows, columns, 3]`, unit vectors in v1's frame."""
+        t_hat, e_1, e_2 = frame_about(np.array(self.t_v1))
+        around, alpha = np.arange(self.rows) * (2 * np.pi / self.rows), np.arange(self.columns) * self.step
+        across = np.cos(around)[:, None] * e_1 + np.sin(around)[:, None] * e_2
+        return np.cos(alpha)[:, None] * t_hat + np.sin(alpha)[:, None] * across[:, None, :]
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where every pixel of view 1's panorama is compared."""
+
+    curves: Curves
+    places: Places
+    around: NDArray[np.int32]
+    along: NDArray[np.int32]
+    """`[height, width]`: the row and column of `places` nearest to the pixel's direction. Sample k is k columns on."""
+    k_0: int
+    """The first label: one before any searched one, for the sub-pixel fit."""
+    labels: int
+    """How many; whole blocks, and at least one more than is searched."""
+
+
+def frame_about(t: Array) -> tuple[Array, Array, Array]:
+    """Three unit vectors at right angles to each other, the first along t."""
+    t_hat = t / np.linalg.norm(t)
+    reference = np.eye(3)[0 if abs(t_hat[2]) > 0.9 else 2]
+    e_1 = reference - (reference @ t_hat) * t_hat
+    e_1 /= np.linalg.norm(e_1)
+    return t_hat, e_1, np.cross(t_hat, e_1)
+
+
+def _geometry(pair: Pair, matcher: SemiGlobal) -> Geometry:
+    curves = epipolar_curves(
+        pair.grid,
+        pair.t_v1,
+        d_min_m=matcher.d_min_m,
+        d_max_m=matcher.d_max_m,
+        sampling="alpha",
+        pitch_px=matcher.pitch_px,
+    )
+    return _geometry_of(curves)
+
+
+@lru_cache(maxsize=4)
+def _geometry_of(curves: Curves) -> Geometry:
+    step = float(curves.step[0, 0])
+    _, e_1, e_2 = frame_about(curves.t)
+    x = directions(curves.grid)
+    rows = max(1, round(2 * np.pi / step))
+    x_, y_, z_ = (float(value) for value in curves.t)
+    places = Places((x_, y_, z_), rows, math.ceil(np.pi / step) + 1, step)
+    around = np.rint(np.arctan2(x @ e_2, x @ e_1) * (rows / (2 * np.pi))).astype(np.int32) % rows
+    along = np.rint(curves.alpha_1 / step).astype(np.int32)
+    searched = curves.k_last >= curves.k_first
+    k_0 = int(curves.k_first[searched].min(initial=0)) - 1
+    needed = int(curves.k_last[searched].max(initial=0)) + 2 - k_0
+    labels = kernels.BLOCK * math.ceil(needed / kernels.BLOCK)
+    return Geometry(curves, places, around, along, k_0, labels)
+
+
+# -- Images ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An image at `Places`."""
+
+    values: NDArray[np.int32]
+    """`[rows, columns]`, sixteenths of a grey level; 0 where not seen."""
+    seen: NDArray[np.bool_]
+
+
+def _views(pair: Pair, geometry: Geometry) -> tuple[View, View]:
+    """Straight from the mirror images, both in v1's orientation."""
+    order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
+
+    def view(image: NDArray[np.float32], R: Array) -> View:
+        coordinates, seen = _sampling_table(pair.sensor, geometry.places, R.tobytes())
+        values = ndimage.map_coordinates(image, coordinates, order=order, mode="nearest", output=np.float32)
+        values = np.where(seen, np.clip(values, 0, 255), 0)
+        return View(np.rint(values * _PER_GREY).astype(np.int32), seen)
+
+    return view(pair.images[0], np.eye(3)), view(pair.images[1], pair.motion.R_v2_from_v1)
+
+
+@lru_cache(maxsize=8)
+def _sampling_table(sensor: Sensor, places: Places, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
+    """Where on the mirror image each place is sampled, (rows, columns), and whether the sensor sees it."""
+    pixels, seen = project(sensor, places.directions @ np.frombuffer(rotation).reshape(3, 3).T)
+    coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
+    coordinates.flags.writeable = False
+    seen.flags.writeable = False
+    return coordinates, seen
+
+
+# -- Search ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best label of every pixel; all `[height, width]`."""
+
+    best: NDArray[np.int32]
+    """Labels from `Geometry.k_0` on; -1 where none is searched."""
+    nearby: NDArray[np.uint16]
+    """`[height, width, 3]`: sums over all paths at the best label and beside it."""
+    second: NDArray[np.uint16]
+    """The least sum of a searched label that is not beside the best one."""
+    seen_1: NDArray[np.bool_]
+    seen_2: NDArray[np.bool_]
+    """Whether the views see the pixel, and its best sample."""
+
+
+def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, threads: int) -> Found:
+    """Costs, paths, and the best label of every pixel; a tie goes to the one nearer to infinity.
+
+    The paths that come from above and those from below are followed at the same time, each through its own half of the
+    rows first, and then through the other's, where the sums are then complete: two threads are of use, and more only
+    before that.
+    """
+    curves = geometry.curves
+    height, _ = curves.grid.shape
+    with ThreadPoolExecutor(threads) as pool:
+
+        def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
+            edges = np.linspace(0, rows, min(threads, rows) + 1).astype(int).tolist()
+            list(pool.map(work, edges[:-1], edges[1:]))
+
+        codes, smoothed = _codes(views, geometry, matcher, in_bands)
+        margin = _margin(geometry)
+        costs = np.empty((*curves.grid.shape, geometry.labels), np.uint8)
+        in_bands(
+            height,
+            lambda first, end: kernels.matching_costs(
+                codes[0],
+                codes[1],
+                geometry.around,
+                geometry.along,
+                margin,
+                geometry.k_0,
+                curves.k_first,
+                curves.k_last,
+                matcher.box_px // 2,
+                round(PER_BIT * 2**16 / matcher.box_px**2),
+                np.uint8(PER_BIT * BITS),
+                first,
+                end,
+                costs,
+            ),
+        )
+        grey = smoothed[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
+        best, nearby, second = aggregate(
+            costs, geometry.k_0, curves.k_first, curves.k_last, jumps(grey, curves.grid.shape, matcher), matcher, pool
+        )
+    a = geometry.along + margin
+    seen_1, seen_2 = (
+        codes[view][geometry.around, a + shift] < kernels.ABSENT
+        for view, shift in ((0, 0), (1, geometry.k_0 + np.maximum(best, 0)))
+    )
+    return Found(best, nearby, second, seen_1, seen_2)
+
+
+def jumps(grey: Array | None, shape: tuple[int, int], matcher: SemiGlobal) -> NDArray[np.uint8]:
+    """P2 in halves of a bit, `[4, height, width]`: between a pixel and the one to the left of it, above it, to its
+    upper left and to its upper right; the last three mean nothing in the first row.
+
+    Parameters
+    ----------
+    grey
+        `[height, width]`, grey levels; None for one P2 everywhere.
+    """
+    p1, p2 = PER_BIT * matcher.p1_bits, PER_BIT * matcher.p2_bits
+    if grey is None or not matcher.edge_grey:
+        return np.full((4, *shape), round(p2), dtype=np.uint8)
+    steps = np.stack([np.abs(grey - np.roll(grey, shift, axis=(0, 1))) for shift in ((0, 1), (1, 0), (1, 1), (1, -1))])
+    return np.rint(np.maximum(p1, p2 / (1 + steps / matcher.edge_grey))).astype(np.uint8)
+
+
+def aggregate(
+    costs: NDArray[np.uint8],
+    k_0: int,
+    k_first: NDArray[np.int32],
+    k_last: NDArray[np.int32],
+    p2: NDArray[np.uint8],
+    matcher: SemiGlobal,
+    pool: ThreadPoolExecutor,
+) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]:
+    """Follow the paths, add up their costs, and take the best label of each pixel.
+
+    Parameters
+    ----------
+    costs
+        `[height, width, labels]`, halves of a bit.
+    k_first, k_last
+        `[height, width]`: the samples to choose from, the first label being sample k_0.
+    p2
+        From `jumps`.
+
+    Returns
+    -------
+    best, nearby, second
+        As in `Found`.
+    """
+    height, width, labels = costs.shape
+    p1 = np.uint8(round(PER_BIT * matcher.p1_bits))
+    sideways = np.array([0] if matcher.paths == 4 else [0, 1, -1])
+    guard = 255 - int(p1)
+    sums = np.empty(costs.shape, np.uint16)
+    best = np.empty((height, width), np.int32)
+    nearby = np.zeros((height, width, 3), np.uint16)
+    second = np.zeros((height, width), np.uint16)
+    middle = height // 2
+
+    class Half:
+        """The paths from above, or those from below."""
+
+        def __init__(self, downwards: bool) -> None:
+            self.downwards = downwards
+            self.state = np.full((2, sideways.size, width, labels + 2), guard, np.uint8)
+            self.least = np.zeros((2, sideways.size, width), np.uint8)
+
+        def first(self) -> None:
+            kernels.first_half(
+                costs,
+                0 if self.downwards else height - 1,
+                middle if self.downwards else height - middle,
+                self.downwards,
+                sideways,
+                p1,
+                p2,
+                self.state,
+                self.least,
+                np.full((2, width, labels + 2), guard, np.uint8),
+                np.full((1, 1, labels + 2), guard, np.uint8),
+                sums,
+            )
+
+        def second(self) -> None:
+            kernels.second_half(
+                costs,
+                middle if self.downwards else middle - 1,
+                height - middle if self.downwards else middle,
+                middle if self.downwards else height - middle,
+                self.downwards,
+                sideways,
+                p1,
+                p2,
+                self.state,
+                self.least,
+                sums,
+                k_0,
+                k_first,
+                k_last,
+                best,
+                nearby,
+                second,
+            )
+
+    halves = Half(downwards=True), Half(downwards=False)
+    list(pool.map(Half.first, halves))
+    list(pool.map(Half.second, halves))
+    return best, nearby, second
+
+
+def _codes(
+    views: tuple[View, View],
+    geometry: Geometry,
+    matcher: SemiGlobal,
+    in_bands: Callable[[int, Callable[[int, int], None]], None],
+) -> tuple[list[NDArray[np.uint32]], NDArray[np.int32]]:
+    """Census codes of both views, with margins, and the blurred image of view 1."""
+    shape = views[0].values.shape
+    margin = _margin(geometry)
+    codes = [np.empty((shape[0], shape[1] + 2 * margin), np.uint32) for _ in views]
+    smoothed = [np.empty(shape, np.int32) for _ in views]
+    for view, image, out in zip(views, smoothed, codes, strict=True):
+        in_bands(shape[0], partial(kernels.smooth, view.values, matcher.blur, out=image))
+        in_bands(shape[0], partial(kernels.census, image, view.seen, margin, codes=out))
+    return codes, smoothed[0]
+
+
+def _margin(geometry: Geometry) -> int:
+    """Columns beside the codes, so that every label of every pixel has a place."""
+    return geometry.labels + abs(geometry.k_0)
+
+
+# -- Answer ------------------------------------------------------------------------------------------------------------
+
+
+def match(found: Found, geometry: Geometry, matcher: SemiGlobal) -> Matches:
+    """Check whether matches agree with each other, apply the sub-pixel step, and turn samples into angles."""
+    curves = geometry.curves
+    reason = np.full(curves.grid.shape, Reason.MATCHED, dtype=np.uint8)
+    reason[~found.seen_2] = Reason.CURVE_LEAVES_IMAGE
+    reason[found.best < 0] = Reason.NO_SAMPLE
+    reason[~curves.defined] = Reason.NO_EPIPOLAR_PLANE
+    reason[~found.seen_1] = Reason.WINDOW_LEAVES_IMAGE
+    sample = found.best + geometry.k_0
+    if matcher.consistency_px:
+        keeps = np.ones(curves.grid.shape, dtype=bool)
+        kernels.consistent(
+            geometry.around,
+            geometry.along,
+            np.where(reason == Reason.MATCHED, sample, -1),
+            found.nearby[..., 1],
+            math.floor(matcher.consistency_px / matcher.pitch_px + 1e-9),
+            geometry.places.rows,
+            geometry.places.columns + geometry.labels,
+            keeps,
+        )
+        reason[~keeps] = Reason.INCONSISTENT
+    matched = reason == Reason.MATCHED
+
+    offset, refined = refine(found.nearby.astype(np.float64), matcher.subpixel)
+    k = sample + offset
+    # Between d_max and d_min, as the search itself: finite limits keep every range finite.
+    refined &= matched & (k >= curves.k_far) & (k <= curves.k_near)
+    k = np.where(matched, np.where(refined, k, sample), np.nan)
+    alpha_2 = np.full(k.shape, np.nan)
+    alpha_2[matched] = alpha_2_at(curves, k[matched], (matched,))
+    rival = np.maximum(found.second, 1)
+    confidence = np.where(matched, 1 - found.nearby[..., 1] / rival, np.nan)
+    confidence[matched & (found.second == 0)] = 0
+    return Matches(alpha_2=alpha_2, confidence=confidence, reason=reason, refined=refined, k=k)
