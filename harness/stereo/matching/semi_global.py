@@ -66,10 +66,11 @@ class SemiGlobal(Limits):
       is, since it gains nothing at the room's edges, and more pixels go astray in noise.
     - `paths`: 4 directions, along rows and columns, or the diagonals as well, which takes half as long again and gains
       nothing on these scenes.
-    - `subpixel`: `v`, two lines of opposite slopes through the three best sums, `parabola3`, or `none`.
+    - `subpixel`: `v`, two lines of opposite slopes through the best sum and its neighbours; `parabola`, through
+      the same three; or `none`.
     - `consistency_px`: a pixel whose place in view 2 is a better match of another pixel, with a parallax that differs
-      by more than this, is `Reason.INCONSISTENT`; 0 keeps all. At 2 hardly any of the right pixels of box and corridor
-      are lost, and nearly half of the room's wrong ones; at 1 several times as many right ones are, on slanted surfaces.
+      by more than this, is `Reason.INCONSISTENT`; 0 keeps all. At 2 nearly half of the room's wrong pixels are lost,
+      and hardly any right ones of box and corridor; at 1 several times as many are, on slanted surfaces.
     """
 
     kind: Literal["sgm"] = "sgm"
@@ -81,7 +82,7 @@ class SemiGlobal(Limits):
     p2_bits: Annotated[float, Field(ge=0)] = 64.0
     edge_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
     paths: Literal[4, 8] = 4
-    subpixel: Literal["none", "parabola3", "v"] = "v"
+    subpixel: Literal["none", "parabola", "v"] = "v"
     consistency_px: Annotated[float, Field(ge=0)] = 2.0
 
     @model_validator(mode="after")
