@@ -18,11 +18,13 @@ from harness import shipped
 from harness.camera.pose import Pose
 from harness.cli import main
 from harness.conformity import CHECKS, GRID, Finding, Subject, conformity, examine, quarter_turn, scenery
+from harness.errors import InputError
 from harness.experiments.experiment import load_matcher
 from harness.experiments.spec import SecondView, Trial
 from harness.experiments.trial import run_trial
 from harness.simulation.scene import load_scene
 from harness.stereo.matching import registry
+from harness.stereo.matching.window_settings import WindowMatcher
 
 pytest_plugins = "pytester"
 ROOT = Path(__file__).parent.parent
@@ -203,6 +205,17 @@ def test_a_matcher_that_cannot_be_found(arguments: list[str], said: str, capsys:
     assert printed.out == ""
     assert printed.err.startswith(f"omnirange: {said}")
     assert printed.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("table", ["matching", "trial.matching"])
+def test_a_matcher_from_a_file(table: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(f'[{table}]\nkind = "column"\nwindow_px = 7\n')
+    matcher = load_matcher(str(file), ["matching.d_min_m=0.5"])
+    assert matcher == WindowMatcher(kind="column", window_px=7, d_min_m=0.5)
+    file.write_text("[trial]\nseed = 1\n")
+    with pytest.raises(InputError, match=r"mine.toml: has no table \[matching\], nor \[trial.matching\]"):
+        load_matcher(str(file))
 
 
 def test_marks_where_the_terminal_knows_letters_alone(monkeypatch: pytest.MonkeyPatch) -> None:

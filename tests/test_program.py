@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from sweeps import omnirange, write_small
+from sweeps import begin, kill_group, omnirange, write_small
 
 from harness.camera.pose import Motion, Pose, relative_motion
 from harness.camera.sensor import Camera, Sensor, load_sensor
@@ -229,6 +229,21 @@ def test_nothing_is_left_running_behind_a_good_answer(pair: Pair, tmp_path: Path
     registry.match_pair(pair, fast(tmp_path, script))
     assert time.monotonic() - begun < 20
     assert not _sleepers("62.5")
+
+
+def test_a_program_does_not_outlive_who_started_it(tmp_path: Path) -> None:
+    (tmp_path / "matcher.sh").write_text(f"touch {tmp_path}/begun\nsleep 63.75\n")
+    write_small(
+        tmp_path / "small.toml",
+        '[trial.matching]\nkind = "program"\ncommand = ["sh", "matcher.sh", "{input}", "{output}"]\n',
+    )
+    process = begin(tmp_path, "run", "small.toml", "--out", "out", "--no-report")
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "begun").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    kill_group(process)
+    assert (tmp_path / "begun").exists()
+    assert not _sleepers("63.75")
 
 
 def _sleepers(seconds: str) -> list[psutil.Process]:

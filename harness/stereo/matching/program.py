@@ -12,7 +12,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -218,18 +218,32 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
             )
         except (OSError, ValueError) as error:
             raise InputError(f"cannot be started ({getattr(error, 'strerror', None) or error})", file=name) from error
-        try:
-            code = process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            raise InputError(
-                f"was not done after timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
-            ) from None
-        finally:
-            _kill(process)
+        with _dying_with_us(process):
+            try:
+                code = process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                raise InputError(
+                    f"was not done after timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
+                ) from None
+            finally:
+                _kill(process)
     if code < 0:
         raise InputError(f"was ended by {_signal(-code)}{_last_words(log)}", file=name)
     if code:
         raise InputError(f"ended with exit code {code}{_last_words(log)}", file=name)
+
+
+@contextlib.contextmanager
+def _dying_with_us(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """See to it that a program ends when this process is killed, and nobody is left to watch its time."""
+    watch = f"read nothing; kill -s KILL -- -{process.pid}"  # a pipe ends with the process that holds its other end
+    with subprocess.Popen(  # noqa: S603 - a command of our own
+        ["/bin/sh", "-c", watch], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+    ) as watcher:
+        try:
+            yield
+        finally:
+            watcher.kill()
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
