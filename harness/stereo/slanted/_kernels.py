@@ -1,0 +1,453 @@
+"""Compiled loops over mirror pixels. `refine` lays out their arguments.
+
+Every loop works on rows of view 1's mirror image and writes to these rows alone. Bands of rows may run side by side, as
+long as their borders stay the same: running sums begin anew at each.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+SUMS = 24
+"""Of which the normal equations of a window are made."""
+
+VALUE_NOISE = 0.87423
+SLOPE_NOISE = 2.47461
+"""Mean variance along one axis of white noise of variance 1 after interpolation by the cubic B-spline, and of its
+derivative: the integrals over w of H² and of (w H)², over 2 pi, with H = 3 sinc(w/2)^4/(2 + cos w)."""
+
+
+# -- A point of view 1, in view 2 --------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _in_view_2(x, y, z, w, R, s, camera):
+    """Pixel (u, v) at which view 2 sees the point in direction (x, y, z) at inverse range w, how (u, v) changes with
+    w, and whether the point is in the field.
+
+    The point lies along q = R (x - w t) = R x + w s, s = -R t; q goes through the unified model (see
+    `harness.camera.unified`), and then through the lens.
+    """
+    xi, gamma_u, gamma_v, cu, cv, k1, k2, p1, p2, k3, lowest, highest = camera
+    qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + w * s[0]
+    qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + w * s[1]
+    qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz)
+    below = xi * norm - qz
+    a, b = qx / below, qy / below
+    below_w = xi * (qx * s[0] + qy * s[1] + qz * s[2]) / norm - s[2]
+    a_w, b_w = (s[0] - a * below_w) / below, (s[1] - b * below_w) / below
+    r2 = a * a + b * b
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    along = slope * (a * a_w + b * b_w)
+    u = gamma_u * (a * radial + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)) + cu
+    v = gamma_v * (b * radial + 2.0 * p2 * a * b + p1 * (r2 + 2.0 * b * b)) + cv
+    both = a_w * b + a * b_w
+    u_w = gamma_u * (a_w * radial + a * along + 2.0 * p1 * both + p2 * (6.0 * a * a_w + 2.0 * b * b_w))
+    v_w = gamma_v * (b_w * radial + b * along + 2.0 * p2 * both + p1 * (6.0 * b * b_w + 2.0 * a * a_w))
+    return u, v, u_w, v_w, lowest * norm <= qz <= highest * norm
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _spline(coefficients, u, v):
+    """The cubic B-spline at (u, v), and its derivatives along u and v; NaN unless all its taps are there."""
+    i, j = math.floor(v), math.floor(u)
+    if not (1 <= i < coefficients.shape[0] - 2 and 1 <= j < coefficients.shape[1] - 2):
+        return math.nan, math.nan, math.nan
+    f = u - j
+    e = 1.0 - f
+    a0, a1, a2, a3 = e * e * e / 6.0, 2 / 3 - f * f * (1.0 - 0.5 * f), 2 / 3 - e * e * (1.0 - 0.5 * e), f * f * f / 6.0
+    d0, d1, d2, d3 = -0.5 * e * e, f * (1.5 * f - 2.0), e * (2.0 - 1.5 * e), 0.5 * f * f
+    f = v - i
+    e = 1.0 - f
+    value = along_u = along_v = 0.0
+    for k in range(4):
+        if k == 0:
+            weight, change = e * e * e / 6.0, -0.5 * e * e
+        elif k == 1:
+            weight, change = 2 / 3 - f * f * (1.0 - 0.5 * f), f * (1.5 * f - 2.0)
+        elif k == 2:
+            weight, change = 2 / 3 - e * e * (1.0 - 0.5 * e), e * (2.0 - 1.5 * e)
+        else:
+            weight, change = f * f * f / 6.0, 0.5 * f * f
+        row = i - 1 + k
+        c0, c1, c2, c3 = (
+            coefficients[row, j - 1],
+            coefficients[row, j],
+            coefficients[row, j + 1],
+            coefficients[row, j + 2],
+        )
+        line = c0 * a0 + c1 * a1 + c2 * a2 + c3 * a3
+        value += weight * line
+        along_u += weight * (c0 * d0 + c1 * d1 + c2 * d2 + c3 * d3)
+        along_v += change * line
+    return value, along_u, along_v
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def warp_rows(first, end, seen, x, w, R, s, camera, coefficients, known, value, slope, motion):
+    """Sample view 2 for every pixel with an inverse range.
+
+    seen : `[height, width]`. x : `[height, width, 3]`, unit. w : `[height, width]`, 1/m; NaN where it is not known.
+    known, value, slope, motion : written; whether there is a sample, I_2, dI_2/dw, and (du/dw)² + (dv/dw)².
+    """
+    for i in range(first, end):
+        for j in range(seen.shape[1]):
+            known[i, j] = False
+            if not (seen[i, j] and math.isfinite(w[i, j])):
+                continue
+            u, v, u_w, v_w, inside = _in_view_2(x[i, j, 0], x[i, j, 1], x[i, j, 2], w[i, j], R, s, camera)
+            if not inside:
+                continue
+            grey, along_u, along_v = _spline(coefficients, u, v)
+            if math.isnan(grey):
+                continue
+            known[i, j] = True
+            value[i, j] = grey
+            slope[i, j] = along_u * u_w + along_v * v_w
+            motion[i, j] = u_w * u_w + v_w * v_w
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def median_rows(first, end, reach, seen, w, smooth):
+    """Median of the known inverse ranges about every pixel; NaN where fewer than a third are known.
+
+    A window takes its samples to be linear in the inverse range, and one that is far off weighs as the square of that.
+    """
+    size = (2 * reach + 1) * (2 * reach + 1)
+    values = np.empty(size)
+    for i in range(first, end):
+        for j in range(seen.shape[1]):
+            smooth[i, j] = math.nan
+            if not seen[i, j]:
+                continue
+            n = 0
+            for row in range(max(0, i - reach), min(seen.shape[0], i + reach + 1)):
+                for column in range(max(0, j - reach), min(seen.shape[1], j + reach + 1)):
+                    value = w[row, column]
+                    if math.isfinite(value):
+                        k = n
+                        while k > 0 and values[k - 1] > value:
+                            values[k] = values[k - 1]
+                            k -= 1
+                        values[k] = value
+                        n += 1
+            if 3 * n >= size:
+                smooth[i, j] = values[n // 2]
+
+
+# -- Planes ------------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add_row(sums, half, i, sign, known, x, w, first_image, value, slope, motion):
+    """Add a row of pixels to the sums of their columns, or take it off; column j is `sums[half + j]`.
+
+    With h = I_2 - g w, the warped image is h + g (m·x) for any plane m.
+    """
+    for j in range(known.shape[1]):
+        if not known[i, j]:
+            continue
+        g, I_1, I_2 = float(slope[i, j]), float(first_image[i, j]), float(value[i, j])
+        h = I_2 - g * w[i, j]
+        gx, gy, gz = g * x[i, j, 0], g * x[i, j, 1], g * x[i, j, 2]
+        column = sums[half + j]
+        column[0] += sign * gx * gx
+        column[1] += sign * gx * gy
+        column[2] += sign * gx * gz
+        column[3] += sign * gy * gy
+        column[4] += sign * gy * gz
+        column[5] += sign * gz * gz
+        column[6] += sign * gx
+        column[7] += sign * gy
+        column[8] += sign * gz
+        column[9] += sign * gx * I_1
+        column[10] += sign * gy * I_1
+        column[11] += sign * gz * I_1
+        column[12] += sign * gx * h
+        column[13] += sign * gy * h
+        column[14] += sign * gz * h
+        column[15] += sign * I_1
+        column[16] += sign * I_1 * I_1
+        column[17] += sign * h
+        column[18] += sign * h * h
+        column[19] += sign * I_1 * h
+        column[20] += sign
+        column[21] += sign * I_2
+        column[22] += sign * I_2 * I_2
+        column[23] += sign * motion[i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(sums, x, least, slope_weight, plane, covariance):
+    """The plane of a window about direction x, by least squares in the value at x and the slopes along two tangents.
+
+    I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
+    deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
+
+    plane, covariance : written; m, and the inverse normal matrix in x's tangent coordinates, upper triangle by rows.
+    Returns the variance of the residual (infinite where there is no plane), a, b, and the noise's share in the sum
+    of g².
+    """
+    n = sums[20]
+    variance_1 = sums[16] - sums[15] * sums[15] / n
+    variance_2 = sums[22] - sums[21] * sums[21] / n
+    if n < least or not (variance_1 > 1e-3 * n and variance_2 > 1e-3 * n):
+        return math.inf, 1.0, 0.0, 1.0
+    a = math.sqrt(variance_1 / variance_2)
+    mean = sums[15] - a * sums[17]
+    xx, xy, xz = sums[0] - sums[6] * sums[6] / n, sums[1] - sums[6] * sums[7] / n, sums[2] - sums[6] * sums[8] / n
+    yy, yz, zz = sums[3] - sums[7] * sums[7] / n, sums[4] - sums[7] * sums[8] / n, sums[5] - sums[8] * sums[8] / n
+    right_x = a * (sums[9] - a * sums[12] - sums[6] * mean / n)
+    right_y = a * (sums[10] - a * sums[13] - sums[7] * mean / n)
+    right_z = a * (sums[11] - a * sums[14] - sums[8] * mean / n)
+    total = sums[16] - 2.0 * a * sums[19] + a * a * sums[18] - mean * mean / n
+
+    # Tangents at x: along the parallel, e = (-sin phi, cos phi, 0), and along the meridian, f = x × e.
+    cosine = math.sqrt(x[0] * x[0] + x[1] * x[1])
+    if cosine > 1e-9:
+        e_x, e_y = -x[1] / cosine, x[0] / cosine
+    else:
+        e_x, e_y = 0.0, 1.0
+    f_x, f_y, f_z = -x[2] * e_y, x[2] * e_x, x[0] * e_y - x[1] * e_x
+    # Rows of the normal matrix times each of the three vectors.
+    px, py, pz = xx * x[0] + xy * x[1] + xz * x[2], xy * x[0] + yy * x[1] + yz * x[2], xz * x[0] + yz * x[1] + zz * x[2]
+    ex, ey, ez = xx * e_x + xy * e_y, xy * e_x + yy * e_y, xz * e_x + yz * e_y
+    fx, fy, fz = xx * f_x + xy * f_y + xz * f_z, xy * f_x + yy * f_y + yz * f_z, xz * f_x + yz * f_y + zz * f_z
+    scale = a * a
+    ridge = slope_weight * variance_1 / n
+    m00 = scale * (px * x[0] + py * x[1] + pz * x[2])
+    m01, m02 = scale * (px * e_x + py * e_y), scale * (px * f_x + py * f_y + pz * f_z)
+    m11, m12 = scale * (ex * e_x + ey * e_y) + ridge, scale * (ex * f_x + ey * f_y + ez * f_z)
+    m22 = scale * (fx * f_x + fy * f_y + fz * f_z) + ridge
+    y0 = right_x * x[0] + right_y * x[1] + right_z * x[2]
+    y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
+
+    c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
+    c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
+    determinant = m00 * c00 + m01 * c01 + m02 * c02
+    if not determinant > 1e-12 * m00 * m11 * m22:
+        return math.inf, 1.0, 0.0, 1.0
+    p0 = (c00 * y0 + c01 * y1 + c02 * y2) / determinant
+    p1 = (c01 * y0 + c11 * y1 + c12 * y2) / determinant
+    p2 = (c02 * y0 + c12 * y1 + c22 * y2) / determinant
+    plane[0] = p0 * x[0] + p1 * e_x + p2 * f_x
+    plane[1] = p0 * x[1] + p1 * e_y + p2 * f_y
+    plane[2] = p0 * x[2] + p2 * f_z
+    covariance[0], covariance[1], covariance[2] = c00 / determinant, c01 / determinant, c02 / determinant
+    covariance[3], covariance[4], covariance[5] = c11 / determinant, c12 / determinant, c22 / determinant
+    b = (mean - a * (sums[6] * plane[0] + sums[7] * plane[1] + sums[8] * plane[2])) / n
+    residual = max(total - (p0 * y0 + p1 * y1 + p2 * y2), 0.0) / (n - 5.0)
+    noise = residual / (1.0 + scale * VALUE_NOISE * VALUE_NOISE)
+    share = noise * VALUE_NOISE * SLOPE_NOISE * sums[23] / (sums[0] + sums[3] + sums[5])
+    correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
+    if correlation < 3.0 / math.sqrt(n):
+        share = 1.0  # as likely as not there is nothing in common
+    return residual, a, b, min(share, 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_rows(
+    first, end, half, least, slope_weight, seen, x, w, first_image, known, value, slope, motion,
+    plane, covariance, residual, gain, offset, share,
+):  # fmt: skip
+    """Fit a plane to the window of (2 half + 1)² mirror pixels about every pixel.
+
+    least : samples that a window needs.
+    slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
+    plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` and `[...]`: see
+    `_fit`.
+    """
+    height, width = seen.shape
+    sums = np.zeros((width + 2 * half, SUMS))
+    window = np.empty(SUMS)
+    for i in range(max(0, first - half), min(height, first + half)):
+        _add_row(sums, half, i, 1.0, known, x, w, first_image, value, slope, motion)
+    for i in range(first, end):
+        if i + half < height:
+            _add_row(sums, half, i + half, 1.0, known, x, w, first_image, value, slope, motion)
+        if i - half - 1 >= max(0, first - half):
+            _add_row(sums, half, i - half - 1, -1.0, known, x, w, first_image, value, slope, motion)
+        window[:] = 0.0
+        for j in range(2 * half):
+            for k in range(SUMS):
+                window[k] += sums[j, k]
+        for j in range(width):
+            for k in range(SUMS):
+                window[k] += sums[j + 2 * half, k]
+            residual[i, j] = math.inf
+            if seen[i, j]:
+                residual[i, j], gain[i, j], offset[i, j], share[i, j] = _fit(
+                    window, x[i, j], least, slope_weight, plane[i, j], covariance[i, j]
+                )
+            for k in range(SUMS):
+                window[k] -= sums[j, k]
+
+
+# -- Which plane a pixel lies on ---------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _misfit(i, j, reach, m, a, b, limit, seen, x, R, s, camera, first_image, coefficients):
+    """Mean square of I_1 - a I_2 - b over a patch about (i, j), for plane m; infinite where half of it is not seen.
+
+    Given up, infinite, as soon as it is sure to be above `limit`.
+    """
+    size = float((2 * reach + 1) * (2 * reach + 1))
+    total, n = 0.0, 0.0
+    for row in range(max(0, i - reach), min(seen.shape[0], i + reach + 1)):
+        for column in range(max(0, j - reach), min(seen.shape[1], j + reach + 1)):
+            if not seen[row, column]:
+                continue
+            x_0, x_1, x_2 = x[row, column, 0], x[row, column, 1], x[row, column, 2]
+            w = m[0] * x_0 + m[1] * x_1 + m[2] * x_2
+            u, v, _, _, inside = _in_view_2(x_0, x_1, x_2, w, R, s, camera)
+            grey, _, _ = _spline(coefficients, u, v)
+            if inside and not math.isnan(grey):
+                difference = first_image[row, column] - a * grey - b
+                total += difference * difference
+                n += 1.0
+        if total > limit * size:
+            return math.inf
+    return total / n if n >= 0.5 * size else math.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose_rows(
+    first, end, half, reach, apart, centre_bonus, residual_weight, w_far, w_near, seen, x, t, R, s, camera,
+    first_image, coefficients, plane, residual, gain, offset, w, chosen, rival,
+):  # fmt: skip
+    """Give every pixel the plane of one of nine windows that it lies in: its own, or one moved by `half` pixels.
+
+    Windows at the border of a surface see two of them; one of those moved does not. Where all nine planes agree to
+    within `apart` the own one stands. Otherwise the one that fits best does: a patch about the pixel, and its own
+    window (weight `residual_weight`). Without a patch (`reach` < 0) only windows are compared.
+
+    apart : radians of alpha_2. centre_bonus : factor on the score of the own window.
+    w, chosen, rival : written; the inverse range (NaN: none), the window's flat index (-1: none), and how much worse
+    than the chosen plane the best one fits that is `apart` from it (infinite: there is none).
+    """
+    height, width = seen.shape
+    place, there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
+    for i in range(first, end):
+        for j in range(width):
+            w[i, j], chosen[i, j], rival[i, j] = math.nan, -1, math.inf
+            if not seen[i, j]:
+                continue
+            x_0, x_1, x_2 = x[i, j, 0], x[i, j, 1], x[i, j, 2]
+            n, own, lowest, highest = 0, -1, math.inf, -math.inf
+            for k in range(9):
+                row, column = i + (k // 3 - 1) * half, j + (k % 3 - 1) * half
+                if not (0 <= row < height and 0 <= column < width) or residual[row, column] == math.inf:
+                    continue
+                value = plane[row, column, 0] * x_0 + plane[row, column, 1] * x_1 + plane[row, column, 2] * x_2
+                if w_far <= value <= w_near:
+                    own = n if k == 4 else own
+                    place[n], there[n] = row * width + column, value
+                    score[n] = residual_weight * residual[row, column] * (centre_bonus if k == 4 else 1.0)
+                    lowest, highest = min(lowest, value), max(highest, value)
+                    n += 1
+            if n == 0:
+                continue
+            middle = 0.5 * (lowest + highest)
+            # d alpha_2/dw = |t × x|/|x - w t|²
+            across = (t[1] * x_2 - t[2] * x_1) ** 2 + (t[2] * x_0 - t[0] * x_2) ** 2 + (t[0] * x_1 - t[1] * x_0) ** 2
+            away = (x_0 - middle * t[0]) ** 2 + (x_1 - middle * t[1]) ** 2 + (x_2 - middle * t[2]) ** 2
+            same = apart * away / math.sqrt(across)
+            pick = own
+            if own < 0 or highest - lowest > same:
+                # Planes that agree here are tried once: the best of their windows, or the own one.
+                pick, least, second = -1, math.inf, math.inf
+                left = n
+                while left > 0:
+                    k = own
+                    if k < 0 or left < n:
+                        k = 0
+                        for other in range(1, n):
+                            if score[other] < score[k]:
+                                k = other
+                        if score[k] == math.inf:
+                            break
+                    row, column = place[k] // width, place[k] % width
+                    tried = score[k]
+                    if reach >= 0:
+                        tried += _misfit(
+                            i, j, reach, plane[row, column], gain[row, column], offset[row, column],
+                            1.5 * least + 1.0, seen, x, R, s, camera, first_image, coefficients,
+                        ) * (centre_bonus if k == own else 1.0)  # fmt: skip
+                    if tried < least:
+                        pick, least, second = k, tried, least
+                    elif tried < second:
+                        second = tried
+                    for other in range(n):
+                        if score[other] < math.inf and abs(there[other] - there[k]) <= same:
+                            score[other] = math.inf
+                            left -= 1
+                rival[i, j] = (second + 0.25) / (least + 0.25)
+                if pick < 0:
+                    continue
+            w[i, j], chosen[i, j] = there[pick], place[pick]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def judge_rows(
+    first, end, seen, x, R, s, camera, first_image, known, value, slope, plane, chosen, gain, offset, score, area
+):  # fmt: skip
+    """What is needed to tell how noise adds up: each pixel's term of the normal equations, and how dense samples lie.
+
+    score : written; g (I_1 - a I_2 - b), 0 where there is none.
+    area : written; the area of a pixel of view 2 in pixels of view 1, on the pixel's plane; 1 where it is not known.
+    """
+    height, width = seen.shape
+    for i in range(first, end):
+        for j in range(width):
+            score[i, j], area[i, j] = 0.0, 1.0
+            if not (known[i, j] and chosen[i, j] >= 0):
+                continue
+            row, column = chosen[i, j] // width, chosen[i, j] % width
+            difference = first_image[i, j] - gain[row, column] * value[i, j] - offset[row, column]
+            score[i, j] = slope[i, j] * difference
+            if i + 1 < height and j + 1 < width:
+                m = plane[row, column]
+                u_0, v_0 = _on_plane(x[i, j], m, R, s, camera)
+                u_1, v_1 = _on_plane(x[i, j + 1], m, R, s, camera)
+                u_2, v_2 = _on_plane(x[i + 1, j], m, R, s, camera)
+                area[i, j] = 1.0 / abs((u_1 - u_0) * (v_2 - v_0) - (u_2 - u_0) * (v_1 - v_0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _on_plane(x, m, R, s, camera):
+    """Pixel (u, v) of view 2 at which the point of plane m in direction x is seen."""
+    w = m[0] * x[0] + m[1] * x[1] + m[2] * x[2]
+    u, v, _, _, _ = _in_view_2(x[0], x[1], x[2], w, R, s, camera)
+    return u, v
+
+
+# -- The other way -----------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry_over(seen, x, w, residual, chosen, R, s, camera, w_2, misfit_2):
+    """Carry inverse ranges over to view 2's mirror pixels; of several the one whose window fits best.
+
+    residual, chosen : of view 1's windows, and which one each pixel has taken.
+    w_2, misfit_2 : `[height, width]`, NaN and infinite at first; written where a point of view 1 falls.
+    """
+    for i in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            if not (seen[i, j] and math.isfinite(w[i, j])):
+                continue
+            u, v, _, _, inside = _in_view_2(x[i, j, 0], x[i, j, 1], x[i, j, 2], w[i, j], R, s, camera)
+            row, column = math.floor(v + 0.5), math.floor(u + 0.5)
+            if not (inside and 0 <= row < w_2.shape[0] and 0 <= column < w_2.shape[1]):
+                continue
+            # |x - w t| is d_2/d_1; R leaves the length as it is, and s = -R t.
+            q = 0.0
+            for k in range(3):
+                c = R[k, 0] * x[i, j, 0] + R[k, 1] * x[i, j, 1] + R[k, 2] * x[i, j, 2] + w[i, j] * s[k]
+                q += c * c
+            misfit = residual[chosen[i, j] // seen.shape[1], chosen[i, j] % seen.shape[1]]
+            if misfit < misfit_2[row, column]:
+                w_2[row, column], misfit_2[row, column] = w[i, j] / math.sqrt(q), misfit
