@@ -25,6 +25,7 @@ from harness.report.compare import FIGURES, build_comparison
 from harness.report.law.sections import sections_of
 from harness.report.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
 from harness.report.sweep import Axis, sweep_of, value_text
+from harness.report.words import symbols
 from harness.simulation.scene import load_scene
 from harness.spec import parse
 
@@ -303,6 +304,13 @@ def test_names_and_messages_show_as_text():
     assert downloads(html)["failures"][0]["message"] in document.text
 
 
+def test_symbols_are_set_as_in_captions_and_nothing_else_becomes_html():
+    assert str(symbols("σ(α₂) on |t|/d & d²/|t| <b>")) == (
+        "σ(<i>α</i><sub>2</sub>) on |<b>t</b>|/<i>d</i> &amp; <i>d</i>²/|<b>t</b>| &lt;b&gt;"
+    )
+    assert str(symbols("noise/day, d²")) == "noise/day, d²"
+
+
 # --- In a browser -------------------------------------------------------------------------------------------------
 
 
@@ -320,6 +328,26 @@ def test_sweep_in_chromium(page_file, tmp_path, width):
             assert all(natural > 0 and shown > 100 for natural, shown in sizes)
             background = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
             assert (background == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+@pytest.mark.browser
+def test_a_sheet_of_paper_holds_all_rows_and_no_column_is_cut(page_file, tmp_path):
+    with chromium(tmp_path / "profile") as browser:
+        page = visit(browser, page_file, width=1200).page
+        page.emulate_media(media="print")
+        page.set_viewport_size({"width": 688, "height": 971})  # A4 without the margins of the style sheet
+        tables = page.evaluate(
+            "[...document.querySelectorAll('.table')].map(box => {"
+            " const table = box.querySelector('table'), last = table.rows[table.rows.length - 1];"
+            " return [table.scrollWidth, box.clientWidth, last.getBoundingClientRect().bottom,"
+            " box.getBoundingClientRect().bottom, getComputedStyle(box).overflowY]; })"
+        )
+        assert len(tables) > 5
+        for width, room, last, bottom, overflow in tables:
+            assert width <= room
+            assert last <= bottom + 1  # borders are shared between rows
+            assert overflow == "visible"
+        assert "columns are left out" in page.locator("#table-measures .paper").inner_text()
 
 
 @pytest.mark.browser
@@ -444,6 +472,17 @@ def test_compare_on_the_command_line(runs, tmp_path, capsys):
     assert "Nothing can be paired" in said
     assert "<!DOCTYPE html>" in page.read_text(encoding="utf-8")
     assert main(["compare", str(runs["window"])]) == 2
+
+
+def test_compare_fits_a_terminal_of_80_columns(runs, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["compare", str(runs["window"]), str(runs["column"]), "--out", str(tmp_path / "page.html")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(len(line.rstrip()) for line in lines if str(tmp_path) not in line) <= 80
+    names = [heading.replace(", median |error|", "").replace("\u00a0", " ") for heading, *_ in FIGURES.values()]
+    rows = [line for line in lines if line.strip().startswith(tuple(names))]
+    assert len(rows) == 2 * len(names)  # for the pixel level and for the sub-pixel step
+    assert all(row.rstrip().endswith(("smaller", "larger", "not told apart", "the same")) for row in rows)
 
 
 @pytest.mark.browser

@@ -209,6 +209,7 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
     )
     environment.filters["figure"] = words.figure
+    environment.filters["symbols"] = words.symbols
     return environment.get_template(name)
 
 

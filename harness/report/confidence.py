@@ -76,8 +76,12 @@ def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> 
     known = np.concatenate([each[each > 0] for each in values]) if values else np.array([0.1, 1.0])
     if known.size and known.min() < known.max():
         theme.logarithmic(ax, "y", max(float(known.min()) / 1.3, float(known.max()) / 1000), 1.3 * float(known.max()))
-    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
-    alt = f"Mean absolute disparity error of the pixels that remain as the least confident go: {'; '.join(told)}."
+    if told:
+        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+    else:
+        theme.note(ax, "no pixel has an estimate")
+    shown = "; ".join(told) or "no estimate"
+    alt = f"Mean absolute disparity error of the pixels that remain as the least confident go: {shown}."
     return theme.picture(fig, alt, "(a) sparsification (dashed: in the order of the true errors)")
 
 

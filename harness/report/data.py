@@ -80,6 +80,8 @@ class Table:
     data: Data | None = None
     left_out: int = 0
     """Rows that are in the data only."""
+    screen_only: tuple[int, ...] = ()
+    """Columns that a sheet of paper has no room for."""
 
 
 def words(text: str, colour: str = "") -> Cell:

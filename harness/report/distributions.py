@@ -45,7 +45,7 @@ def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylim(0, None)
     ax.set_xlabel(r"signed disparity error, $\alpha_2$ estimate minus truth (px)")
-    ax.set_ylabel(f"share of {surface} pixels (% per {edges[1] - edges[0]:g} px)")
+    ax.set_ylabel(f"share of pixels (% per {edges[1] - edges[0]:g} px)")
     ax.axvline(0, color=theme.TRUTH, linewidth=0.6)
     if means:
         ax.legend(loc="upper left")

@@ -51,6 +51,18 @@ MEASURES: dict[str, tuple[str, str, str, float]] = {
 }
 """Heading, unit, format and scale of the columns; figures that are not named here are in the data alone."""
 
+_ON_PAPER = (
+    "density",
+    "disparity_median_abs_px",
+    "bad_1px",
+    "range_median_abs_m",
+    "range_rmse_m",
+    "wall_disparity_median_abs_px",
+    "wall_range_median_abs_m",
+    "floor_disparity_median_abs_px",
+    "floor_range_median_abs_m",
+)
+
 _WITH_INTERVAL = ("disparity_median_abs_px", "range_median_abs_m")
 
 
@@ -105,7 +117,10 @@ def all_measures(sweep: Sweep) -> Table:
     ]
     head += [Heading("Seeds"), *(Heading(*MEASURES[name][:2]) for name in columns)]
     headings = [f"{name}{end}" for name in known for end in ("", "_ci95_low", "_ci95_high")]
-    return Table(head, rows, Data("measures", ["matcher", "subpixel", *keys, "seeds", *headings], plain), left_out)
+    data = Data("measures", ["matcher", "subpixel", *keys, "seeds", *headings], plain)
+    first = len(head) - len(columns)
+    screen_only = tuple(first + i for i, name in enumerate(columns) if name not in _ON_PAPER)
+    return Table(head, rows, data, left_out, screen_only)
 
 
 def _place(sweep: Sweep, index: int, text: str) -> Cell:

@@ -5,10 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from harness.experiments.run import Result
 from harness.experiments.spec import Trial
 from harness.report.methods import Method
-from harness.report.sweep import Sweep
+from harness.report.sweep import Axis, Sweep, value_text
 from harness.stereo.matching.contract import Limits
 from harness.stereo.matching.registry import method_of
 from harness.stereo.matching.window_settings import WindowMatcher
@@ -56,6 +58,21 @@ def typeset(text: str) -> str:
     return re.sub(r"(?<=\d)%", "\u00a0%", re.sub(r"(?<![\w.])-(?=[\d.])", "−", text))
 
 
+_SYMBOLS = {
+    "α₁": "<i>α</i><sub>1</sub>",
+    "α₂": "<i>α</i><sub>2</sub>",
+    "|t|": "|<b>t</b>|",
+    "d²/": "<i>d</i>²/",
+    "/d": "/<i>d</i>",
+}
+
+
+def symbols(text: str) -> Markup:
+    """Plain text as HTML, its symbols set as in the captions."""
+    pattern = r"α[₁₂]|\|t\||\bd²/(?=\|t\|)|(?<=\|t\|)/d\b"
+    return Markup(re.sub(pattern, lambda found: _SYMBOLS[found[0]], escape(text)))  # noqa: S704  # escaped before
+
+
 def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
     """Sentences for the head of the report."""
     trial = methods[0].outcome.trial
@@ -81,7 +98,7 @@ def _by(matcher: Limits) -> str:
 def overview(result: Result, sweep: Sweep) -> Iterator[str]:
     """What was varied, and how much of it is done."""
     counts = result.summary["trials"]
-    axes = [f"{axis.label} ({_few(axis.texts)})" for axis in sweep.axes]
+    axes = [_varied(axis) for axis in sweep.axes]
     ways = ", ".join(way.label for way in sweep.ways)
     over = f" over {'; '.join(axes)}" if axes else ""
     seeds = f", {len(sweep.seeds)} seeds" if len(sweep.seeds) > 1 else ""
@@ -89,6 +106,13 @@ def overview(result: Result, sweep: Sweep) -> Iterator[str]:
     if counts["done"] < counts["total"]:
         failed = f", {counts['failed']} of them failed" if counts["failed"] else ""
         yield f"{counts['total'] - counts['done']} of {counts['total']} trials are missing{failed}."
+
+
+def _varied(axis: Axis) -> str:
+    """An axis with its values: `window 7, 15 px`."""
+    texts = [f"{value:.3g}" if isinstance(value, float) else value_text(value) for value in axis.values]
+    unit = axis.label.removeprefix(axis.name).strip(" ()")
+    return f"{axis.name} {_few(texts)}{f' {unit}' if unit else ''}"
 
 
 def _few(texts: list[str]) -> str:
@@ -134,7 +158,7 @@ def _changes(
     return f"{'lowers' if after[key] < before[key] else 'raises'} {what} from {old}\u00a0{unit} to {new}\u00a0{unit}"
 
 
-UNITS = {"_m": "m", "_deg": "°", "_px": "px", "_mm": "mm"}
+UNITS = {"_m": "m", "_deg": "°", "_px": "px", "_mm": "mm", "_grey": "grey levels"}
 
 
 def settings(trial: Trial) -> list[tuple[str, list[tuple[str, str, str]]]]:

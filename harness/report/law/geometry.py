@@ -45,7 +45,7 @@ def geometry() -> Part:
     for name, values, at_smallest in (
         ("Spread over the exact law", kinds["spread / exact law"], check.spread_over_exact[..., 0]),
         ("Spread over d²/|t|", kinds["spread / short form d²/|t|"], check.spread_over_paper[..., 0]),
-        ("Bias over the second-order bias", kinds["bias / second-order bias"], check.bias_over_second_order[..., 2]),
+        ("Bias over the second-order bias", kinds["bias / second-order bias"], check.bias_over_second_order[..., 0]),
         ("Spread from an error of |t| over d/|t| (eq. 10)", None, check.baseline_spread_over_eq10),
     ):
         finite = at_smallest[np.isfinite(at_smallest)]
