@@ -92,9 +92,13 @@ def steep(there):
     return np.linalg.norm(np.cross(x, there.t_v1 / np.linalg.norm(there.t_v1)), axis=-1) >= 0.5
 
 
-def test_a_plane_is_found():
-    there = motion()
-    matches = refine(pair(), there)
+@pytest.mark.parametrize(
+    ("t", "turn"),
+    [((0.2, 0.05, 0.02), (20.0, 3.0, -2.0)), ((0.0, 0.0, 0.2), (0.0, 0.0, 0.0)), ((-0.1, 0.2, 0.0), (170.0, 0.0, 0.0))],
+)
+def test_a_plane_is_found(t, turn):
+    there = motion(t, turn)
+    matches = refine(pair(t, turn), there)
     as_matches(matches, GRID, "slanted")  # what the contract asks for
     error = np.abs(errors_px(matches, there)[steep(there)])
     assert np.mean(np.isfinite(error)) > 0.97

@@ -379,7 +379,9 @@ def _sigma(field: _Field, inflation: Array, x: Array, window: NDArray[np.int64],
     """
     # Tangents at the middle of the window, as in the kernel.
     c = way.x.reshape(-1, 3)[window]
-    e = normalise(np.stack([-c[..., 1], c[..., 0], np.zeros_like(c[..., 0])], axis=-1))
+    sideways = np.stack([-c[..., 1], c[..., 0], np.zeros_like(c[..., 0])], axis=-1)
+    cosine = np.linalg.norm(sideways, axis=-1, keepdims=True)
+    e = np.where(cosine > 1e-9, sideways / np.maximum(cosine, 1e-9), [0.0, 1.0, 0.0])
     one, a, b = (np.sum(x * axis, axis=-1) for axis in (c, e, np.cross(c, e)))
     c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
     spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
