@@ -274,6 +274,47 @@ def test_equals_the_sum_over_raw_pixels(solid_images, seen):
         assert np.mean(np.abs(ratio - 1) < spread) >= 0.9
 
 
+def test_a_window_of_mirror_pixels_equals_the_sum_over_them(solid_images, seen):
+    """The same formula for a square of the mirror image, against derivatives of the known texture."""
+    size = 13
+    bounds = {
+        model: bound_of(solid_images, seen, model=model, frame="mirror", window_px=size)
+        for model in ("slanted", "frontal")
+    }
+    place, _ = project(SENSOR, X)
+    omega, _ = pixel_directions(SENSOR)
+    # A wider window on one plane, so that its corners belong to no neighbour's.
+    away = ndimage.minimum_filter(bounds["slanted"].pixels & slanted_whole(seen), size=9, mode=("nearest", "wrap"))
+    found = []
+    for row, column, rows, columns in windows(away, 60, seed=3):
+        m = plane_of(seen, rows, columns)
+        u, v = np.rint(place[row, column]).astype(int)
+        towards = omega[v, u]
+        square = omega[v - size // 2 : v + size // 2 + 1, u - size // 2 : u + size // 2 + 1].reshape(-1, 3)
+        assert bounds["slanted"].count_1[row, column] == size**2 == len(square)
+        index = np.zeros(omega.shape[:2], dtype=bool)
+        index[v - size // 2 : v + size // 2 + 1, u - size // 2 : u + size // 2 + 1] = True
+        points, kappa = quarters_1(index[pixel_directions(SENSOR)[1]], m)
+        both = derivatives(points / (points @ m)[:, None] - MOTION.t_v1, m) / 2
+        other = np.sqrt(kappa)[:, None] * both
+        std = [
+            least_std(both, other, np.append(towards, [0, 0]), 1.0),
+            least_std(both[:, :3] @ towards[:, None], other[:, :3] @ towards[:, None], np.ones(1), 1.0),
+        ]
+        mine = [bounds[model].range_m[row, column] for model in ("slanted", "frontal")]
+        found.append(np.array(mine) / (seen.range_m[row, column] ** 2 * np.array(std)))
+    # As for windows of the panorama.
+    slanted, frontal = np.array(found).T
+    assert np.max(np.abs(slanted - 1)) < 0.01
+    assert np.max(np.abs(frontal - 1)) < 0.002
+
+
+def slanted_whole(seen):
+    """Pixels that have a bound for the panorama's own window too."""
+    blank = tuple(np.zeros(pixel_directions(SENSOR)[1].shape) for _ in range(2))
+    return bound_of(blank, seen).pixels
+
+
 # Noise ---------------------------------------------------------------------------------------------------------------
 
 

@@ -28,7 +28,7 @@ Then `var(ξ) = x̂ᵀ cov(m) x̂`, and by the exact sensitivity `std(d) = d² s
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ from harness.stereo.panorama import Grid, directions
 from harness.stereo.ranging import exact_alpha_2, sensitivity_to_alpha_2
 
 Model = Literal["slanted", "frontal"]
+Frame = Literal["panorama", "mirror"]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.float32] | Array
 
@@ -86,6 +87,7 @@ def cramer_rao(
     window_px: int,
     sigma_grey: float,
     model: Model = "slanted",
+    frame: Frame = "panorama",
 ) -> Bound:
     """The bound for every pixel of view 1's panorama.
 
@@ -98,9 +100,12 @@ def cramer_rao(
     R_world_from_v1
         `[3, 3]`, view 1's orientation: the truth's normals are in the world's frame.
     window_px
-        Side of the window in pixels of the panorama, odd. A filter before the matcher widens its support.
+        Side of the window in pixels of its frame, odd. A filter before the matcher widens its support.
     sigma_grey
         Standard deviation of the noise in grey levels, above zero.
+    frame
+        Whose pixels the window is a square of: view 1's panorama, around the pixel itself, or mirror image 1, around
+        the mirror pixel nearest to where the panorama's looks.
 
     Raises
     ------
@@ -118,13 +123,27 @@ def cramer_rao(
 
     x = directions(grid)
     planes = _planes(truth, x, np.asarray(R_world_from_v1, dtype=np.float64))
-    pixels = _on_one_plane(truth, planes, window_px)
-    cells = _cells(images, sensor, motion, grid, planes)
-    informations, counts = np.zeros((2, *grid.shape)), np.full((2, *grid.shape), np.nan)
+    seen = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
+    raw = _raw_pixels(sensor, grid)
+    if frame == "panorama":
+        towards, cell = x, raw.cell
+    else:
+        # Raw pixels take the place of the panorama's, with the plane of the panorama's pixel that each falls on.
+        towards, _ = pixel_directions(sensor)
+        cell = np.ravel_multi_index((raw.pixel[:, 0], raw.pixel[:, 1]), towards.shape[:2])
+        planes, seen = (_scattered(each, raw, cell, towards.shape[:2]) for each in (planes, seen))
+    pixels = _on_one_plane(seen, planes, window_px, goes_round=frame == "panorama")
+    cells = _cells(images, sensor, motion, raw, cell, planes)
+    informations, counts = np.zeros((2, *pixels.shape)), np.full((2, *pixels.shape), np.nan)
     for view in range(2):
         _bound_kernels.window_information(
-            cells[view], pixels, window_px // 2, x, model == "slanted", informations[view], counts[view]
+            cells[view], pixels, window_px // 2, towards, model == "slanted", informations[view], counts[view]
         )
+    if frame == "mirror":
+        place, there = project(sensor, x)
+        column, row = np.moveaxis(np.rint(np.where(there[..., None], place, 0)).astype(np.intp), -1, 0)
+        pixels = pixels[row, column] & there
+        informations, counts = informations[:, row, column], np.where(pixels, counts[:, row, column], np.nan)
     with np.errstate(divide="ignore"):
         std_xi = np.where(pixels, sigma_grey * np.sqrt(1 / informations[0] + 1 / informations[1]), np.nan)
     range_m = truth.range_m**2 * std_xi
@@ -166,12 +185,23 @@ def _planes(truth: Truth, x: Array, R_world_from_v1: Array) -> Array:
         return np.asarray(normal / distance[..., None])
 
 
-def _on_one_plane(truth: Truth, planes: Array, window_px: int) -> Mask:
+def _scattered(
+    values: NDArray[Any], raw: "_RawPixels", cell: NDArray[np.int64], shape: tuple[int, int]
+) -> NDArray[Any]:
+    """What belongs to the panorama's pixels on the mirror image; NaN or False where none falls on the panorama."""
+    nothing = False if values.dtype == bool else np.nan
+    found = np.full((shape[0] * shape[1], *values.shape[2:]), nothing, dtype=values.dtype)
+    found[cell] = values.reshape(-1, *values.shape[2:])[raw.cell]
+    return found.reshape(*shape, *values.shape[2:])
+
+
+def _on_one_plane(seen: Mask, planes: Array, window_px: int, *, goes_round: bool) -> Mask:
     """Pixels whose window is whole, sees one plane, no discontinuity, and is seen by view 2."""
-    seen = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
     good = _smallest(seen.astype(np.float64), window_px) > 0
     half = window_px // 2
     good[:half] = good[good.shape[0] - half :] = False
+    if not goes_round:
+        good[:, :half] = good[:, good.shape[1] - half :] = False
     size = np.linalg.norm(planes, axis=-1)
     for component in np.moveaxis(planes, -1, 0):
         finite = np.where(seen, component, 0.0)
@@ -187,11 +217,18 @@ def _smallest(values: Array, window_px: int) -> Array:
 
 
 def _cells(
-    images: tuple[Image, Image], sensor: Sensor, motion: Motion, grid: Grid, planes: Array
+    images: tuple[Image, Image],
+    sensor: Sensor,
+    motion: Motion,
+    raw: "_RawPixels",
+    cell: NDArray[np.int64],
+    planes: Array,
 ) -> tuple[Array, Array]:
-    """For each image the products of derivatives of all raw pixels of view 1 in each panorama pixel, `[h, w, 15]`."""
-    raw = _raw_pixels(sensor, grid)
-    plane = planes.reshape(-1, 3)[raw.cell]
+    """For each image the products of derivatives of all raw pixels of view 1 in each cell of a frame, `[h, w, 15]`.
+
+    cell : `[n]`, of each raw pixel. planes : `[h, w, 3]`, of each cell.
+    """
+    plane = planes.reshape(-1, 3)[cell]
     omega = raw.omega
     R, t = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.R_v2_from_v1, motion.t_v1))
     xi = np.sum(plane * omega, axis=-1)
@@ -203,12 +240,12 @@ def _cells(
         usable &= np.all(place > -1.5, axis=-1)
     place[~usable] = np.nan
     u, v = np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1])
-    cells = np.zeros((2, grid.height_px * grid.width_px, _bound_kernels.PRODUCTS))
+    cells = np.zeros((2, planes.shape[0] * planes.shape[1], _bound_kernels.PRODUCTS))
     _bound_kernels.add_raw_pixels(
         _spline(images[0], sensor),
         _spline(images[1], sensor),
         raw.pixel,
-        raw.cell,
+        cell,
         omega,
         raw.omega_u,
         raw.omega_v,
@@ -222,7 +259,7 @@ def _cells(
         cells[0],
         cells[1],
     )
-    first, second = cells.reshape(2, *grid.shape, -1)
+    first, second = cells.reshape(2, *planes.shape[:2], -1)
     return first, second
 
 

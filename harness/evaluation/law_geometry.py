@@ -6,6 +6,7 @@ says nothing of images; it verifies the formulas and shows where their linearisa
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +57,7 @@ def second_order_bias(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float,
     return np.asarray(baseline_m * np.sin(alpha_1) * np.cos(delta) / np.sin(delta) ** 3 * sigma**2)
 
 
+@lru_cache(maxsize=1)
 def check_geometry(seed: int = 0, draws: int = DRAWS) -> GeometryCheck:
     """Perturb and compare, over a grid of ranges, directions and noises."""
     generator = np.random.default_rng(seed)

@@ -20,7 +20,7 @@ from harness.stereo.matching.contract import Limits, Matches, Reason
 from harness.stereo.matching.registry import match_pair
 from harness.stereo.pair import Pair
 from harness.stereo.panorama import Grid, directions
-from harness.stereo.ranging import sensitivity_to_alpha_2, triangulate
+from harness.stereo.ranging import range_from_angles, sensitivity_to_alpha_2
 from harness.stereo.uncertainty import sigma_alpha_2
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -120,7 +120,7 @@ def estimate(
     pair = Pair((first.grey, second.grey), sensor, motion, grid or Grid())
     matches = match_pair(pair, matcher)
     a_1 = alpha_1(pair.grid, motion.t_v1)
-    range_m, _ = triangulate(a_1, matches.alpha_2, motion.baseline_m)
+    range_m = range_from_angles(a_1, matches.alpha_2, motion.baseline_m)
     lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
     with np.errstate(invalid="ignore", divide="ignore"):
         law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, motion.baseline_m))

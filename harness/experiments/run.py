@@ -1,11 +1,13 @@
 """Run an experiment: rows of all trials in one file, the base trial in detail, and what is written for people."""
 
+import contextlib
 import csv
 import hashlib
 import io
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +67,7 @@ class Row:
         """`done` or `failed`."""
         return self.finished.state
 
-    @property
+    @cached_property
     def payload(self) -> dict[str, Any]:
         """What `row.row_of` made; empty when the trial failed."""
         return json.loads(self.finished.payload)
@@ -254,7 +256,7 @@ def _digest(experiment: Experiment, store: Store) -> str:
 
 
 def _trials(experiment: Experiment, rows: list[Row]) -> str:
-    figures = [row.finished.figures for row in rows]
+    figures = [row.payload.get("figures", {}) if row.state == "done" else {} for row in rows]
     names = list(dict.fromkeys(name for each in figures for name in each))
     return _csv(
         ["key", "state", *columns_of(experiment), *names],
@@ -329,17 +331,19 @@ def by_method(outcomes: list[Outcome]) -> dict[str, Outcome]:
 def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
     """The base trial by every method on the axes, the first few of them.
 
-    A base trial that cannot be carried out gives way to the first trial that could.
+    A method that fails is left out. A base trial that none can carry out gives way to the first trial that was done.
     """
     methods: dict[tuple[str, str], Trial] = {}
     for each in experiment.planned:
         methods.setdefault(method_of(each.trial.matching), each.trial)
     chosen = list(methods.values())[:MOST_DETAILS]
     for base in (experiment.trial, first_done):
-        try:
-            return [worker.run_here(_with_method(base, trial)) for trial in chosen]
-        except InputError:
-            continue
+        outcomes = []
+        for trial in chosen:
+            with contextlib.suppress(InputError):
+                outcomes.append(worker.run_here(_with_method(base, trial)))
+        if outcomes:
+            return outcomes
     raise InputError(f"the first trial that was done cannot be carried out again: {shown(experiment.planned[0].place)}")
 
 

@@ -34,7 +34,7 @@ from harness.stereo.matching.contract import Matches, Reason
 from harness.stereo.matching.registry import match_pair
 from harness.stereo.pair import Pair
 from harness.stereo.panorama import Grid, Panorama, directions
-from harness.stereo.ranging import triangulate
+from harness.stereo.ranging import range_from_angles
 
 Observer = Callable[[str], None]
 T = TypeVar("T")
@@ -204,7 +204,7 @@ def run_trial(
             sampling=sampling,
             pitch_px=pitch_px,
         )
-        range_m, _ = triangulate(curves.alpha_1, matches.alpha_2, motion.baseline_m)
+        range_m = range_from_angles(curves.alpha_1, matches.alpha_2, motion.baseline_m)
         lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
         reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons)
     with clock("score"):
@@ -231,6 +231,7 @@ def run_trial(
                     window_px=min(support.window_px, grid.height_px - 1 | 1),
                     sigma_grey=1.0,
                     model=support.model,
+                    frame=support.frame,
                 ).disparity_px,
             )
     return Outcome(

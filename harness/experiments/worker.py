@@ -92,12 +92,19 @@ _local = threading.local()
 
 def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None) -> Finished:
     try:
-        outcome = run_here(Trial.model_validate(table), threads=threads)
+        outcome = run_here(_asked_for(key, table), threads=threads)
         payload = json.dumps(row_of(outcome), allow_nan=False)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is this trial's alone, and kept
         message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         return Finished(key, scene, "failed", message=" ".join(message.split()), traceback=traceback.format_exc())
     return Finished(key, scene, "done", payload=payload, seconds=json.dumps(outcome.seconds))
+
+
+def _asked_for(key: str, table: dict[str, Any]) -> Trial:
+    trial = Trial.model_validate(table)
+    if trial.key != key:  # a matcher's files, here or since the run began
+        raise InputError("this worker has another version of the matcher's files than the run was begun with")
+    return trial
 
 
 def _laid_down(path: str, content: bytes) -> Path:

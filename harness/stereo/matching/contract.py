@@ -21,9 +21,11 @@ class Support:
     """The pixels that a match is made from, for the bound on its accuracy."""
 
     window_px: int
-    """Side of a square around the pixel, pixels of the panorama, odd."""
+    """Side of a square around the pixel, odd."""
     model: Literal["slanted", "frontal"]
     """What is fitted: see `evaluation.bound`."""
+    frame: Literal["panorama", "mirror"] = "panorama"
+    """Whose pixels the square is made of."""
 
 
 class Limits(Spec):
