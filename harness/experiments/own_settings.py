@@ -9,7 +9,7 @@ from harness.stereo.matching.registry import Matcher
 from harness.stereo.matching.window_settings import WindowMatcher
 from harness.stereo.panorama import Grid
 
-DEFAULT_KIND = "column"
+DEFAULT_KIND = "slanted"
 
 
 class OwnSettings(Spec):

@@ -25,6 +25,8 @@ from harness.stereo.matching.program import Program
 from harness.stereo.matching.semi_global import SemiGlobal
 from harness.stereo.matching.window_settings import WindowMatcher
 from harness.stereo.pair import Pair
+from harness.stereo.slanted import match as slanted
+from harness.stereo.slanted.match import Slanted
 
 
 class Plugin(Parametrised):
@@ -53,6 +55,7 @@ class Plugin(Parametrised):
 _MATCHERS: dict[type[Limits], Callable[[Pair, Any], Matches]] = {
     WindowMatcher: window.match_pair,
     SemiGlobal: semi_global.match_pair,
+    Slanted: slanted.match_pair,
     Program: program.match_pair,
     StereoBM: peers.match_pair,
     StereoSGBM: peers.match_pair,
@@ -73,6 +76,7 @@ def _tag(value: Any) -> str:
 Matcher = Annotated[
     Annotated[WindowMatcher, Tag("WindowMatcher")]
     | Annotated[SemiGlobal, Tag("SemiGlobal")]
+    | Annotated[Slanted, Tag("Slanted")]
     | Annotated[Program, Tag("Program")]
     | Annotated[StereoBM, Tag("StereoBM")]
     | Annotated[StereoSGBM, Tag("StereoSGBM")]
