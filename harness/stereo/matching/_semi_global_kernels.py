@@ -6,7 +6,7 @@ fit into 8 bits, 64 labels into one register of the widest kind. Indices of thos
 otherwise ask of each whether it counts from the end. Parts of arrays are named by indices beside the array: to slice
 one counts references, atomically, and the threads would queue for that.
 """
-# ruff: noqa: ANN001, ANN202, C901
+# ruff: noqa: ANN001, ANN202, C901, PLR0912
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import numpy as np
@@ -28,55 +28,53 @@ OK, LEAVES_IMAGE = 0, 1
 
 
 @njit(cache=True, nogil=True)
-def smooth(image, passes, first, end, out):
-    """Rows first .. end of the image after `passes` of (1 2 1)/4 along rows and columns, not divided.
+def census(image, seen, blur, margin, first, end, blurred, codes):
+    """Census codes of rows first .. end of the blurred image, a bit for each neighbour that is below the pixel.
 
-    image, out : `[around, along]`; the rows are a circle, the first and last column go on outwards.
-    passes : 0 or 1; an unsmoothed image is multiplied alike.
-    """
-    rows, columns = image.shape
-    for row in range(first, end):
-        above, below = (row - 1) % rows, (row + 1) % rows
-        for column in range(columns):
-            if passes:
-                left, right = max(column - 1, 0), min(column + 1, columns - 1)
-                middle = image[above, column] + 2 * image[row, column] + image[below, column]
-                before = image[above, left] + 2 * image[row, left] + image[below, left]
-                after = image[above, right] + 2 * image[row, right] + image[below, right]
-                out[row, column] = before + 2 * middle + after
-            else:
-                out[row, column] = 16 * image[row, column]
-
-
-@njit(cache=True, nogil=True)
-def census(image, seen, margin, first, end, codes):
-    """Census codes of rows first .. end, a bit for each neighbour that is below the pixel.
-
-    image, seen : `[around, along]`.
+    image, seen : `[around, along]`; the rows are a circle, the first and last column go on outwards.
+    blur : whether to take (1 2 1)/4 along rows and columns first.
+    blurred : written, `[around, along]`, sixteenths of the image's unit.
     codes : written, `[around, along + 2 margin]`; `ABSENT` where the pixel is not seen, and in the margins.
     """
-    rows, columns = image.shape
-    for row in range(first, end):
-        codes[row, :margin] = ABSENT
-        codes[row, margin + columns :] = ABSENT
-        for column in range(columns):
-            codes[row, margin + column] = np.uint32(0) if seen[row, column] else ABSENT
+    rows, columns = np.uint64(image.shape[0]), np.uint64(image.shape[1])
+    reach, one, two = np.uint64(REACH), np.uint64(1), np.uint64(2)
+    count = np.uint64(end - first)
+    # The rows at hand and REACH more on both sides, with as many columns beside them.
+    near = np.empty((count + two * reach, columns + two * reach), image.dtype)
+    above_and_below = np.empty(columns + two, image.dtype)
+    for i in range(count + two * reach):
+        row = (np.uint64(first) + rows - reach + i) % rows
+        above, below = (row + rows - one) % rows, (row + one) % rows
+        for j in range(columns):
+            if blur:
+                above_and_below[j + one] = image[above, j] + 2 * image[row, j] + image[below, j]
+            else:
+                above_and_below[j + one] = 4 * image[row, j]
+        above_and_below[0] = above_and_below[1]
+        above_and_below[columns + one] = above_and_below[columns]
+        for j in range(columns):
+            middle = 2 * above_and_below[j + one]
+            if blur:
+                near[i, j + reach] = above_and_below[j] + middle + above_and_below[j + two]
+            else:
+                near[i, j + reach] = 2 * middle
+        for j in range(reach):
+            near[i, j] = near[i, reach]
+            near[i, columns + reach + j] = near[i, columns + reach - one]
+    for i in range(count):
+        row = np.uint64(first) + i
+        codes[row, :] = ABSENT
+        for j in range(columns):
+            blurred[row, j] = near[i + reach, j + reach]
+            codes[row, j + np.uint64(margin)] = np.uint32(0) if seen[row, j] else ABSENT
         bit = np.uint32(1)
-        for y in range(-REACH, REACH + 1):
-            other = (row + y) % rows
-            for x in range(-REACH, REACH + 1):
-                if y == 0 and x == 0:
+        for y in range(two * reach + one):
+            for x in range(two * reach + one):
+                if y == reach and x == reach:
                     continue
-                # Columns beyond the first and last are those.
-                for column in range(max(-x, 0)):
-                    if image[other, 0] < image[row, column]:
-                        codes[row, margin + column] |= bit
-                for column in range(columns - max(x, 0), columns):
-                    if image[other, columns - 1] < image[row, column]:
-                        codes[row, margin + column] |= bit
-                for column in range(np.uint64(max(-x, 0)), np.uint64(columns - max(x, 0))):
-                    darker = image[other, np.uint64(column + np.uint64(x))] < image[row, column]
-                    codes[row, np.uint64(margin) + column] |= bit if darker else np.uint32(0)
+                for j in range(columns):
+                    darker = near[i + y, j + x] < near[i + reach, j + reach]
+                    codes[row, j + np.uint64(margin)] |= bit if darker else np.uint32(0)
                 bit = np.uint32(bit << np.uint32(1))
 
 
@@ -107,13 +105,12 @@ def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
 
 
 @njit(cache=True, nogil=True)
-def matching_costs(
-    codes_1, codes_2, around, along, margin, k_0, k_first, k_last, half, multiplier, worst, first, end, costs
-):
-    """Matching costs of rows first .. end: mean of a box of differing bits, and `worst` for labels not searched.
+def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplier, first, end, costs):
+    """Matching costs of rows first .. end: the mean of a box of differing bits.
 
     codes_1, codes_2 : `[around, along + 2 margin]`, from `census`.
-    around, along, k_first, k_last : `[height, width]`; the pixel's place in the codes, and its search interval.
+    around, along : `[height, width]`, the pixel's place in the codes.
+    k_0 : how far from there the place of the first label is.
     half : the box has 2 half + 1 pixels a side; around the seam, the first and last row going on outwards.
     multiplier : cost of a bit in 2^-16, over the pixels of a box.
     costs : written, `[height, width, labels]`.
@@ -127,13 +124,13 @@ def matching_costs(
         inside = min(max(row, 0), height - 1)
         if row == first - half or 0 < row < height:
             _bits_of_row(codes_1, codes_2, around, along, margin, k_0, inside, bits, inside % size)
-        _add(columns, bits, inside % size)
+        _add_bits(columns, bits, inside % size)
     for row in range(first, end):
         if row > first:
-            _take_off(columns, bits, max(row - 1 - half, 0) % size)
+            _take_off_bits(columns, bits, max(row - 1 - half, 0) % size)
             if row + half < height:
                 _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row + half, bits, (row + half) % size)
-            _add(columns, bits, min(row + half, height - 1) % size)
+            _add_bits(columns, bits, min(row + half, height - 1) % size)
         total[:] = 0
         for offset in range(-half, half):
             for k in range(labels):
@@ -141,25 +138,22 @@ def matching_costs(
         for column in range(width):
             ahead = np.uint64((column + half) % width)
             behind = np.uint64((column - half) % width)
-            low, high = k_first[row, column] - k_0 - 1, k_last[row, column] - k_0 + 1
             for k in range(np.uint64(labels)):
                 value = np.uint16(total[k] + columns[ahead, k])
                 total[k] = np.uint16(value - columns[behind, k])
-                cost = np.uint8((np.uint32(value) * np.uint32(multiplier) + np.uint32(1 << 15)) >> np.uint32(16))
-                number = np.int32(k)
-                outside = (number < np.int32(low)) | (number > np.int32(high))
-                costs[row, column, k] = worst if outside else cost
+                scaled = np.uint32(np.uint32(value) * np.uint32(multiplier) + np.uint32(1 << 15))
+                costs[row, column, k] = np.uint8(scaled >> np.uint32(16))
 
 
 @njit(cache=True, nogil=True)
-def _add(columns, bits, slot):
+def _add_bits(columns, bits, slot):
     for column in range(np.uint64(columns.shape[0])):
         for k in range(np.uint64(columns.shape[1])):
             columns[column, k] = np.uint16(columns[column, k] + bits[slot, column, k])
 
 
 @njit(cache=True, nogil=True)
-def _take_off(columns, bits, slot):
+def _take_off_bits(columns, bits, slot):
     for column in range(np.uint64(columns.shape[0])):
         for k in range(np.uint64(columns.shape[1])):
             columns[column, k] = np.uint16(columns[column, k] - bits[slot, column, k])
@@ -172,7 +166,7 @@ def _take_off(columns, bits, slot):
 # Path costs of a row are `[width, labels + 2]`: the guards at both ends never win.
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _step(costs, row, column, before, slot, b, least, p1, p2, after, new_slot, a):
     """One pixel of a path: its costs are written to `after[new_slot, a]`, and the least of them is returned."""
     jump = np.uint8(least + p2)
@@ -257,38 +251,35 @@ def _descend(costs, row, begins, downwards, sideways, p1, jumps, before, after, 
 
 
 @njit(cache=True, nogil=True)
-def _sum_of_three(paths, others, row, sums):
+def _put(paths, row, sums):
+    """Sums of the path costs of one pixel row, `[paths, width, labels + 2]`, to a row of `sums`."""
     for column in range(np.uint64(sums.shape[1])):
         for k in range(np.uint64(sums.shape[2])):
-            at = k + np.uint64(1)
-            sums[row, column, k] = np.uint16(
-                np.uint16(paths[0, column, at]) + np.uint16(paths[1, column, at]) + np.uint16(others[0, column, at])
-            )
+            sums[row, column, k] = paths[0, column, k + np.uint64(1)]
+    for path in range(np.uint64(1), np.uint64(paths.shape[0])):
+        _add(paths, path, sums, row)
 
 
 @njit(cache=True, nogil=True)
-def _add_path(paths, slot, row, sums):
+def _add(paths, path, sums, row):
     for column in range(np.uint64(sums.shape[1])):
         for k in range(np.uint64(sums.shape[2])):
-            sums[row, column, k] = np.uint16(sums[row, column, k] + paths[slot, column, k + np.uint64(1)])
+            sums[row, column, k] = sums.dtype.type(sums[row, column, k] + paths[path, column, k + np.uint64(1)])
 
 
 @njit(cache=True, nogil=True)
-def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least, laps, spare, sums):
-    """Sums of the path costs along the rows and of those that come from one side, for `count` rows from `start` on.
+def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least, kept):
+    """The paths that come from above, or from below, for `count` rows from `start` on.
 
     costs : `[height, width, labels]`.
-    sideways : `[paths]`, how many columns each path from that side moves with every row: 0, then -1 and 1 or nothing.
+    sideways : `[paths]`, how many columns each path moves with every row: 0, and then 1 and -1 or nothing.
     jumps : `[4, height, width]`, P2 between the pixel and the one to the left of it, above it, to the upper left
         and to the upper right.
     state, least : written, `[2, paths, width, labels + 2]` and `[2, paths, width]`; the last row's at `count` modulo 2.
-    laps, spare : to work in; `[2, width, labels + 2]` and `[1, 1, labels + 2]`, guards set as those of `state`.
-    sums : written, `[height, width, labels]`.
+    kept : written, `[height, width, labels]`; the sums of their costs.
     """
     for number in range(count):
         row = start + number if downwards else start - number
-        for slot in range(2):
-            _circle(costs, row, slot == 0, p1, jumps, laps, np.uint64(slot), spare)
         old, new = number % 2, (number + 1) % 2
         before, after, old_least, new_least = state[old], state[new], least[old], least[new]
         for path in range(sideways.size):
@@ -296,9 +287,7 @@ def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least
                 costs, row, number == 0, downwards, sideways[path], p1, jumps, before, after, old_least, new_least,
                 np.uint64(path),
             )  # fmt: skip
-        _sum_of_three(laps, after, row, sums)
-        for path in range(1, sideways.size):
-            _add_path(after, np.uint64(path), row, sums)
+        _put(after, np.uint64(row), kept)
 
 
 @njit(cache=True, nogil=True)
@@ -313,6 +302,9 @@ def second_half(
     jumps,
     state,
     least,
+    kept,
+    laps,
+    spare,
     sums,
     k_0,
     k_first,
@@ -321,10 +313,12 @@ def second_half(
     nearby,
     second,
 ):
-    """Goes on where `first_half` stopped, through rows whose other sums are known, and takes the best label of each.
+    """Goes on where `first_half` stopped, through the rows of the paths from the other side, and takes the best labels.
 
     done : how many rows the paths have behind them.
-    sums : `[height, width, labels]`; the sums over all paths afterwards.
+    kept : `[height, width, labels]`, the sums of the paths from the other side.
+    laps, spare : to work in; `[2, width, labels + 2]` and `[1, 1, labels + 2]`, guards set as those of `state`.
+    sums : written, `[height, width, labels]`, the sums of all paths; or `[1, width, labels]`, to work in.
     best, nearby, second : written, `[height, width]`, `[height, width, 3]` and `[height, width]`; the best label of the
         search interval (the first of equals; -1 where there is none), the sums around it, and the least sum that is
         not next to it.
@@ -338,19 +332,34 @@ def second_half(
                 costs, row, False, downwards, sideways[path], p1, jumps, before, after, old_least, new_least,
                 np.uint64(path),
             )  # fmt: skip
-            _add_path(after, np.uint64(path), row, sums)
-        _choose(sums, row, k_0, k_first, k_last, best, nearby, second)
+        for slot in range(2):
+            _circle(costs, row, slot == 0, p1, jumps, laps, np.uint64(slot), spare)
+        place = np.uint64(row % sums.shape[0])
+        _put(after, place, sums)
+        _add_kept(laps, kept, np.uint64(row), sums, place)
+        _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second)
 
 
 @njit(cache=True, nogil=True)
-def _choose(sums, row, k_0, k_first, k_last, best, nearby, second):
+def _add_kept(laps, kept, row, sums, place):
+    for column in range(np.uint64(sums.shape[1])):
+        for k in range(np.uint64(sums.shape[2])):
+            at = k + np.uint64(1)
+            both = np.uint16(np.uint16(laps[0, column, at]) + np.uint16(laps[1, column, at]))
+            sums[place, column, k] = np.uint16(
+                sums[place, column, k] + np.uint16(both + np.uint16(kept[row, column, k]))
+            )
+
+
+@njit(cache=True, nogil=True)
+def _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second):
     none = np.uint32(0xFFFFFFFF)
     for column in range(np.uint64(sums.shape[1])):
         first, last = np.int32(k_first[row, column] - k_0), np.int32(k_last[row, column] - k_0)
         found = none
         for k in range(np.uint64(sums.shape[2])):
             number = np.int32(k)
-            key = np.uint32(np.uint32(sums[row, column, k]) << np.uint32(16)) | np.uint32(k)
+            key = np.uint32(np.uint32(sums[place, column, k]) << np.uint32(16)) | np.uint32(k)
             key = key if (number >= first) & (number <= last) else none
             found = min(found, key)
         if found == none:
@@ -359,18 +368,28 @@ def _choose(sums, row, k_0, k_first, k_last, best, nearby, second):
         middle = np.int32(found & np.uint32(0xFFFF))
         best[row, column] = middle
         for i in range(3):
-            nearby[row, column, i] = sums[row, column, middle - 1 + i]
+            nearby[row, column, i] = sums[place, column, middle - 1 + i]
         other = np.uint16(0xFFFF)
         for k in range(np.uint64(sums.shape[2])):
             number = np.int32(k)
-            value = sums[row, column, k]
+            value = sums[place, column, k]
             far = (number >= first) & (number <= last) & (abs(number - middle) > 1)
             value = value if far else np.uint16(0xFFFF)
             other = min(other, value)
         second[row, column] = other
 
 
-# -- Uniqueness --------------------------------------------------------------------------------------------------------
+# -- Matches -----------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def seen_by_both(codes_1, codes_2, around, along, margin, samples, seen_1, seen_2):
+    """Whether view 1 sees the pixel, and view 2 the place `samples` along from it; all others `[height, width]`."""
+    for row in range(around.shape[0]):
+        for column in range(around.shape[1]):
+            b, a = around[row, column], along[row, column] + margin
+            seen_1[row, column] = codes_1[b, a] < ABSENT
+            seen_2[row, column] = codes_2[b, a + samples[row, column]] < ABSENT
 
 
 @njit(cache=True, nogil=True)

@@ -18,15 +18,19 @@ box of pixels with one label. Any growing function of the grey levels leaves it 
 
 **Paths run over view 1's panorama.** Around a row they have neither beginning nor end: each is followed until it
 repeats itself, so that every pixel has the costs of an endless path, and a turn of the panorama by whole columns turns
-the result. Rows end above and below.
+the result. On the paper's box, corridor and room that takes 15 pixels beyond the first lap in the median and 86 at
+most. (Where two ways around the whole row cost exactly the same, where it began may show.) Rows end above and below.
+Labels outside a pixel's search interval cost what they cost and cannot win; to forbid them was no better.
 """
 
+import itertools
 import math
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +107,11 @@ class SemiGlobal(Limits):
 def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
     """Match the mirror images, resampled about the baseline as `pair.interpolation` says.
 
-    A pixel is `CURVE_LEAVES_IMAGE` if its best sample is at a place that view 2 does not see.
+    A pixel is `CURVE_LEAVES_IMAGE` if its best sample is at a place that view 2 does not see, and `NO_MATCH` if a label
+    that is not beside the best one costs no more: there is nothing to tell them apart. Its confidence is by what part
+    the best label's costs are below those of the next one that is not beside it.
     """
-    geometry = _geometry(pair, matcher)
+    geometry = geometry_for(pair, matcher)
     settings = ("about the baseline", geometry.places, pair.interpolation)
     views = pair.shared("about the baseline", settings, lambda: _views(pair, geometry))
     searched = matcher.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
@@ -162,7 +168,8 @@ def frame_about(t: Array) -> tuple[Array, Array, Array]:
     return t_hat, e_1, np.cross(t_hat, e_1)
 
 
-def _geometry(pair: Pair, matcher: SemiGlobal) -> Geometry:
+def geometry_for(pair: Pair, matcher: SemiGlobal) -> Geometry:
+    """Of this pair, within the matcher's limits."""
     curves = epipolar_curves(
         pair.grid,
         pair.t_v1,
@@ -171,11 +178,12 @@ def _geometry(pair: Pair, matcher: SemiGlobal) -> Geometry:
         sampling="alpha",
         pitch_px=matcher.pitch_px,
     )
-    return _geometry_of(curves)
+    return geometry_of(curves)
 
 
 @lru_cache(maxsize=4)
-def _geometry_of(curves: Curves) -> Geometry:
+def geometry_of(curves: Curves) -> Geometry:
+    """Of curves that are sampled in alpha_2."""
     step = float(curves.step[0, 0])
     _, e_1, e_2 = frame_about(curves.t)
     x = directions(curves.grid)
@@ -245,52 +253,77 @@ class Found:
 
 
 def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, threads: int) -> Found:
-    """Costs, paths, and the best label of every pixel; a tie goes to the one nearer to infinity.
+    """Costs, paths, and the best label of every pixel; a tie goes to the one nearer to infinity."""
+    curves, margin = geometry.curves, geometry.labels + abs(geometry.k_0)
+    shape, places = curves.grid.shape, views[0].values.shape
+    codes = [_memory(f"codes {view}", (places[0], places[1] + 2 * margin), np.uint32) for view in (1, 2)]
+    blurred = _memory("blurred", places, np.int32)
+    costs = _memory("costs", (*shape, geometry.labels), np.uint8)
 
-    The paths that come from above and those from below are followed at the same time, each through its own half of the
-    rows first, and then through the other's, where the sums are then complete: two threads are of use, and more only
-    before that.
-    """
-    curves = geometry.curves
-    height, _ = curves.grid.shape
-    with ThreadPoolExecutor(threads) as pool:
+    def transform(first: int, end: int) -> None:
+        # View 1 last: its blurred image is what stays.
+        for view in (1, 0):
+            values, seen = views[view].values, views[view].seen
+            kernels.census(values, seen, matcher.blur, margin, first, end, blurred, codes[view])
 
-        def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
-            edges = np.linspace(0, rows, min(threads, rows) + 1).astype(int).tolist()
-            list(pool.map(work, edges[:-1], edges[1:]))
-
-        codes, smoothed = _codes(views, geometry, matcher, in_bands)
-        margin = _margin(geometry)
-        costs = np.empty((*curves.grid.shape, geometry.labels), np.uint8)
-        in_bands(
-            height,
-            lambda first, end: kernels.matching_costs(
-                codes[0],
-                codes[1],
-                geometry.around,
-                geometry.along,
-                margin,
-                geometry.k_0,
-                curves.k_first,
-                curves.k_last,
-                matcher.box_px // 2,
-                round(PER_BIT * 2**16 / matcher.box_px**2),
-                np.uint8(PER_BIT * BITS),
-                first,
-                end,
-                costs,
-            ),
+    def compare(first: int, end: int) -> None:
+        kernels.matching_costs(
+            codes[0],
+            codes[1],
+            geometry.around,
+            geometry.along,
+            margin,
+            geometry.k_0,
+            matcher.box_px // 2,
+            round(PER_BIT * 2**16 / matcher.box_px**2),
+            first,
+            end,
+            costs,
         )
-        grey = smoothed[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
-        best, nearby, second = aggregate(
-            costs, geometry.k_0, curves.k_first, curves.k_last, jumps(grey, curves.grid.shape, matcher), matcher, pool
-        )
-    a = geometry.along + margin
-    seen_1, seen_2 = (
-        codes[view][geometry.around, a + shift] < kernels.ABSENT
-        for view, shift in ((0, 0), (1, geometry.k_0 + np.maximum(best, 0)))
-    )
+
+    _in_bands(transform, places[0], threads)
+    _in_bands(compare, shape[0], threads)
+    grey = blurred[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
+    p2 = jumps(grey, shape, matcher)
+    best, nearby, second = aggregate(costs, geometry.k_0, curves.k_first, curves.k_last, p2, matcher, threads)
+    seen_1, seen_2 = np.empty((2, *shape), dtype=bool)
+    ahead = np.maximum(best, 0) + geometry.k_0
+    kernels.seen_by_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, seen_1, seen_2)
     return Found(best, nearby, second, seen_1, seen_2)
+
+
+def _in_bands(work: Callable[[int, int], None], rows: int, threads: int) -> None:
+    """Call `work(first, end)` for bands of rows, at the same time."""
+    edges = np.linspace(0, rows, min(threads, rows) + 1).astype(int).tolist()
+    _at_once([partial(work, first, end) for first, end in itertools.pairwise(edges)], threads)
+
+
+def _at_once(works: Sequence[Callable[[], None]], threads: int) -> None:
+    if threads == 1:
+        for work in works:
+            work()
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for done in [pool.submit(work) for work in works]:
+            done.result()
+
+
+class _Memory(threading.local):
+    """What a thread keeps for its next pair: fresh memory takes longer to get than to fill."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, NDArray[Any]] = {}
+
+
+_kept = _Memory()
+
+
+def _memory(name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> NDArray[Any]:
+    """An array with anything in it, until this thread asks for one of this name again."""
+    array = _kept.arrays.get(name)
+    if array is None or array.shape != shape or array.dtype != dtype:
+        array = _kept.arrays[name] = np.empty(shape, dtype)
+    return array
 
 
 def jumps(grey: Array | None, shape: tuple[int, int], matcher: SemiGlobal) -> NDArray[np.uint8]:
@@ -316,9 +349,13 @@ def aggregate(
     k_last: NDArray[np.int32],
     p2: NDArray[np.uint8],
     matcher: SemiGlobal,
-    pool: ThreadPoolExecutor,
+    threads: int,
+    sums: NDArray[np.uint16] | None = None,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]:
     """Follow the paths, add up their costs, and take the best label of each pixel.
+
+    The paths from above and those from below are followed at the same time, each first through its own half of the
+    rows, then through the other's, where all sums are then complete: two threads are of use.
 
     Parameters
     ----------
@@ -328,6 +365,8 @@ def aggregate(
         `[height, width]`: the samples to choose from, the first label being sample k_0.
     p2
         From `jumps`.
+    sums
+        Written if given, `[height, width, labels]`: the sums over all paths.
 
     Returns
     -------
@@ -336,85 +375,49 @@ def aggregate(
     """
     height, width, labels = costs.shape
     p1 = np.uint8(round(PER_BIT * matcher.p1_bits))
-    sideways = np.array([0] if matcher.paths == 4 else [0, 1, -1])
     guard = 255 - int(p1)
-    sums = np.empty(costs.shape, np.uint16)
+    sideways = np.array([0] if matcher.paths == 4 else [0, 1, -1])
+    # A path cost fits into 8 bits, the sum of three does not.
+    kept = _memory("kept", costs.shape, np.uint8 if sideways.size == 1 else np.uint16)
     best = np.empty((height, width), np.int32)
     nearby = np.zeros((height, width, 3), np.uint16)
     second = np.zeros((height, width), np.uint16)
-    middle = height // 2
+    state = np.full((2, 2, sideways.size, width, labels + 2), guard, np.uint8)
+    least = np.zeros((2, 2, sideways.size, width), np.uint8)
+    own = height // 2, height - height // 2
+    """Rows of the first half, from above and from below."""
 
-    class Half:
-        """The paths from above, or those from below."""
+    def first(side: int) -> None:
+        start = (0, height - 1)[side]
+        kernels.first_half(costs, start, own[side], side == 0, sideways, p1, p2, state[side], least[side], kept)
 
-        def __init__(self, downwards: bool) -> None:
-            self.downwards = downwards
-            self.state = np.full((2, sideways.size, width, labels + 2), guard, np.uint8)
-            self.least = np.zeros((2, sideways.size, width), np.uint8)
+    def then(side: int) -> None:
+        kernels.second_half(
+            costs,
+            (own[0], own[0] - 1)[side],
+            own[1 - side],
+            own[side],
+            side == 0,
+            sideways,
+            p1,
+            p2,
+            state[side],
+            least[side],
+            kept,
+            np.full((2, width, labels + 2), guard, np.uint8),
+            np.full((1, 1, labels + 2), guard, np.uint8),
+            np.empty((1, width, labels), np.uint16) if sums is None else sums,
+            k_0,
+            k_first,
+            k_last,
+            best,
+            nearby,
+            second,
+        )
 
-        def first(self) -> None:
-            kernels.first_half(
-                costs,
-                0 if self.downwards else height - 1,
-                middle if self.downwards else height - middle,
-                self.downwards,
-                sideways,
-                p1,
-                p2,
-                self.state,
-                self.least,
-                np.full((2, width, labels + 2), guard, np.uint8),
-                np.full((1, 1, labels + 2), guard, np.uint8),
-                sums,
-            )
-
-        def second(self) -> None:
-            kernels.second_half(
-                costs,
-                middle if self.downwards else middle - 1,
-                height - middle if self.downwards else middle,
-                middle if self.downwards else height - middle,
-                self.downwards,
-                sideways,
-                p1,
-                p2,
-                self.state,
-                self.least,
-                sums,
-                k_0,
-                k_first,
-                k_last,
-                best,
-                nearby,
-                second,
-            )
-
-    halves = Half(downwards=True), Half(downwards=False)
-    list(pool.map(Half.first, halves))
-    list(pool.map(Half.second, halves))
+    _at_once([partial(first, side) for side in (0, 1)], threads)
+    _at_once([partial(then, side) for side in (0, 1)], threads)
     return best, nearby, second
-
-
-def _codes(
-    views: tuple[View, View],
-    geometry: Geometry,
-    matcher: SemiGlobal,
-    in_bands: Callable[[int, Callable[[int, int], None]], None],
-) -> tuple[list[NDArray[np.uint32]], NDArray[np.int32]]:
-    """Census codes of both views, with margins, and the blurred image of view 1."""
-    shape = views[0].values.shape
-    margin = _margin(geometry)
-    codes = [np.empty((shape[0], shape[1] + 2 * margin), np.uint32) for _ in views]
-    smoothed = [np.empty(shape, np.int32) for _ in views]
-    for view, image, out in zip(views, smoothed, codes, strict=True):
-        in_bands(shape[0], partial(kernels.smooth, view.values, matcher.blur, out=image))
-        in_bands(shape[0], partial(kernels.census, image, view.seen, margin, codes=out))
-    return codes, smoothed[0]
-
-
-def _margin(geometry: Geometry) -> int:
-    """Columns beside the codes, so that every label of every pixel has a place."""
-    return geometry.labels + abs(geometry.k_0)
 
 
 # -- Answer ------------------------------------------------------------------------------------------------------------
@@ -424,6 +427,7 @@ def match(found: Found, geometry: Geometry, matcher: SemiGlobal) -> Matches:
     """Check whether matches agree with each other, apply the sub-pixel step, and turn samples into angles."""
     curves = geometry.curves
     reason = np.full(curves.grid.shape, Reason.MATCHED, dtype=np.uint8)
+    reason[found.second == found.nearby[..., 1]] = Reason.NO_MATCH
     reason[~found.seen_2] = Reason.CURVE_LEAVES_IMAGE
     reason[found.best < 0] = Reason.NO_SAMPLE
     reason[~curves.defined] = Reason.NO_EPIPOLAR_PLANE
@@ -451,7 +455,6 @@ def match(found: Found, geometry: Geometry, matcher: SemiGlobal) -> Matches:
     k = np.where(matched, np.where(refined, k, sample), np.nan)
     alpha_2 = np.full(k.shape, np.nan)
     alpha_2[matched] = alpha_2_at(curves, k[matched], (matched,))
-    rival = np.maximum(found.second, 1)
-    confidence = np.where(matched, 1 - found.nearby[..., 1] / rival, np.nan)
-    confidence[matched & (found.second == 0)] = 0
+    # Where there is a match, the rival costs more, and so more than nothing.
+    confidence = np.where(matched, 1 - found.nearby[..., 1] / np.maximum(found.second, 1), np.nan)
     return Matches(alpha_2=alpha_2, confidence=confidence, reason=reason, refined=refined, k=k)
