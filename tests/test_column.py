@@ -7,7 +7,7 @@ from bounds import check_all
 from harness.camera.angles import wrap_angle
 from harness.experiments.trial import Kept, run_trial
 from harness.stereo.epipolar import epipolar_curves, point_at
-from harness.stereo.matching.column import PER_GREY
+from harness.stereo.matching.column import PER_GREY, costs_of_half_samples
 from harness.stereo.matching.window import Reason, WindowMatcher, costs_along_curve, match, match_whole_pixels
 from harness.stereo.panorama import Grid, Panorama
 
@@ -19,12 +19,39 @@ def noise(seed, grid=GRID, valid=None):
     return Panorama(grid, values, np.ones(grid.shape, bool) if valid is None else valid)
 
 
-def differences(first, second, t, parts, k):
-    """The difference of every pixel of view 1 and the place of view 2 where sample k puts it, in eighths; or None.
+def columns_of(image, parts):
+    """Pixels in eighths `[height, width parts]`, linear between columns, and which are there."""
+    weight = np.arange(parts) / parts
+    beside = [np.roll(a, -1, axis=1)[..., None] for a in (image.values, image.valid)]
+    between = image.values[..., None] * (1 - weight) + beside[0] * weight
+    there = image.valid[..., None] & (beside[1] | (weight == 0))
+    pixels = np.rint(PER_GREY * between.reshape(len(between), -1)).astype(int)
+    return pixels, there.reshape(len(there), -1)
+
+
+def darker_neighbours(pixels, valid, parts):
+    """Which of the 24 neighbours are below a pixel, as a tuple of truth values; None where one is missing."""
+    answer = np.full(pixels.shape, None, dtype=object)
+    height, width = pixels.shape
+    places = [(i, j * parts) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]
+    for row in range(2, height - 2):
+        for column in range(width):
+            around = [(row + i, (column + j) % width) for i, j in places]
+            if valid[row, column] and all(valid[place] for place in around):
+                answer[row, column] = tuple(pixels[place] < pixels[row, column] for place in around)
+    return answer
+
+
+def pairs(first, second, t, parts, k, cost):
+    """What each pixel of view 1 is compared with where sample k puts it, in eighths, as a pair; None for none.
 
     The epipolar map of a column as in the project's notes: z_2 = g z_1 + h, from the azimuths of both columns.
     """
     grid, (height, width) = first.grid, first.grid.shape
+    own, own_valid = columns_of(first, 1)
+    pixels, valid = columns_of(second, parts)
+    if cost == "census":
+        own_bits, bits = darker_neighbours(own, own_valid, 1), darker_neighbours(pixels, valid, parts)
     answer = {}
     for j in range(width):
         phi_1 = grid.phi[j]
@@ -37,30 +64,22 @@ def differences(first, second, t, parts, k):
         # Rows of view 2 in parts of 2^-16, as whole numbers.
         gain = round(g * 2**16)
         offset = round((((1 - g) * grid.z_max - h) / grid.z_pitch + (g - 1) / 2) * 2**16)
-        column, part = divmod(j * parts + sign * k, parts)
-        left, right = column % width, (column + 1) % width
+        column = round(j * parts + sign * k) % (width * parts)
         for i in range(height):
             position = gain * i + offset
             row, fraction = position >> 16, (position >> 8) & 255
-            within = 0 < from_t < np.pi and 0 <= position <= (height - 1) << 16 and first.valid[i, j]
-
-            def pixel(r, left=left, right=right, part=part):
-                r = min(r, height - 1)
-                if not second.valid[r, left] or (part and not second.valid[r, right]):
-                    return None
-                a, b = float(second.values[r, left]), float(second.values[r, right])
-                return (
-                    int(np.rint(PER_GREY * (a * (1 - part / parts) + b * (part / parts))))
-                    if part
-                    else round(a * PER_GREY)
-                )
-
-            above, below = (pixel(row), pixel(row + 1)) if within else (None, None)
-            if above is None or below is None:
-                answer[i, j] = None
-            else:
-                value = above + (((below - above) * fraction + 128) >> 8)
-                answer[i, j] = abs(round(float(first.values[i, j]) * PER_GREY) - value)
+            answer[i, j] = None
+            if not (0 < from_t < np.pi and 0 <= position <= (height - 1) << 16 and own_valid[i, j]):
+                continue
+            if cost == "census":
+                row = (position + (1 << 15)) >> 16
+                if own_bits[i, j] is not None and bits[row, column] is not None:
+                    answer[i, j] = own_bits[i, j], bits[row, column]
+                continue
+            below = min(row + 1, height - 1)
+            if valid[row, column] and valid[below, column]:
+                step = pixels[below, column] - pixels[row, column]
+                answer[i, j] = own[i, j], pixels[row, column] + ((step * fraction + 128) >> 8)
     return answer
 
 
@@ -71,10 +90,18 @@ def window_at(i, j, half, width):
             yield row, column % width
 
 
-def window_cost(known, window, power):
-    """Sum over a window; NaN where one of its differences is missing."""
+def window_cost(known, window, cost):
+    """Over a window; NaN where one of its pairs is missing."""
     found = [known.get(place) for place in window]
-    return np.nan if None in found else sum(d**power for d in found) / PER_GREY**power
+    if None in found:
+        return np.nan
+    a, b = (np.array(each) for each in zip(*found, strict=True))
+    if cost == "zncc":
+        return 1 - np.corrcoef(a, b)[0, 1]
+    if cost == "census":
+        return np.count_nonzero(a != b)
+    power = {"sad": 1, "ssd": 2}[cost]
+    return np.sum(np.abs(a - b) ** power) / PER_GREY**power
 
 
 def by_definition(first, second, t, matcher):
@@ -82,17 +109,20 @@ def by_definition(first, second, t, matcher):
     grid, half, parts = first.grid, matcher.window_px // 2, matcher.samples_per_column
     limits = {"d_min_m": matcher.d_min_m, "d_max_m": matcher.d_max_m}
     curves = epipolar_curves(grid, t, **limits, pitch_px=matcher.pitch_px)
-    own = {place: 0 for place in np.ndindex(grid.shape) if first.valid[place]}
+    pixels = columns_of(first, 1)
+    own = {place: (0, 0) for place in np.ndindex(grid.shape) if first.valid[place]}
+    if matcher.cost == "census":
+        own = {place: (0, 0) for place, bits in np.ndenumerate(darker_neighbours(*pixels, 1)) if bits is not None}
     known = {}
 
     def cost(i, j, k):
         if k not in known:
-            known[k] = differences(first, second, t, parts, k)
-        return window_cost(known[k], window_at(i, j, half, grid.width_px), {"sad": 1, "ssd": 2}[matcher.cost])
+            known[k] = pairs(first, second, t, parts, k, matcher.cost)
+        return window_cost(known[k], window_at(i, j, half, grid.width_px), matcher.cost)
 
     def search(i, j):
         samples = range(curves.k_first[i, j], curves.k_last[i, j] + 1)
-        if np.isnan(window_cost(own, window_at(i, j, half, grid.width_px), 1)):
+        if np.isnan(window_cost(own, window_at(i, j, half, grid.width_px), "sad")):
             return Reason.WINDOW_LEAVES_IMAGE
         if not curves.defined[i, j]:
             return Reason.NO_EPIPOLAR_PLANE
@@ -118,6 +148,10 @@ def by_definition(first, second, t, matcher):
         ((0.1, -0.3, -0.1), {"pitch_px": 0.5}),
         ((0.3, 0.2, 0.05), {"window_px": 1, "d_max_m": np.inf, "neighbours": 2}),
         ((0.0, 0.4, 0.0), {"window_px": 7, "pitch_px": 1 / 3}),
+        ((-0.2, 0.4, 0.1), {"cost": "zncc"}),
+        ((0.4, 0.03, 0.0), {"cost": "zncc", "window_px": 5, "pitch_px": 0.5}),
+        ((0.1, -0.3, -0.1), {"cost": "census"}),
+        ((0.4, 0.1, 0.0), {"cost": "census", "pitch_px": 0.5}),
     ],
 )
 def test_matcher_does_what_its_definition_says(t, settings):
@@ -132,8 +166,35 @@ def test_matcher_does_what_its_definition_says(t, settings):
     assert {Reason.MATCHED, Reason.CURVE_LEAVES_IMAGE} <= set(reason.ravel())
     for place, best in k.items():
         assert made.k[place] == best, place
-        np.testing.assert_array_equal(made.costs[place], costs[place])  # whole numbers: not a bit of difference
+        # Whole numbers, so not a bit of difference; but 1 - ZNCC is rounded to 2^-24.
+        tolerance = 2.0**-24 if matcher.cost == "zncc" else 0
+        np.testing.assert_allclose(made.costs[place], costs[place], rtol=0, atol=tolerance)
     assert np.isnan(made.costs[made.reason != Reason.MATCHED]).all()
+
+
+@pytest.mark.parametrize(
+    ("cost", "pitch_px"), [("sad", 1.0), ("ssd", 0.5), ("zncc", 1.0), ("census", 1.0), ("census", 0.5)]
+)
+def test_half_samples_are_samples_of_twice_as_many_columns(cost, pitch_px):
+    t = np.array([0.1, -0.3, -0.1])
+    valid = np.ones(GRID.shape, bool)
+    valid[15:17, 30:33] = False
+    first, second = noise(7), noise(8, valid=valid)
+    matcher = WindowMatcher(kind="column", cost=cost, pitch_px=pitch_px, window_px=3, d_min_m=0.9, d_max_m=12)
+    whole = match_whole_pixels(first, second, t, matcher)
+    made = costs_of_half_samples(first, second, whole, matcher, 1)
+    known = {}
+    tolerance = 2.0**-24 if cost == "zncc" else 0  # as above
+    found = np.argwhere(whole.reason == Reason.MATCHED)[::5]
+    for i, j in found.tolist():
+        for n in range(7):
+            k = 2 * int(whole.k[i, j]) + n - 3
+            if k not in known:
+                known[k] = pairs(first, second, t, 2 * matcher.samples_per_column, k, cost)
+            expected = window_cost(known[k], window_at(i, j, 1, GRID.width_px), cost)
+            np.testing.assert_allclose(made[i, j, n], expected, rtol=0, atol=tolerance)
+    assert len(found) > 50
+    assert np.isnan(made[whole.reason != Reason.MATCHED][..., ::2]).all()
 
 
 @pytest.mark.parametrize("t", [(0.5, 0.0, 0.0), (-0.3, 0.4, 0.1)])
@@ -156,10 +217,10 @@ def test_the_middle_of_a_window_lies_on_the_epipolar_curve(t):
     assert asked > 500
 
 
-@pytest.mark.parametrize("threads", [2, 5])
-def test_threads_change_nothing(threads):
+@pytest.mark.parametrize(("threads", "cost"), [(2, "sad"), (5, "sad"), (3, "zncc"), (3, "census")])
+def test_threads_change_nothing(threads, cost):
     first, second = noise(12), noise(13)
-    matcher = WindowMatcher(kind="column", window_px=3, d_min_m=0.8)
+    matcher = WindowMatcher(kind="column", window_px=3, d_min_m=0.8, cost=cost)
     alone, together = (
         match_whole_pixels(first, second, np.array([0.5, 0, 0.1]), matcher, threads=n) for n in (1, threads)
     )

@@ -1,4 +1,4 @@
-"""The window matcher against a plain rendering of its definition, and the sub-pixel step against polyfit."""
+"""The window matcher against a plain rendering of its definition, and the paper's sub-pixel step against polyfit."""
 
 import numpy as np
 import pytest
@@ -20,23 +20,43 @@ from harness.stereo.panorama import Grid, Panorama
 GRID = Grid(width_px=60, height_px=24, z_max=0.5, z_min=-2.0)
 
 
-def noise(seed, grid=GRID, valid=None):
-    values = np.random.default_rng(seed).normal(size=grid.shape).astype(np.float32)
+def noise(seed, grid=GRID, valid=None, scale=1.0):
+    values = np.random.default_rng(seed).normal(scale=scale, size=grid.shape).astype(np.float32)
     return Panorama(grid, values, np.ones(grid.shape, bool) if valid is None else valid)
+
+
+def darker_neighbours(window):
+    """For every pixel that has them all: which of the 24 neighbours are below it."""
+    size = len(window) - 4
+    middle = window[2:-2, 2:-2]
+    return np.array(
+        [window[i : i + size, j : j + size] < middle for i in range(5) for j in range(5) if (i, j) != (2, 2)]
+    )
+
+
+def dissimilarity(cost, a, b):
+    """The four costs of two windows, as textbooks have them."""
+    if cost == "census":
+        return np.count_nonzero(darker_neighbours(a) != darker_neighbours(b))
+    if cost == "zncc":
+        return 1 - np.corrcoef(a.ravel(), b.ravel())[0, 1]
+    return np.abs(a - b).sum() if cost == "sad" else ((a - b) ** 2).sum()
 
 
 def by_definition(first, second, t, matcher, row, column):
     """Best sample, its neighbours' costs, or the reason why not: section 4 of the paper in plain Python."""
     grid, half = first.grid, matcher.window_px // 2
+    margin = 2 if matcher.cost == "census" else 0  # its neighbours count as part of a window
     curves = epipolar_curves(
         grid, t, d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m, sampling=matcher.sampling, pitch_px=matcher.pitch_px
     )
 
     def window(image, i, j):
-        columns = np.arange(j - half, j + half + 1) % grid.width_px
-        if i - half < 0 or i + half >= grid.height_px or not image.valid[i - half : i + half + 1][:, columns].all():
+        reach = half + margin
+        columns = np.arange(j - reach, j + reach + 1) % grid.width_px
+        if i - reach < 0 or i + reach >= grid.height_px or not image.valid[i - reach : i + reach + 1][:, columns].all():
             return None
-        return image.values[i - half : i + half + 1][:, columns].astype(np.float64)
+        return image.values[i - reach : i + reach + 1][:, columns].astype(np.float64)
 
     def cost(k):
         phi, z = (float(value) for value in point_at(curves, k, (row, column)))
@@ -45,8 +65,7 @@ def by_definition(first, second, t, matcher, row, column):
         there = window(second, i, j)
         if there is None:
             return np.nan
-        difference = window(first, row, column) - there
-        return np.abs(difference).sum() if matcher.cost == "sad" else (difference**2).sum()
+        return dissimilarity(matcher.cost, window(first, row, column), there)
 
     if window(first, row, column) is None:
         return Reason.WINDOW_LEAVES_IMAGE, None, None
@@ -71,9 +90,21 @@ def by_definition(first, second, t, matcher, row, column):
     return Reason.MATCHED, best, around
 
 
-@pytest.mark.parametrize("t", [(0.5, 0.0, 0.0), (-0.3, 0.4, 0.1), (0.02, 0.01, 0.5)])
-@pytest.mark.parametrize("sampling", ["phi", "alpha"])
-@pytest.mark.parametrize("cost", ["sad", "ssd"])
+@pytest.mark.parametrize(
+    ("t", "sampling", "cost"),
+    [
+        ((0.5, 0.0, 0.0), "phi", "sad"),
+        ((0.5, 0.0, 0.0), "alpha", "ssd"),
+        ((0.1, -0.5, 0.0), "phi", "zncc"),
+        ((0.0, -0.5, 0.1), "alpha", "census"),
+        ((-0.3, 0.4, 0.1), "phi", "ssd"),
+        ((-0.3, 0.4, 0.1), "alpha", "zncc"),
+        ((-0.3, 0.4, 0.1), "phi", "census"),
+        ((0.02, 0.01, 0.5), "phi", "sad"),
+        ((0.02, 0.01, 0.5), "alpha", "sad"),
+        ((0.02, 0.01, 0.5), "alpha", "census"),
+    ],
+)
 def test_matcher_does_what_its_definition_says(t, sampling, cost):
     valid = np.ones(GRID.shape, bool)
     valid[15:17, 30:33] = False
@@ -88,8 +119,8 @@ def test_matcher_does_what_its_definition_says(t, sampling, cost):
             assert Reason(whole.reason[row, column]) == reason, (row, column)
             if reason == Reason.MATCHED:
                 assert whole.k[row, column] == best
-                # Single-precision pixels, summed in another order.
-                np.testing.assert_allclose(whole.costs[row, column], around, rtol=1e-5)
+                # Single-precision pixels, summed in another order; 1 - ZNCC in doubles, near 1.
+                np.testing.assert_allclose(whole.costs[row, column], around, rtol=1e-5, atol=1e-12)
     if abs(t[2]) < 0.2 or sampling == "alpha":  # steep curves sampled in phi hold hardly a sample
         assert {Reason.MATCHED, Reason.CURVE_LEAVES_IMAGE, Reason.WINDOW_LEAVES_IMAGE} <= seen
 
@@ -125,9 +156,10 @@ def test_the_seam_is_no_border(columns):
     assert same.mean() > 0.995
 
 
-def test_threads_change_nothing():
+@pytest.mark.parametrize("cost", ["sad", "zncc", "census"])
+def test_threads_change_nothing(cost):
     first, second = noise(12), noise(13)
-    matcher = WindowMatcher(window_px=3, d_min_m=0.8)
+    matcher = WindowMatcher(window_px=3, d_min_m=0.8, cost=cost)
     results = [match_whole_pixels(first, second, np.array([0.5, 0, 0]), matcher, threads=n) for n in (1, 2, 5)]
     for other in results[1:]:
         np.testing.assert_array_equal(results[0].k, other.k)
@@ -135,14 +167,96 @@ def test_threads_change_nothing():
         np.testing.assert_array_equal(results[0].reason, other.reason)
 
 
-def test_the_curve_shown_is_the_curve_searched():
+@pytest.mark.parametrize("kind", ["window", "column"])
+@pytest.mark.parametrize("cost", ["sad", "ssd", "zncc", "census"])
+def test_the_curve_shown_is_the_curve_searched(kind, cost):
     first, second = noise(14), noise(15)
-    matcher = WindowMatcher(window_px=3, d_min_m=0.8)
+    matcher = WindowMatcher(kind=kind, cost=cost, window_px=3, d_min_m=0.8)
     whole = match_whole_pixels(first, second, np.array([0.5, 0, 0]), matcher)
     row, column = np.argwhere(whole.reason == Reason.MATCHED)[40]
     ks, costs = costs_along_curve(first, second, whole, matcher, int(row), int(column))
     assert ks[np.argmin(costs)] == whole.k[row, column]
     assert np.min(costs) == whole.costs[row, column, matcher.neighbours]
+
+
+def with_exposure(image, gain, offset):
+    return Panorama(image.grid, (image.values * gain + offset).astype(np.float32), image.valid)
+
+
+@settings(deadline=None, max_examples=10)
+@given(gain=st.floats(0.4, 2.5), offset=st.floats(-60, 60))
+def test_gain_and_offset_change_neither_zncc_nor_census(gain, offset):
+    first, second = noise(16, scale=15), noise(17, scale=15)
+    for cost in ("zncc", "census"):
+        matcher = WindowMatcher(cost=cost, window_px=5, d_min_m=0.9)
+        before, after = (
+            match_whole_pixels(first, image, np.array([0.4, 0.2, 0.05]), matcher)
+            for image in (second, with_exposure(second, gain, offset))
+        )
+        same = (before.k == after.k) & (before.reason == Reason.MATCHED)
+        assert same.sum() > 0.99 * np.count_nonzero(before.reason == Reason.MATCHED)
+        # Pixels are rounded to single precision once more; two neighbours within that of each other may change order.
+        tolerance = {"zncc": 1e-5, "census": 1}[cost]
+        np.testing.assert_allclose(before.costs[same], after.costs[same], atol=tolerance)
+
+
+@settings(deadline=None, max_examples=10)
+@given(gain=st.sampled_from([0.5, 1.0, 2.0]), offset=st.integers(-480, 480))
+def test_gain_and_offset_change_no_census_of_columns_and_hardly_a_zncc(gain, offset):
+    """Pixels are counted in eighths: with whole grey levels and these gains and offsets all of them stay whole."""
+    first, second = (
+        Panorama(GRID, np.round(image.values), image.valid) for image in (noise(16, scale=15), noise(17, scale=15))
+    )
+    other = with_exposure(second, gain, offset / 8)
+    # A place between two rows is rounded to an eighth: with half the contrast, by 0.5 % RMS of a standard deviation.
+    for cost, share, tolerance in (("census", 1, 0), ("zncc", 0.99, 0.01)):
+        matcher = WindowMatcher(kind="column", cost=cost, window_px=5, d_min_m=0.9)
+        before, after = (
+            match_whole_pixels(first, image, np.array([0.4, 0.2, 0.05]), matcher) for image in (second, other)
+        )
+        same = (before.k == after.k) & (before.reason == Reason.MATCHED)
+        assert same.sum() >= share * np.count_nonzero(before.reason == Reason.MATCHED)
+        np.testing.assert_allclose(before.costs[same], after.costs[same], rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("kind", ["window", "column"])
+def test_a_window_without_contrast_is_correlated_with_nothing(kind):
+    flat = Panorama(GRID, np.full(GRID.shape, 100.3, np.float32), np.ones(GRID.shape, bool))
+    matcher = WindowMatcher(kind=kind, cost="zncc", window_px=3, d_min_m=0.9)
+    for pair in ((flat, noise(1)), (noise(1), flat), (flat, flat)):
+        whole = match_whole_pixels(*pair, np.array([0.4, 0.2, 0.05]), matcher)
+        matched = whole.reason == Reason.MATCHED
+        assert matched.any()
+        assert np.nanmin(whole.costs[matched]) == np.nanmax(whole.costs[matched]) == 1
+        assert np.all(whole.k[matched] == whole.curves.k_first[matched])  # a tie goes to the sample nearer to infinity
+        assert np.all(match(whole, matcher).confidence[matched] == 0)
+
+
+def test_a_window_that_does_not_fit_is_not_matched():
+    for kind in ("window", "column"):
+        for cost in ("sad", "zncc", "census"):
+            matcher = WindowMatcher(kind=kind, cost=cost, window_px=41, d_min_m=0.9)
+            whole = match_whole_pixels(noise(1), noise(2), np.array([0.4, 0.2, 0.05]), matcher)
+            assert set(whole.reason.ravel()) == {Reason.WINDOW_LEAVES_IMAGE}
+            assert np.isnan(whole.costs).all()
+
+
+@pytest.mark.parametrize("kind", ["window", "column"])
+def test_confidence_is_the_contrast_of_the_minimum(kind):
+    matcher = WindowMatcher(kind=kind, window_px=3, d_min_m=0.8, subpixel="none")
+    valid = np.ones(GRID.shape, bool)
+    valid[9:11, 20:40] = False  # some minima have one neighbour only, or none
+    whole = match_whole_pixels(noise(18), noise(19, valid=valid), np.array([0.5, 0.1, 0]), matcher)
+    found = match(whole, matcher).confidence
+    matched = whole.reason == Reason.MATCHED
+    assert np.isnan(found[~matched]).all()
+    neighbours, seen = whole.costs[..., [2, 4]], set()
+    for place in map(tuple, np.argwhere(matched)):
+        beside = neighbours[place][np.isfinite(neighbours[place])]
+        seen.add(beside.size)
+        expected = 1 - whole.costs[(*place, 3)] / beside.mean() if beside.size else 0
+        assert found[place] == pytest.approx(np.clip(expected, 0, 1), abs=1e-12)
+    assert {1, 2} <= seen
 
 
 @settings(deadline=None)

@@ -11,11 +11,16 @@ from harness.stereo.panorama import Panorama
 
 def window_centres(panorama: Panorama, window_px: int) -> NDArray[np.bool_]:
     """Pixels whose whole window is valid. The seam at phi = ±pi is no border; the first and last row are."""
+    return whole_windows(panorama.valid, window_px)
+
+
+def whole_windows(valid: NDArray[np.bool_], window_px: int) -> NDArray[np.bool_]:
+    """The same for a mask `[height, width]`."""
     half = window_px // 2
-    if panorama.valid.all():
-        whole = np.ones(panorama.grid.shape, dtype=bool)
+    if valid.all():
+        whole = np.ones(valid.shape, dtype=bool)
     else:
-        whole = np.ascontiguousarray(ndimage.minimum_filter(panorama.valid, size=window_px, mode=("nearest", "wrap")))
+        whole = np.ascontiguousarray(ndimage.minimum_filter(valid, size=window_px, mode=("nearest", "wrap")))
     if half:
         whole[:half] = False
         whole[-half:] = False

@@ -1,18 +1,27 @@
 """The paper's matcher: a fixed square window on the epipolar curve, compared at the nearest pixel (section 4)."""
 
+import functools
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.stereo.epipolar import Curves
-from harness.stereo.matching import _kernels
-from harness.stereo.matching.centres import searchable, window_centres
+from harness.stereo.matching import _square_kernels as _kernels
+from harness.stereo.matching.census import NEIGHBOURHOOD_PX, census
+from harness.stereo.matching.centres import searchable, whole_windows
 from harness.stereo.matching.contract import Reason
 from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
 from harness.stereo.panorama import Panorama
+
+_KINDS = {"sad": _kernels.SAD, "ssd": _kernels.SSD, "zncc": _kernels.ZNCC, "census": _kernels.CENSUS}
+_MODES = {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}
+
+_FLAT = 1e-12
+"""A spread below this share of the sum of squares is rounding: windows have at most 10^4 pixels, each within 1e-16."""
 
 
 def search(
@@ -20,32 +29,40 @@ def search(
 ) -> WholePixelMatches:
     """The best sample of every pixel's curve; `threads` deals out rows."""
     grid = first.grid
-    matchable_1, matchable_2 = (window_centres(image, matcher.window_px) for image in (first, second))
-    searched, reason = searchable(curves, matchable_1)
+    images = _images(first, second, matcher)
+    matchable_2 = whole_windows(images.valid_2, matcher.window_px)
+    searched, reason = searchable(curves, whole_windows(images.valid_1, matcher.window_px))
     lost = searched & ~_extremum_inside(curves, matchable_2)
     reason[lost] = Reason.CURVE_LEAVES_IMAGE
     searched &= ~lost
 
     k_best = np.zeros(grid.shape, dtype=np.int32)
     costs = np.full((*grid.shape, 2 * matcher.neighbours + 1), np.nan)
-    shared = _shared_arguments(first, second, matcher)
+    k_0, cosine, sine = _turns(curves, matcher.neighbours)
 
     def work(rows: NDArray[np.intp]) -> None:
         _kernels.match_rows(
             rows,
-            shared["mode"],
-            shared["cost"],
-            shared["first"],
-            shared["second"],
+            _MODES[matcher.sampling],
+            _KINDS[matcher.cost],
+            images.first,
+            images.second,
+            images.codes_1,
+            images.codes_2,
+            images.moments_1,
+            images.moments_2,
             searched,
             matchable_2,
-            shared["half"],
+            matcher.window_px // 2,
             grid.phi,
             curves.alpha_1,
             curves.step,
             curves.t / np.linalg.norm(curves.t),
             curves.m,
             curves.n,
+            k_0,
+            cosine,
+            sine,
             curves.k_first,
             curves.k_last,
             grid.z_max,
@@ -57,11 +74,54 @@ def search(
             costs,
         )
 
-    rows = np.arange(grid.height_px)
-    with ThreadPoolExecutor(threads) as pool:
-        # Near rows cost more than far ones: deal the rows out like cards.
-        list(pool.map(work, [np.ascontiguousarray(rows[i :: 4 * threads]) for i in range(4 * threads)]))
+    deal_rows(work, grid.height_px, threads)
     return WholePixelMatches(curves, k_best, costs, reason)
+
+
+def costs_of_half_samples(
+    first: Panorama, second: Panorama, whole: WholePixelMatches, matcher: WindowMatcher, threads: int
+) -> Array:
+    """The costs 1.5, 1, 0.5 samples before the best one, at it, and 0.5, 1, 1.5 after it, `[height, width, 7]`.
+
+    View 2 is interpolated linearly at all of them, whole samples as well: the nearest pixel to a curve is up to half a
+    row off, which would count at some of them and not at others.
+    """
+    grid, curves = first.grid, whole.curves
+    images = _images(first, second, matcher)
+    margin = NEIGHBOURHOOD_PX // 2 if matcher.cost == "census" else 0
+    half = matcher.window_px // 2
+    values_2 = np.pad(second.values, ((0, 0), (half + margin, half + margin + 1)), mode="wrap")
+    matchable_2 = whole_windows(second.valid, matcher.window_px + 2 * margin)
+    costs = np.full((*grid.shape, 7), np.nan)
+
+    def work(rows: NDArray[np.intp]) -> None:
+        _kernels.costs_between(
+            rows,
+            _MODES[matcher.sampling],
+            _KINDS[matcher.cost],
+            images.first,
+            values_2,
+            images.codes_1,
+            images.moments_1,
+            margin,
+            whole.reason == Reason.MATCHED,
+            matchable_2,
+            half,
+            grid.phi,
+            curves.alpha_1,
+            curves.step,
+            curves.t / np.linalg.norm(curves.t),
+            curves.m,
+            curves.n,
+            grid.z_max,
+            grid.z_pitch,
+            grid.phi_pitch,
+            whole.k,
+            costs,
+        )
+
+    deal_rows(work, grid.height_px, threads)
+    return costs
 
 
 def costs_along_curve(
@@ -71,24 +131,30 @@ def costs_along_curve(
     grid = first.grid
     ks = np.arange(curves.k_first[row, column], curves.k_last[row, column] + 1)
     out = np.empty(ks.size)
-    matchable_2 = window_centres(second, matcher.window_px)
-    shared = _shared_arguments(first, second, matcher)
+    images = _images(first, second, matcher)
+    k_0, cosine, sine = _turns(curves, matcher.neighbours)
     _kernels.costs_along_curve(
-        ks,
-        shared["mode"],
-        shared["cost"],
-        shared["first"],
-        shared["second"],
-        matchable_2,
+        int(curves.k_first[row, column]),
+        _MODES[matcher.sampling],
+        _KINDS[matcher.cost],
+        images.first,
+        images.second,
+        images.codes_1,
+        images.codes_2,
+        images.moments_1,
+        images.moments_2,
+        whole_windows(images.valid_2, matcher.window_px),
         row,
         column,
-        shared["half"],
-        grid.phi[column],
-        curves.alpha_1[row, column],
+        matcher.window_px // 2,
+        grid.phi[column] if matcher.sampling == "phi" else curves.alpha_1[row, column],
         curves.step[row, column],
         curves.t / np.linalg.norm(curves.t),
         curves.m[row, column],
         curves.n[row, column],
+        k_0,
+        cosine,
+        sine,
         grid.z_max,
         grid.z_pitch,
         grid.phi_pitch,
@@ -97,15 +163,70 @@ def costs_along_curve(
     return ks, out
 
 
-def _shared_arguments(first: Panorama, second: Panorama, matcher: WindowMatcher) -> dict[str, Any]:
+def deal_rows(work: Callable[[NDArray[np.intp]], None], height: int, threads: int) -> None:
+    """Deal the rows out like cards: near rows cost more than far ones."""
+    rows = np.arange(height)
+    if threads == 1:
+        work(rows)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, [np.ascontiguousarray(rows[i :: 4 * threads]) for i in range(4 * threads)]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Images:
+    """What is compared; padded by half a window of columns on both sides. What the cost does not ask for is empty."""
+
+    first: NDArray[np.float32]
+    second: NDArray[np.float32]
+    codes_1: NDArray[np.int32]
+    codes_2: NDArray[np.int32]
+    """Census transforms."""
+    moments_1: Array
+    moments_2: Array
+    """`[2, height, width]`, not padded: each window's sum, and n times the sum of squares less its square."""
+    valid_1: NDArray[np.bool_]
+    valid_2: NDArray[np.bool_]
+    """`[height, width]`."""
+
+
+def _images(first: Panorama, second: Panorama, matcher: WindowMatcher) -> _Images:
     half = matcher.window_px // 2
-    return {
-        "mode": {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}[matcher.sampling],
-        "cost": {"sad": _kernels.SAD, "ssd": _kernels.SSD}[matcher.cost],
-        "first": np.pad(first.values, ((0, 0), (half, half)), mode="wrap"),
-        "second": np.pad(second.values, ((0, 0), (half, half)), mode="wrap"),
-        "half": half,
-    }
+    values = [np.pad(image.values, ((0, 0), (half, half)), mode="wrap") for image in (first, second)]
+    codes = [np.empty((1, 1), dtype=np.int32)] * 2
+    moments = [np.empty((2, 1, 1))] * 2
+    valid = [first.valid, second.valid]
+    if matcher.cost == "census":
+        transforms = [census(image.values, image.valid) for image in (first, second)]
+        codes = [np.pad(each, ((0, 0), (half, half)), mode="wrap") for each, _ in transforms]
+        valid = [whole for _, whole in transforms]
+    if matcher.cost == "zncc":
+        moments = [_moments(each.astype(np.float64), half) for each in values]
+    return _Images(values[0], values[1], codes[0], codes[1], moments[0], moments[1], valid[0], valid[1])
+
+
+def _moments(padded: Array, half: int) -> Array:
+    """Of every window the sum, and n times the sum of squares less the sum squared, 0 where all pixels are equal."""
+    size, height, width = 2 * half + 1, padded.shape[0] - 2 * half, padded.shape[1] - 2 * half
+    if height < 1:
+        return np.zeros((2, padded.shape[0], width))
+
+    def box(image: Array) -> Array:
+        columns = functools.reduce(np.add, (image[:, j : j + width] for j in range(size)))
+        rows = functools.reduce(np.add, (columns[i : i + height] for i in range(size)))
+        return np.pad(rows, ((half, half), (0, 0)))
+
+    total, squares = box(padded), size**2 * box(padded**2)
+    spread = squares - total**2
+    return np.stack([total, np.where(spread > _FLAT * squares, spread, 0)])
+
+
+def _turns(curves: Curves, reach: int) -> tuple[int, Array, Array]:
+    """Cosine and sine of k steps, for all samples searched and `reach` beside them; and the first k."""
+    some = curves.k_last >= curves.k_first
+    k_0 = int(curves.k_first[some].min(initial=0)) - reach
+    angle = np.arange(k_0, int(curves.k_last[some].max(initial=0)) + reach + 1) * float(np.abs(curves.step).max())
+    return k_0, np.cos(angle), np.sin(angle)
 
 
 def _extremum_inside(curves: Curves, matchable_2: NDArray[np.bool_]) -> NDArray[np.bool_]:

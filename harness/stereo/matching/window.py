@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.angles import Array
-from harness.stereo.epipolar import alpha_2_at, epipolar_curves
+from harness.stereo.epipolar import epipolar_curves
+from harness.stereo.matching import _kernels
 from harness.stereo.matching import column as column_windows
 from harness.stereo.matching import square as square_windows
 from harness.stereo.matching.contract import Matches, Reason
-from harness.stereo.matching.subpixel import refine
+from harness.stereo.matching.newton import gauss_newton
+from harness.stereo.matching.subpixel import FROM_COSTS, cancelled_minimum, refine
 from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
 from harness.stereo.pair import Pair
 from harness.stereo.panorama import Panorama
@@ -36,7 +38,11 @@ _KINDS = {"window": square_windows, "column": column_windows}
 def match_pair(pair: Pair, matcher: WindowMatcher) -> Matches:
     """Match the filtered panoramas; the search is shared by all sub-pixel steps."""
     whole = whole_pixels(pair, matcher)
-    return pair.shared("sub-pixel", (matcher, pair.interpolation, pair.log_sigma_px), lambda: match(whole, matcher))
+    return pair.shared(
+        "sub-pixel",
+        (matcher, pair.interpolation, pair.log_sigma_px),
+        lambda: match(whole, matcher, pair.filtered(), threads=pair.available_threads),
+    )
 
 
 def whole_pixels(pair: Pair, matcher: WindowMatcher) -> WholePixelMatches:
@@ -77,17 +83,68 @@ def match_whole_pixels(
     return _KINDS[matcher.kind].search(first, second, curves, matcher, threads or len(os.sched_getaffinity(0)))
 
 
-def match(whole: WholePixelMatches, matcher: WindowMatcher) -> Matches:
-    """Apply the sub-pixel step and turn samples into angles."""
-    curves, matched = whole.curves, whole.reason == Reason.MATCHED
-    offset, refined = refine(whole.costs, matcher.subpixel)
-    # Between d_max and d_min, as the search itself: finite limits keep every range finite.
-    k = whole.k + offset
-    refined &= matched & (k >= curves.k_far) & (k <= curves.k_near)
-    k = np.where(matched, np.where(refined, k, whole.k), np.nan)
-    alpha_2 = np.full(k.shape, np.nan)
-    alpha_2[matched] = alpha_2_at(curves, k[matched], (matched,))
-    return Matches(alpha_2=alpha_2, reason=whole.reason, refined=refined, k=k)
+def match(
+    whole: WholePixelMatches,
+    matcher: WindowMatcher,
+    images: tuple[Panorama, Panorama] | None = None,
+    *,
+    threads: int | None = None,
+) -> Matches:
+    """Apply the sub-pixel step and turn samples into angles.
+
+    Parameters
+    ----------
+    images
+        The filtered panoramas that were searched; for the steps that need more than the costs of whole samples.
+    threads
+        As in `match_whole_pixels`.
+
+    Returns
+    -------
+    Matches
+        Refined places lie between d_max and d_min, as the search itself: finite limits keep every range finite. The
+        confidence is the contrast of the cost's minimum, `1 - c_0/mean(c_-1, c_+1)` over those of the two neighbours
+        that exist, within 0 .. 1; 0 where the costs are all alike.
+    """
+    curves = whole.curves
+    if matcher.subpixel in FROM_COSTS:
+        offset, refined = refine(whole.costs, matcher.subpixel)
+    elif images is None:
+        raise ValueError(f"the sub-pixel step {matcher.subpixel} needs the panoramas")
+    else:
+        offset, refined = _refine_on_images(whole, matcher, images, threads or len(os.sched_getaffinity(0)))
+    shape = whole.k.shape
+    k, alpha_2, confidence = np.empty(shape), np.empty(shape), np.empty(shape)
+    _kernels.matches(
+        {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}[curves.sampling],
+        whole.costs,
+        whole.reason,
+        whole.k,
+        offset,
+        refined,
+        curves.grid.phi,
+        curves.step,
+        curves.alpha_1,
+        curves.m,
+        curves.n,
+        curves.t / np.linalg.norm(curves.t),
+        curves.k_far,
+        curves.k_near,
+        k,
+        alpha_2,
+        confidence,
+    )
+    return Matches(alpha_2=alpha_2, confidence=confidence, reason=whole.reason, refined=refined, k=k)
+
+
+def _refine_on_images(
+    whole: WholePixelMatches, matcher: WindowMatcher, images: tuple[Panorama, Panorama], threads: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Offset and whether there is one, as `refine`, by the steps that look at the images again."""
+    if matcher.subpixel == "images":
+        return gauss_newton(*images, whole, matcher, threads)
+    costs = _KINDS[matcher.kind].costs_of_half_samples(*images, whole, matcher, threads)
+    return cancelled_minimum(costs, equiangular=matcher.cost in ("sad", "census"))
 
 
 def costs_along_curve(
