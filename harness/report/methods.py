@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from harness.experiments.run import by_method
 from harness.experiments.trial import Outcome
 from harness.report import theme
+from harness.stereo.matching.registry import method_of
 
 
 @dataclass(frozen=True)
@@ -21,14 +22,35 @@ class Method:
     outcome: Outcome
 
 
-_KNOWN = {"pixel": ("pixel level", theme.PIXEL), "subpixel": ("sub-pixel", theme.SUBPIXEL)}
+_WINDOWS = ("window", "column")
+_STEPS = {"none": ("pixel level", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
+
+
+def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]]:
+    """Label and colour of each method, given as a matcher and its sub-pixel step.
+
+    Steps of the window matchers have a colour each, and so has every other matcher with its own step.
+    """
+    drawn_as = [step if matcher in _WINDOWS else f"{matcher} {step}" for matcher, step in pairs]
+    spare = iter(theme.SPARE * len(pairs))
+    colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
+    several = len({matcher for matcher, _ in pairs}) > 1
+    found = {}
+    for (matcher, step), name in zip(pairs, drawn_as, strict=True):
+        label = _STEPS[step][0] if step in _STEPS else step
+        if step == "own" or (matcher not in _WINDOWS and sum(other == matcher for other, _ in pairs) == 1):
+            label = matcher
+        elif several:
+            label = f"{matcher}, {label}"
+        found[matcher, step] = (label, colours[name])
+    return found
 
 
 def methods_of(outcomes: list[Outcome]) -> list[Method]:
     """The methods of an experiment, in the order in which they were run."""
-    spare = iter(theme.SPARE * len(outcomes))
-    named = by_method(outcomes).items()
-    return [Method(key, *(_KNOWN.get(key) or (key, next(spare))), outcome) for key, outcome in named]
+    named = by_method(outcomes)
+    appearance = looks([method_of(outcome.trial.matching) for outcome in named.values()])
+    return [Method(key, *appearance[method_of(outcome.trial.matching)], outcome) for key, outcome in named.items()]
 
 
 def common(methods: list[Method]) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ import pandas as pd
 from harness.experiments.experiment import text_of
 from harness.experiments.run import Result
 from harness.report import theme
+from harness.report.methods import looks
 from harness.stereo.matching.registry import method_of
 
 NOT_AN_AXIS = ("seed", "matching.kind", "matching.subpixel")
@@ -23,7 +24,6 @@ _NAMES = {
     "filter.log_sigma_px": ("LoG σ", "px"),
     "scene.objects.0.size_m": ("size of the first object", "m"),
 }
-_STEPS = {"none": ("pixel level", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
 _STROKES: tuple[tuple[Any, str], ...] = (
     ("solid", "o"),
     ((0, (4, 1.8)), "s"),
@@ -34,7 +34,9 @@ _STROKES: tuple[tuple[Any, str], ...] = (
 
 @dataclass(frozen=True)
 class Way:
-    """A way to match, a matcher with a sub-pixel step: colours stand for the step, strokes for the matcher."""
+    """A way to match, a matcher with a sub-pixel step: colours stand for the step of a window, or for another matcher;
+    strokes for the matcher.
+    """
 
     matcher: str
     subpixel: str
@@ -188,15 +190,10 @@ def _ordered(values: list[Any]) -> list[Any]:
 def _ways(trials: pd.DataFrame) -> list[Way]:
     pairs = list(dict.fromkeys(zip(trials["matcher"], trials["subpixel"], strict=True)))
     matchers, steps = (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True))
-    spare = iter(theme.SPARE * len(steps))
-    known = {step: _STEPS.get(step) or (step, next(spare)) for step in steps}
     ways = []
-    for matcher, step in pairs:
-        label, colour = known[step]
+    for (matcher, step), (label, colour) in looks(pairs).items():
         place = matchers.index(matcher)
         stroke, marker = _STROKES[place % len(_STROKES)]
-        if len(matchers) > 1:
-            label = f"{matcher}, {label}"
         ways.append(Way(matcher, step, label, colour, stroke, marker, filled=place % 2 == 0))
     return sorted(ways, key=lambda way: (matchers.index(way.matcher), steps.index(way.subpixel)))
 

@@ -22,8 +22,14 @@ from harness.report.words import figure
 _DENSE = LinearSegmentedColormap.from_list("cells", ["#FFFFFF", "#D5DEE8", "#7A8DA3", "#2F4158"])
 
 
-def images(sweep: Sweep, fits: list[Fit]) -> Part:
-    """Regressions of the relative error on both laws."""
+def images(sweep: Sweep, fits: list[Fit], limited: list[Fit]) -> Part:
+    """Regressions of the relative error on both laws.
+
+    Parameters
+    ----------
+    limited
+        The fits over cells that noise limits, see `law_images.noise_limited`.
+    """
     pictures: list[Picture] = []
     binned: list[list[Any]] = []
     for way in sweep.ways:
@@ -55,7 +61,11 @@ def images(sweep: Sweep, fits: list[Fit]) -> Part:
             ],
             "directions": [slopes.by_direction(sweep, fits, surface, letter) for surface, letter in _lettered(sweep)],
         },
-        {"slopes": slopes.slope_table(sweep, fits), "conditions": slopes.condition_table(sweep)},
+        {
+            "slopes": slopes.slope_table(sweep, fits),
+            "limited": slopes.slope_table(sweep, limited),
+            "conditions": slopes.condition_table(sweep),
+        },
         {
             "regression": Data(
                 "law-images", [*method, "law_over_d", "cells", "median_spread_over_d", "ci95_low", "ci95_high"], binned
