@@ -15,10 +15,14 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     summary
         As in `summary.json`.
     """
-    title = f"{summary['experiment']}: errors over the pixels that both methods matched"
+    from rich.markup import escape
+
+    count = len(summary["comparison"])
+    who = {1: "the method", 2: "both methods"}.get(count, "all methods")
+    title = f"{summary['experiment']}: errors over the pixels that {who} matched"
     table = _table(title)
     table.add_column("\npixels", no_wrap=True)
-    table.add_column("\nmethod", no_wrap=True)
+    table.add_column("\nmethod", overflow="fold")  # the only one that may wrap: names can be long
     headings = (
         "\ndensity",
         "disparity\nmedian px",
@@ -33,7 +37,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
         for method, m in summary[key].items():
             table.add_row(
                 where,
-                {"subpixel": "sub-pixel"}.get(method, method),
+                escape({"subpixel": "sub-pixel"}.get(method, method)),
                 _figure(m["density"], 100, "{:.1f} %"),
                 _figure(m["disparity_median_abs_px"], 1, "{:.3f}"),
                 _figure(m["bad_1px"], 100, "{:.1f} %"),
