@@ -1,10 +1,12 @@
-"""How long the column matcher takes, beside OpenCV's StereoSGBM and StereoBM on the same pair of views.
+"""How long the column matcher and semi-global matching take, beside OpenCV's StereoSGBM and StereoBM on the same pair
+of views.
 
 Prints ratios: the median over interleaved repetitions, so that a busy machine slows all down alike. All use the same
 number of threads (StereoSGBM's default mode works on one, whatever it is given; its three-way mode on all). What
-depends on the geometry alone is made beforehand: epipolar tables for ours, rectification maps for OpenCV. Ours is timed
-from the filtered panoramas to the best sample of every pixel, moved to the minimum of the parabola; OpenCV's from the
-rectified 8-bit images to disparities, which are sub-pixel as well.
+depends on the geometry alone is made beforehand: epipolar tables for ours, rectification maps for OpenCV. The column
+matcher is timed from the filtered panoramas to the best sample of every pixel, moved to the minimum of the parabola;
+semi-global matching from the views resampled about the baseline to `Matches`, the check of consistency included;
+OpenCV's from the rectified 8-bit images to disparities, which are sub-pixel as well.
 
 The rectification is OpenCV's LONGLATI: columns are angles to the baseline, 0 to 180 degrees, rows half planes around
 it, 0 to 360 degrees, both in steps of a panorama's column. No smaller rectangle holds the panorama, for every such half
@@ -28,6 +30,10 @@ from harness.camera.angles import normalise
 from harness.camera.sensor import project
 from harness.experiments.experiment import load_experiment
 from harness.experiments.trial import Outcome, run_trial
+from harness.stereo.matching import semi_global
+from harness.stereo.matching.peers.settings import StereoSGBM
+from harness.stereo.matching.registry import match_pair
+from harness.stereo.matching.semi_global import Geometry, SemiGlobal, View
 from harness.stereo.matching.subpixel import refine
 from harness.stereo.matching.window import WindowMatcher, match_whole_pixels
 from harness.stereo.panorama import cylinder
@@ -60,7 +66,11 @@ def opencv_matchers(window: int) -> dict[str, Callable[[np.ndarray, np.ndarray],
     area = window**2
     semi = {
         name: cv2.StereoSGBM.create(0, DISPARITIES, window, 8 * area, 32 * area, mode=mode)
-        for name, mode in (("SGBM", cv2.StereoSGBM_MODE_SGBM), ("SGBM 3-way", cv2.StereoSGBM_MODE_SGBM_3WAY))
+        for name, mode in (
+            ("SGBM", cv2.StereoSGBM_MODE_SGBM),
+            ("SGBM 3-way", cv2.StereoSGBM_MODE_SGBM_3WAY),
+            ("SGBM 8 paths", cv2.StereoSGBM_MODE_HH),
+        )
     }
     return {name: matcher.compute for name, matcher in {**semi, "BM": cv2.StereoBM.create(DISPARITIES, window)}.items()}
 
@@ -85,8 +95,7 @@ def main() -> None:
         f" StereoSGBM's median error on walls {median_error_px(pair, outcome):.2f} px"
     )
     print(f"{THREADS} threads, {repetitions} interleaved repetitions; time of ours over OpenCV's, and the same a pixel")
-    names = list(opencv_matchers(7))
-    print(f"{'window':>6} {'ours ms':>8}" + "".join(f"{'/ ' + name:>13} {'a pixel':>8}" for name in names))
+    print(heading("window"))
     for window in WINDOWS:
         matcher = WindowMatcher(kind="column", window_px=window, d_min_m=1.0, d_max_m=np.inf)
 
@@ -94,12 +103,51 @@ def main() -> None:
             whole = match_whole_pixels(first, second, trial.motion.t_v1, matcher, threads=THREADS)
             refine(whole.costs, "parabola")
 
-        theirs = {name: lambda f=compute: f(*pair) for name, compute in opencv_matchers(window).items()}
-        ours()
-        times = [(seconds(ours), *(seconds(work) for work in theirs.values())) for _ in range(repetitions)]
-        ratios = [statistics.median(row[0] / row[i + 1] for row in times) for i in range(len(theirs))]
-        mine = statistics.median(row[0] for row in times)
-        print(f"{window:6} {1e3 * mine:8.1f}" + "".join(f"{ratio:13.2f} {ratio / share:8.2f}" for ratio in ratios))
+        print(f"{window:>16}" + compared(ours, opencv_matchers(window), pair, repetitions, share))
+
+    print(heading("semi-global"))
+    for matcher in (SemiGlobal(d_max_m=np.inf), SemiGlobal(), SemiGlobal(paths=8, d_max_m=np.inf)):
+        geometry = semi_global.geometry_for(outcome.pair, matcher)
+        views = semi_global.views_about_the_baseline(outcome.pair, geometry)
+
+        def ours(
+            matcher: SemiGlobal = matcher, views: tuple[View, View] = views, geometry: Geometry = geometry
+        ) -> None:
+            semi_global.match(semi_global.search(views, geometry, matcher, THREADS), geometry, matcher)
+
+        name = f"{matcher.paths} paths, {matcher.d_max_m:g} m"
+        print(f"{name:>16}" + compared(ours, opencv_matchers(7), pair, repetitions, share))
+    print(f"{'':16} {'matched %':>10} {'bad-1 %':>8} {'median px':>10}   all of the domain, floor and walls")
+    for matcher in (SemiGlobal(), SemiGlobal(paths=8), StereoSGBM(), StereoSGBM(mode="hh")):
+        error = outcome.pair.grid.phi_pitch**-1 * np.abs(
+            (match_pair(outcome.pair, matcher).alpha_2 - outcome.reference.alpha_2)[outcome.reference.domain]
+        )
+        name = f"{matcher.kind} {getattr(matcher, 'mode', getattr(matcher, 'paths', ''))}"
+        matched = np.isfinite(error)
+        print(
+            f"{name:>16} {100 * matched.mean():10.1f} {100 * np.mean(error[matched] > 1):8.2f}"
+            f" {np.median(error[matched]):10.3f}"
+        )
+
+
+def heading(first: str) -> str:
+    return f"{first:>16} {'ours ms':>8}" + "".join(f"{'/ ' + name:>15} {'a pixel':>8}" for name in opencv_matchers(7))
+
+
+def compared(
+    ours: Callable[[], None],
+    opencv: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]],
+    pair: list[np.ndarray],
+    repetitions: int,
+    share: float,
+) -> str:
+    """A line of the table: the median time of ours, and its ratios to OpenCV's."""
+    theirs = [lambda f=compute: f(*pair) for compute in opencv.values()]
+    ours()
+    times = [(seconds(ours), *map(seconds, theirs)) for _ in range(repetitions)]
+    ratios = [statistics.median(row[0] / row[i + 1] for row in times) for i in range(len(theirs))]
+    mine = statistics.median(row[0] for row in times)
+    return f" {1e3 * mine:8.1f}" + "".join(f"{ratio:15.2f} {ratio / share:8.2f}" for ratio in ratios)
 
 
 def median_error_px(pair: list[np.ndarray], outcome: Outcome) -> float:
