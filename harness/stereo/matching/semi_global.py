@@ -59,8 +59,8 @@ class SemiGlobal(Limits):
     """Settings of semi-global matching. One set for all scenes; measured on box, corridor and room, without noise and
     with 10 grey levels of it.
 
-    - `pitch_px` 1: with half of it, and half of P1, the median error on the box is 0.08 px instead of 0.11, but at noise
-      10 up to half as many pixels again are off by more than 1 px, and the time doubles.
+    - `pitch_px` 1: with half of it, and half of P1, the median error on the box is 0.08 px instead of 0.11; but at
+      noise 10 half as many pixels again are off by more than 1 px, and the time nearly doubles.
     - `blur`: (1 2 1)/4 along rows and columns before the census. Without it, such pixels are 0.1 % instead of 0.3 % on
       the box, and 14 % instead of 10 % in the corridor at noise 10.
     - `box_px` 5: 3 is better at the room's edges and worse in noise, 7 the other way round.
