@@ -110,7 +110,8 @@ def one_step(pair, curves, alpha_2, window_px):
     total = [
         ndimage.uniform_filter(np.nan_to_num(each), window_px, mode=("constant", "wrap")) for each in (g * r, g * g)
     ]
-    return total[0] / total[1]
+    textured = total[1] > 0
+    return np.where(textured, total[0], np.nan) / np.where(textured, total[1], 1.0)
 
 
 def test_whole_samples_add_their_own_uncertainty(pair):

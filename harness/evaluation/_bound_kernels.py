@@ -1,6 +1,4 @@
 """Compiled loops over raw pixels and windows. Called through `bound`, which prepares and checks the arguments."""
-# ruff: noqa: ANN001, ANN202
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import math
 

@@ -11,7 +11,7 @@ A table of cells has one row a cell of a trial (see `cells.Cell`), and of its tr
 sigma by design, so each keeps an intercept of its own.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -28,8 +28,14 @@ MOST_SYSTEMATIC = 0.5
 _METHOD = ["matcher", "subpixel"]
 
 
-def fit_laws(cells: pd.DataFrame) -> list[dict[str, Any]]:
+def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, Any]]:
     """Slopes of `log(spread/d)` on `log(law/d)`, for every method, surface and law, over all directions and in parts.
+
+    Parameters
+    ----------
+    laws
+        `exact`, `paper`; or `bound`, which has the exact law times the Cramér-Rao bound of each cell instead of one
+        constant sigma, and needs the column `bound_alpha`.
 
     Returns
     -------
@@ -40,7 +46,7 @@ def fit_laws(cells: pd.DataFrame) -> list[dict[str, Any]]:
     found = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
         y = np.log(part["spread_m"] / part["range_m"])
-        for law in LAWS:
+        for law in laws:
             x = np.log(part[f"law_{law}"] / part["range_m"])
             by_alpha_1 = []
             for index, (low, high) in enumerate(pairwise(ALPHA_1_EDGES_DEG)):

@@ -13,7 +13,7 @@ from harness.evaluation.metrics import (
     share_of_estimates,
     tally,
 )
-from harness.experiments.sample import calibration_of, confidence_of, sampled
+from harness.experiments.sample import calibration_of, confidence_of, sampled, with_bounds
 from harness.experiments.trial import Outcome
 
 
@@ -45,7 +45,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             "refined": None if refined is None else share_of_estimates(errors, refined),
         },
         "regions": regions,
-        "cells": cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch),
+        "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
         "errors": error_histograms(errors),
         "fractions": fraction_histograms(errors, outcome.k),
         **{name: said for name, said in beyond.items() if said is not None},

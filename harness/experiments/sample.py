@@ -71,6 +71,25 @@ def calibration_of(outcome: Outcome) -> dict[str, Any] | None:
     return {"within": list(found.within), "spread": found.spread, "bias": found.bias, "predicted": found.predicted}
 
 
+def with_bounds(outcome: Outcome, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Cells with `bound_alpha`: the median Cramér-Rao bound of their estimates, radians, at the trial's noise.
+
+    Only where `scoring.bound` asks for it; None in a cell where fewer than half of the estimates have a bound.
+    """
+    sigma_grey = outcome.trial.noise.sigma_grey
+    if not outcome.trial.scoring.bound or outcome.bound_px is None or not sigma_grey:
+        return cells
+    bound = (sigma_grey * outcome.trial.panorama.phi_pitch) * outcome.bound_px.ravel()
+    matched = outcome.valid.ravel()
+    found = {}
+    for part in outcome.layout.cells:
+        mine = bound[part.pixels[matched[part.pixels]]]
+        known = mine[np.isfinite(mine)]
+        enough = known.size and 2 * known.size >= mine.size
+        found[part.surface, part.alpha_bin, part.range_bin] = float(np.median(known)) if enough else None
+    return [each | {"bound_alpha": found[each["surface"], each["alpha_bin"], each["range_bin"]]} for each in cells]
+
+
 def surest(outcome: Outcome) -> Array | None:
     """The matcher's confidence; the inverse of its predicted standard deviation if that is all it says."""
     matches = outcome.matches

@@ -104,10 +104,12 @@ class Scoring(Spec):
 
     - `sample_px`: the errors of every so many rows and columns, for what needs pixels of several trials at once, such
       as the spread over seeds; 0 for none.
+    - `bound`: the Cramér-Rao bound of the matcher's own window in every cell of surface, direction and range.
     - `confidence`: how well the matcher's confidence puts its errors in order, which takes as long as all figures.
     """
 
     sample_px: Annotated[int, Field(ge=0, le=256)] = 0
+    bound: bool = False
     confidence: bool = False
 
 

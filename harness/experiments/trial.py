@@ -216,23 +216,25 @@ def run_trial(
         found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
     bound_px = None
     support = trial.matching.support(trial.filter.log_sigma_px)
-    if trial.scoring.sample_px and support is not None:
+    if (trial.scoring.sample_px or trial.scoring.bound) and support is not None:
         with clock("bound"):
             bound_px = kept.get(
                 "bound",
                 (tuple(exposed), grid, support),
-                lambda: cramer_rao(
-                    clean,
-                    trial.sensor,
-                    motion,
-                    grid,
-                    seen,
-                    R_world_from_v1=poses[0].R_world_from_view,
-                    window_px=min(support.window_px, grid.height_px - 1 | 1),
-                    sigma_grey=1.0,
-                    model=support.model,
-                    frame=support.frame,
-                ).disparity_px,
+                lambda: (
+                    cramer_rao(
+                        clean,
+                        trial.sensor,
+                        motion,
+                        grid,
+                        seen,
+                        R_world_from_v1=poses[0].R_world_from_view,
+                        window_px=min(support.window_px, grid.height_px - 1 | 1),
+                        sigma_grey=1.0,
+                        model=support.model,
+                        frame=support.frame,
+                    ).disparity_px
+                ),
             )
     return Outcome(
         trial=trial,

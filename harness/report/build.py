@@ -23,6 +23,7 @@ from harness.report import (
     measures,
     profiles,
     regions,
+    steps,
     sweeps,
     theme,
     words,
@@ -122,6 +123,7 @@ def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column
         "regions_table": regions_table,
         "regions_base": regions.of_base_trial(methods),
         "measures": measures.all_measures(swept),
+        "stepwise": steps.steps(swept),
         "limited": limit.limit(swept, result.summary["limit"]) if "limit" in result.summary else None,
         "failures": measures.failures(result),
         "durations": measures.durations(result),
@@ -143,6 +145,8 @@ def _sections(result: Result, swept: Sweep, over_all: dict[str, Any]) -> dict[st
     }
     if not over_all["swept"]:
         del of_all["sweeps"]
+    if over_all["stepwise"]:
+        of_all["steps"] = "Whole samples and sub-pixel steps"
     if over_all["limited"]:
         of_all["limit"] = "The limit that noise sets"
     if over_all["findings"]:

@@ -17,6 +17,8 @@ from harness.stereo.matching.window_settings import WholePixelMatches, WindowMat
 from harness.stereo.panorama import cylinder
 from harness.stereo.ranging import points
 
+_UNITS = {"sad": "grey levels", "ssd": "grey levels²", "zncc": "1 − correlation", "census": "bits"}
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -110,7 +112,7 @@ def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
 def cost_along_curve(outcome: Outcome, curve: Curve) -> list[Picture]:
     """The whole search interval, and the surroundings of its minimum."""
     matcher = _window_matcher(outcome)
-    unit = "grey levels²" if matcher.cost == "ssd" else "grey levels"
+    unit = _UNITS[matcher.cost]
     cost = f"{matcher.cost.upper()} over {matcher.window_px} × {matcher.window_px} px ({unit})"
     angle = r"$\varphi_2$ (°)" if outcome.curves.sampling == "phi" else r"$\alpha_2$ (°)"
     near_name = f"{int(curve.near.sum())} samples of the fit"

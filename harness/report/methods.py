@@ -35,9 +35,10 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]
     spare = iter(theme.SPARE * len(pairs))
     colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
     several = len({matcher for matcher, _ in pairs}) > 1
+    refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
     found = {}
     for (matcher, step), name in zip(pairs, drawn_as, strict=True):
-        label = _STEPS[step][0] if step in _STEPS else step
+        label = _STEPS[step][0] if step == "none" or refined == {step} & _STEPS.keys() else step
         if step == "own" or (matcher not in _WINDOWS and sum(other == matcher for other, _ in pairs) == 1):
             label = matcher
         elif several:

@@ -20,6 +20,7 @@ NOT_AN_AXIS = ("seed", "matching.kind", "matching.subpixel")
 _NAMES = {
     "view_2.baseline_m": ("baseline |t|", "m"),
     "matching.window_px": ("window", "px"),
+    "matching.pitch_px": ("pitch", "px"),
     "noise.sigma_grey": ("noise σ", "grey levels"),
     "filter.log_sigma_px": ("LoG σ", "px"),
     "scene.objects.0.size_m": ("size of the first object", "m"),

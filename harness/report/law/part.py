@@ -8,7 +8,7 @@ from harness.report.sweep import Way
 from harness.report.theme import Picture
 
 LAW_NAMES = {"exact": "exact law", "paper": "$d^2/|t|$"}
-PLAIN_NAMES = {"exact": "exact law", "paper": "d²/|t|"}
+PLAIN_NAMES = {"exact": "exact law", "paper": "d²/|t|", "bound": "exact law × bound"}
 
 Fit = dict[str, Any]
 """An entry of the summary's `law`."""

@@ -67,7 +67,7 @@ def slope_table(sweep: Sweep, fits: list[Fit]) -> Table:
         [
             words(SURFACES[surface]),
             words(way.label, way.colour),
-            words("exact" if fit["law"] == "exact" else "d²/|t|"),
+            words(PLAIN_NAMES[fit["law"]]),
             *_slope_cells(fit),
             count(fit["cells"]),
         ]

@@ -5,8 +5,6 @@ Everything is a whole number: sums come out the same in any order, and running s
 numba would otherwise ask of each whether it counts from the end. Parts of arrays are named by indices beside the array:
 to slice one counts references, atomically, and the threads would queue for that.
 """
-# ruff: noqa: ANN001, ANN202, C901, PLR0912, PLR0915
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import math
 

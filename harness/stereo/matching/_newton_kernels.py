@@ -3,8 +3,6 @@
 View 2 is a cubic B-spline, given by its coefficients. Its values and slopes in a window are made in two goes, first
 between columns and then between rows, as the weights of both are products.
 """
-# ruff: noqa: ANN001, ANN202, C901, PLR0912, PLR0915
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import math
 
@@ -239,12 +237,12 @@ def refine_columns(
                         row_2 = int(v)
                         good &= usable[p, row_2]
                         down, down_slope = _weights(v - row_2), _slopes(v - row_2)
-                        r = np.uint64(row_2 - 1)
-                        r1, r2, r3 = r + np.uint64(1), r + np.uint64(2), r + np.uint64(3)
-                        a, b, d, e = values[r], values[r1], values[r2], values[r3]
+                        r0 = np.uint64(row_2 - 1)
+                        r1, r2, r3 = r0 + np.uint64(1), r0 + np.uint64(2), r0 + np.uint64(3)
+                        a, b, d, e = values[r0], values[r1], values[r2], values[r3]
                         value = (down[0] * a + down[1] * b) + (down[2] * d + down[3] * e)
                         slope = dv * ((down_slope[0] * a + down_slope[1] * b) + (down_slope[2] * d + down_slope[3] * e))
-                        a, b, d, e = slopes[r], slopes[r1], slopes[r2], slopes[r3]
+                        a, b, d, e = slopes[r0], slopes[r1], slopes[r2], slopes[r3]
                         slope += du * ((down[0] * a + down[1] * b) + (down[2] * d + down[3] * e))
                         own = np.float64(first[np.uint64(row - half + i), np.uint64(column + j)])
                         i1, i11, i2, i12 = i1 + own, i11 + own * own, i2 + value, i12 + own * value

@@ -6,8 +6,6 @@ fit into 8 bits, 64 labels into one register of the widest kind. Indices of thos
 otherwise ask of each whether it counts from the end. Parts of arrays are named by indices beside the array: to slice
 one counts references, atomically, and the threads would queue for that.
 """
-# ruff: noqa: ANN001, ANN202, C901, PLR0912
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import numpy as np
 from numba import njit

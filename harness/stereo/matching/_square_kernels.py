@@ -4,8 +4,6 @@ Images are padded by half a window of columns on both sides, around the seam; wi
 pixels in padded images. Every column of a window has a sum of its own: additions of different columns may be done at a
 time, and yet each is done in one order, whatever the compiler makes of it.
 """
-# ruff: noqa: ANN001, ANN202, C901
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import math
 

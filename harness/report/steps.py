@@ -1,0 +1,104 @@
+"""Whole samples against the sub-pixel steps, setting by setting: where each helps, and where it does not."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.report.data import Cell, Data, Heading, Table, listed, number, words
+from harness.report.sweep import Sweep, Way
+from harness.report.sweeps import SURFACES
+from harness.report.words import figure
+
+_MOST_ROWS = 60
+_WHOLE = "none"
+_FIGURES = {"wall": "wall_disparity_median_abs_px", "floor": "floor_disparity_median_abs_px"}
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A table of errors by setting and step, and what it says."""
+
+    table: Table
+    findings: list[str]
+
+
+def steps(sweep: Sweep) -> Steps | None:
+    """Compare; None unless a matcher was run with whole samples and with a sub-pixel step over several settings."""
+    matchers = {way.matcher for way in sweep.ways if way.subpixel == _WHOLE}
+    refined = [way for way in sweep.ways if way.matcher in matchers and way.subpixel != _WHOLE]
+    if not refined or not sweep.axes:
+        return None
+    compared = [way for way in sweep.ways if way.matcher in matchers]
+    errors = {surface: _errors(sweep, compared, column) for surface, column in _FIGURES.items()}
+    return Steps(_table(sweep, compared, errors), list(_findings(sweep, compared, errors)))
+
+
+def _errors(sweep: Sweep, ways: list[Way], column: str) -> pd.DataFrame:
+    """Median errors, geometric means over seeds: a row for each setting, a column for each way's place in the list."""
+    keys = [axis.key for axis in sweep.axes]
+    parts = {}
+    for index, way in enumerate(ways):
+        trials = way.of(sweep.trials)
+        known = trials.assign(logarithm=np.log(trials[column].where(trials[column] > 0)))
+        parts[index] = np.exp(known.groupby(keys, sort=False)["logarithm"].mean())
+    return pd.DataFrame(parts)
+
+
+def _table(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) -> Table:
+    headings = [
+        Heading("Surface", text=True),
+        *(Heading(axis.label) for axis in sweep.axes),
+        *(Heading(way.label[0].upper() + way.label[1:], "px") for way in ways),
+    ]
+    rows: list[list[Cell]] = []
+    plain: list[list[Any]] = []
+    for surface, table in errors.items():
+        for place, values in table.iterrows():
+            names = place if isinstance(place, tuple) else (place,)
+            least = float(np.nanmin(values)) if values.notna().any() else np.nan
+            cells = [number(float(value), ".3f") for value in values]
+            marked = [
+                Cell(f"{cell.text} ◂", cell.value) if float(value) == least else cell
+                for cell, value in zip(cells, values, strict=True)
+            ]
+            rows.append([words(SURFACES[surface]), *(words(str(name)) for name in names), *marked])
+            plain.append([surface, *names, *(float(value) for value in values)])
+    data = Data(
+        "subpixel-steps",
+        ["surface", *(axis.key for axis in sweep.axes), *(f"{way.matcher} {way.subpixel}" for way in ways)],
+        plain,
+    )
+    return Table(headings, rows[:_MOST_ROWS], data, left_out=max(0, len(rows) - _MOST_ROWS))
+
+
+def _findings(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) -> Iterator[str]:
+    """For each surface and step: in how many settings it helps, by how much, and at which it helps most and least."""
+    for surface, table in errors.items():
+        for index, way in enumerate(ways):
+            if way.subpixel == _WHOLE:
+                continue
+            whole = next(i for i, each in enumerate(ways) if each.matcher == way.matcher and each.subpixel == _WHOLE)
+            gain = (table[whole] / table[index]).dropna()
+            if gain.empty:
+                continue
+            helps = int((gain > 1).sum())
+            text = (
+                f"{SURFACES[surface].capitalize()}, {way.label}: smaller median error than whole samples in {helps} of "
+                f"{len(gain)} settings"
+            )
+            if len(gain) > 1:
+                most, least = gain.idxmax(), gain.idxmin()
+                text += (
+                    f"; most, {figure(float(gain.max()), '.2f')} times smaller, at {_named(sweep, most)}, least, "
+                    f"{figure(float(gain.min()), '.2f')}, at {_named(sweep, least)}"
+                )
+            best = int((table.idxmin(axis=1) == index).sum())
+            yield f"{text}. It is the best of all in {best}."
+
+
+def _named(sweep: Sweep, place: Any) -> str:
+    names = place if isinstance(place, tuple) else (place,)
+    return listed(f"{axis.label} {name}" for axis, name in zip(sweep.axes, names, strict=True))
