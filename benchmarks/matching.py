@@ -1,22 +1,24 @@
-"""How long the column matcher and semi-global matching take, beside OpenCV's StereoSGBM and StereoBM on the same pair
-of views.
+"""How long our matchers take, beside OpenCV's StereoSGBM and StereoBM on the same pair of views: columns, semi-global
+matching, and slanted windows.
 
 Prints ratios: the median over interleaved repetitions, so that a busy machine slows all down alike. All use the same
 number of threads (StereoSGBM's default mode works on one, whatever it is given; its three-way mode on all). What
 depends on the geometry alone is made beforehand: epipolar tables for ours, rectification maps for OpenCV. The column
 matcher is timed from the filtered panoramas to the best sample of every pixel, moved to the minimum of the parabola;
 semi-global matching from the views resampled about the baseline to `Matches`, the check of consistency included;
-OpenCV's from the rectified 8-bit images to disparities, which are sub-pixel as well.
+slanted windows from the mirror images and the answer of semi-global matching to `Matches`, and again with all that
+semi-global matching does before; OpenCV's from the rectified 8-bit images to disparities, which are sub-pixel as well.
 
 The rectification is OpenCV's LONGLATI: columns are angles to the baseline, 0 to 180 degrees, rows half planes around
 it, 0 to 360 degrees, both in steps of a panorama's column. No smaller rectangle holds the panorama, for every such half
 plane crosses it; the panorama itself covers 57 % of it. `a pixel` divides both times by the number of pixels, which
 takes that advantage away again.
 
-    pip install 'omnirange[bench]'
+    pip install 'omnirange[peers]'
     python benchmarks/matching.py [repetitions]
 """
 
+import dataclasses
 import statistics
 import sys
 import time
@@ -36,7 +38,10 @@ from harness.stereo.matching.registry import match_pair
 from harness.stereo.matching.semi_global import Geometry, SemiGlobal, View
 from harness.stereo.matching.subpixel import refine
 from harness.stereo.matching.window import WindowMatcher, match_whole_pixels
+from harness.stereo.pair import nothing_shared
 from harness.stereo.panorama import cylinder
+from harness.stereo.slanted.match import Slanted
+from harness.stereo.slanted.refine import refine_slanted
 
 THREADS = 2
 WINDOWS = (7, 9, 11, 13, 15)
@@ -117,8 +122,19 @@ def main() -> None:
 
         name = f"{matcher.paths} paths, {matcher.d_max_m:g} m"
         print(f"{name:>16}" + compared(ours, opencv_matchers(7), pair, repetitions, share))
+    print(heading("slanted"))
+    slanted, start = Slanted(), SemiGlobal()
+    coarse = match_pair(outcome.pair, start).alpha_2
+    two = dataclasses.replace(outcome.pair, threads=THREADS, share=nothing_shared)
+
+    def refined() -> None:
+        refine_slanted(two.images, two.sensor, two.motion, two.grid, coarse, settings=slanted, threads=THREADS)
+
+    for name, work in (("refinement", refined), ("all of it", lambda: match_pair(two, slanted))):
+        print(f"{name:>16}" + compared(work, opencv_matchers(7), pair, max(3, repetitions // 3), share))
+
     print(f"{'':16} {'matched %':>10} {'bad-1 %':>8} {'median px':>10}   all of the domain, floor and walls")
-    for matcher in (SemiGlobal(), SemiGlobal(paths=8), StereoSGBM(), StereoSGBM(mode="hh")):
+    for matcher in (Slanted(), SemiGlobal(), SemiGlobal(paths=8), StereoSGBM(), StereoSGBM(mode="hh")):
         error = outcome.pair.grid.phi_pitch**-1 * np.abs(
             (match_pair(outcome.pair, matcher).alpha_2 - outcome.reference.alpha_2)[outcome.reference.domain]
         )

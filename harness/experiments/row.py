@@ -43,6 +43,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **{f"floor_{k}": v for k, v in _figures(regions, "floor or ceiling").items()},
             **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(errors).items()},
             "refined": None if refined is None else share_of_estimates(errors, refined),
+            **_of_confidence(beyond),
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
@@ -50,6 +51,17 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "fractions": fraction_histograms(errors, outcome.k),
         **{name: said for name, said in beyond.items() if said is not None},
     }
+
+
+def _of_confidence(beyond: dict[str, Any]) -> dict[str, float | None]:
+    """What confidence and predicted standard deviations are worth, in a few figures; none where nothing is said."""
+    found: dict[str, float | None] = {}
+    if beyond["confidence"] is not None:
+        found |= {name: beyond["confidence"][name] for name in ("ause_px", "ause_over_random", "auc_1px")}
+    if beyond["calibration"] is not None:
+        within = beyond["calibration"]["within"]
+        found |= {f"within_{k}_sigma": within[k - 1] for k in (1, 2, 3)}
+    return found
 
 
 def _figures(regions: list[dict[str, Any]], part: str) -> dict[str, float | None]:

@@ -1,7 +1,8 @@
-"""Write the reference numbers anew: `python results/reference/regenerate.py`, or with `paper` or `law` for one of them.
+"""Write the reference numbers anew: `python results/reference/regenerate.py`, or with the names of some of them.
 
 `paper.json` holds the paper's experiment in each of the shipped scenes, `law.json` the test of the sensitivity law over
-all trials of `experiments/law.toml` (some minutes), and both what made the numbers. Tests compare with them (see
+all trials of `experiments/law.toml`, `matchers.json` the ladder of matchers on all scenes and how near they come to the
+bound (some minutes each), and all of them what made the numbers. Tests compare with them (see
 `tests/test_reference.py`); a change of these numbers belongs into the same commit as the change that caused it.
 """
 
@@ -33,9 +34,21 @@ def law() -> dict[str, Any]:
     return {name: summary[name] for name in ("trials", "law")}
 
 
+def matchers() -> dict[str, Any]:
+    """The main figures of every trial of the ladder, and the `limit` of `summary.json`."""
+    result = run_experiment(load_experiment("matchers"))
+    wanted = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "ause_px", "within_1_sigma")
+    ladder = [row.place | {name: row.payload["figures"].get(name) for name in wanted} for row in result.rows]
+    for each in ladder:
+        each["scene"] = Path(each["scene"]).stem
+    with tempfile.TemporaryDirectory() as folder:
+        limit = run_experiment(load_experiment("limit"), Path(folder)).summary["limit"]
+    return {"ladder": ladder, "limit": limit}
+
+
 def main() -> None:
     """Run the experiments named on the command line, or all, and write their files."""
-    known = {"paper": paper, "law": law}
+    known = {"paper": paper, "law": law, "matchers": matchers}
     for name in sys.argv[1:] or known:
         numbers = known[name]()
         made_by = environment()
