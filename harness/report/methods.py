@@ -38,7 +38,8 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]
     refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
     found = {}
     for (matcher, step), name in zip(pairs, drawn_as, strict=True):
-        label = _STEPS[step][0] if step == "none" or refined == {step} & _STEPS.keys() else step
+        # "Sub-pixel" says enough where there is one such step.
+        label = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
         if step == "own" or (matcher not in _WINDOWS and sum(other == matcher for other, _ in pairs) == 1):
             label = matcher
         elif several:
