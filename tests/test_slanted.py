@@ -15,7 +15,7 @@ from harness.stereo.matching.contract import Reason, as_matches
 from harness.stereo.panorama import Grid, directions
 from harness.stereo.ranging import exact_alpha_2
 from harness.stereo.slanted import _kernels
-from harness.stereo.slanted.refine import SlantedSettings, _centre_of_spline, _way, refine_slanted
+from harness.stereo.slanted.refine import SlantedSettings, _centre_of_spline, _smoothed, _way, refine_slanted
 
 SENSOR = Sensor(
     camera=Camera(width_px=220, height_px=220, focal_px=560.0, cx_px=109.5, cy_px=109.5),
@@ -170,20 +170,22 @@ def test_slope_is_the_derivative(lens):
     np.testing.assert_allclose(moved[inside], expected[inside], rtol=1e-6)
 
 
-def test_a_window_is_the_least_squares_solution():
+@pytest.mark.parametrize("far", [False, True])
+def test_a_window_is_the_least_squares_solution(far):
     """Against numpy's solver, sample by sample, on random fields with holes."""
     draws = np.random.default_rng(5)
     way = _way(SENSOR, motion())
     shape, half = way.seen.shape, 5
     w = draws.uniform(0.4, 0.8, shape)
     known = way.seen & (draws.random(shape) < 0.8)
-    value, first = draws.normal(100, 20, (2, *shape)).astype(np.float32)
-    slope = draws.normal(0, 50, shape).astype(np.float32)
+    value = draws.normal(100, 20, shape).astype(np.float32)
+    first = (value + draws.normal(0, 15, shape)).astype(np.float32)
+    slope = draws.normal(0, 30, shape).astype(np.float32)
     moved = draws.uniform(1, 2, shape).astype(np.float32)
     plane, covariance = np.zeros((*shape, 3)), np.zeros((*shape, 6))
     residual, gain, offset, share = np.zeros((4, *shape))
     _kernels.fit_rows(
-        30, 190, half, 20.0, 0.0, way.seen, way.x, w, first, known, value, slope, moved,
+        30, 190, half, 20.0, 0.0, far, way.seen, way.x, w, first, known, value, slope, moved,
         plane, covariance, residual, gain, offset, share,
     )  # fmt: skip
     checked = 0
@@ -197,6 +199,10 @@ def test_a_window_is_the_least_squares_solution():
         columns = np.column_stack([a * g[:, None] * x, np.ones(len(g))])
         right = I_1 - a * (I_2 - g * w[box][k])
         solution, squares, _, _ = np.linalg.lstsq(columns, right, rcond=None)
+        if far:
+            assert 0.05 < share[i, j] < 0.95
+            solution += share[i, j] * np.linalg.lstsq(columns, I_1 - a * I_2, rcond=None)[0]
+            solution[3] = np.mean(right - columns[:, :3] @ solution[:3])
         # Running sums and normal equations: the square of the solver's condition, some 1e4, times 1e-16, with room.
         np.testing.assert_allclose(plane[i, j], solution[:3], rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose([gain[i, j], offset[i, j]], [a, solution[3]], rtol=1e-5, atol=1e-4)
@@ -250,6 +256,28 @@ def test_without_texture_there_is_no_answer():
     matches = refine((flat, flat), there)
     assert np.isnan(matches.alpha_2).all()
     assert set(np.unique(matches.reason)) == {Reason.NO_MATCH}
+
+
+def test_texture_beside_a_blank_place_is_no_answer_for_it():
+    there, x = motion(), directions(GRID)
+    x_1, seen = pixel_directions(SENSOR)
+
+    def contrast(directions_v1, viewpoint):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = viewpoint + directions_v1 * ((-HEIGHT_M - viewpoint[2]) / directions_v1[..., 2:])
+        return np.clip((np.hypot(at[..., 0] + 1, at[..., 1]) - 0.6) / 0.15, 0, 1)
+
+    ways = (x_1, np.zeros(3)), (x_1 @ there.R_v2_from_v1, there.t_v1)
+    images = [128 + (image - 128) * contrast(*way) for image, way in zip(pair(), ways, strict=True)]
+    matches = refine(tuple(np.where(seen, image, 0).astype(np.float32) for image in images), there)
+    pixels, _ = project(SENSOR, x)
+    row, column = np.moveaxis(np.rint(pixels[..., ::-1]).astype(int), -1, 0)
+    depth = ndimage.distance_transform_edt((contrast(*ways[0]) == 0) & seen)[row, column]
+    # Surroundings of 9 pixels reach 4, corners 5.7; windows of 13 pixels moved by 6 reach 12, so there are planes.
+    inside = (depth > 6.5) & (depth < 12)
+    assert inside.sum() > 100
+    assert np.isfinite(matches.alpha_2[inside]).mean() < 0.05
+    assert np.isfinite(matches.alpha_2[depth == 0]).mean() > 0.95
 
 
 def test_noise_is_not_taken_for_texture():
@@ -320,6 +348,21 @@ def bound_px(there):
 def test_centres_of_splines():
     # Cubic: 2/3; quintic: 11/20 (Schoenberg).
     assert [_centre_of_spline(m) for m in (2, 3, 4, 6)] == pytest.approx([1, 3 / 4, 2 / 3, 11 / 20], abs=1e-14)
+
+
+@pytest.mark.parametrize("f", [0.2, 0.6, 0.9])
+def test_noise_that_steps_leave(f):
+    """The recursion itself, on an impulse of noise; every window's plane is the mean of its noise."""
+    impulse = np.zeros((321, 321))
+    impulse[160, 160] = 1
+    plane = ndimage.uniform_filter(impulse, 17)
+    field = np.zeros_like(plane)
+    for step in range(8):
+        part = f if step >= 6 else f * f
+        field = (1 - part) / (1 - f) * plane + part * ndimage.uniform_filter(field, 17)
+    # Windows of 17 samples for a continuum: 1/17², a few times over.
+    expected = np.sum(field**2) / np.sum(plane**2)
+    assert np.polynomial.polynomial.polyval(f, _smoothed(8, 2)) == pytest.approx(expected, rel=0.01)
 
 
 def test_noise_of_interpolation():

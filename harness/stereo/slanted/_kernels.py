@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-SUMS = 24
+SUMS = 27
 """Of which the normal equations of a window are made."""
 
 VALUE_NOISE = 0.87423
@@ -178,14 +178,19 @@ def _add_row(sums, half, i, sign, known, x, w, first_image, value, slope, motion
         column[21] += sign * I_2
         column[22] += sign * I_2 * I_2
         column[23] += sign * motion[i, j]
+        column[24] += sign * gx * I_2
+        column[25] += sign * gy * I_2
+        column[26] += sign * gz * I_2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit(sums, x, least, slope_weight, plane, covariance):
+def _fit(sums, x, least, slope_weight, far, plane, covariance):
     """The plane of a window about direction x, by least squares in the value at x and the slopes along two tangents.
 
     I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
     deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
+
+    With `far` the plane lies 1 + f times as far from the field as the solution does, f being the noise's share.
 
     plane, covariance : written; m, and the inverse normal matrix in x's tangent coordinates, upper triangle by rows.
     Returns the variance of the residual (infinite where there is no plane), a, b, and the noise's share in the sum
@@ -233,30 +238,42 @@ def _fit(sums, x, least, slope_weight, plane, covariance):
     p0 = (c00 * y0 + c01 * y1 + c02 * y2) / determinant
     p1 = (c01 * y0 + c11 * y1 + c12 * y2) / determinant
     p2 = (c02 * y0 + c12 * y1 + c22 * y2) / determinant
-    plane[0] = p0 * x[0] + p1 * e_x + p2 * f_x
-    plane[1] = p0 * x[1] + p1 * e_y + p2 * f_y
-    plane[2] = p0 * x[2] + p2 * f_z
     covariance[0], covariance[1], covariance[2] = c00 / determinant, c01 / determinant, c02 / determinant
     covariance[3], covariance[4], covariance[5] = c11 / determinant, c12 / determinant, c22 / determinant
-    b = (mean - a * (sums[6] * plane[0] + sums[7] * plane[1] + sums[8] * plane[2])) / n
     residual = max(total - (p0 * y0 + p1 * y1 + p2 * y2), 0.0) / (n - 5.0)
     noise = residual / (1.0 + scale * VALUE_NOISE * VALUE_NOISE)
-    share = noise * VALUE_NOISE * SLOPE_NOISE * sums[23] / (sums[0] + sums[3] + sums[5])
+    share = min(noise * VALUE_NOISE * SLOPE_NOISE * sums[23] / (sums[0] + sums[3] + sums[5]), 1.0)
     correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
     if correlation < 3.0 / math.sqrt(n):
         share = 1.0  # as likely as not there is nothing in common
-    return residual, a, b, min(share, 1.0)
+    elif far:
+        # The step from the field is least squares of I_1 - a I_2 - b alone.
+        left = (sums[15] - a * sums[21]) / n
+        right_x = share * a * (sums[9] - a * sums[24] - sums[6] * left)
+        right_y = share * a * (sums[10] - a * sums[25] - sums[7] * left)
+        right_z = share * a * (sums[11] - a * sums[26] - sums[8] * left)
+        y0 = right_x * x[0] + right_y * x[1] + right_z * x[2]
+        y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
+        p0 += (c00 * y0 + c01 * y1 + c02 * y2) / determinant
+        p1 += (c01 * y0 + c11 * y1 + c12 * y2) / determinant
+        p2 += (c02 * y0 + c12 * y1 + c22 * y2) / determinant
+    plane[0] = p0 * x[0] + p1 * e_x + p2 * f_x
+    plane[1] = p0 * x[1] + p1 * e_y + p2 * f_y
+    plane[2] = p0 * x[2] + p2 * f_z
+    b = (mean - a * (sums[6] * plane[0] + sums[7] * plane[1] + sums[8] * plane[2])) / n
+    return residual, a, b, share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_rows(
-    first, end, half, least, slope_weight, seen, x, w, first_image, known, value, slope, motion,
+    first, end, half, least, slope_weight, far, seen, x, w, first_image, known, value, slope, motion,
     plane, covariance, residual, gain, offset, share,
 ):  # fmt: skip
     """Fit a plane to the window of (2 half + 1)² mirror pixels about every pixel.
 
     least : samples that a window needs.
     slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
+    far : whether to go beyond the solution; see `_fit`.
     plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` and `[...]`: see
     `_fit`.
     """
@@ -280,7 +297,7 @@ def fit_rows(
             residual[i, j] = math.inf
             if seen[i, j]:
                 residual[i, j], gain[i, j], offset[i, j], share[i, j] = _fit(
-                    window, x[i, j], least, slope_weight, plane[i, j], covariance[i, j]
+                    window, x[i, j], least, slope_weight, far, plane[i, j], covariance[i, j]
                 )
             for k in range(SUMS):
                 window[k] -= sums[j, k]

@@ -11,7 +11,7 @@ is white, view 2 between its pixels, by the interpolating cubic B-spline.
 All windows share one sample of view 2 for each pixel. With a field of inverse ranges w_i and g_i = dI_2/dw there,
 I_2(q_i(m)) = I_2(w_i) + g_i (m·x_i - w_i) to first order, for every plane m near the field. So the normal equations of
 all windows are sums of products that belong to the pixels, running sums whatever the window's size: one step for all
-windows costs a sample, 24 sums and a 3x3 system a pixel. The planes are the next field.
+windows costs a sample, 27 sums and a 3x3 system a pixel. The planes are the next field.
 
 A window across the border of two surfaces fits neither of them. So a pixel may take the plane of a window beside it,
 if that fits the pixel's own surroundings better: it keeps borders sharp, and carries planes to where the start was
@@ -69,6 +69,9 @@ _AMBIGUOUS = 1.1
 _MEDIAN_REACH = 2
 """Of the median over the start, pixels: it takes out single mistakes and those in pairs."""
 
+_TEXTURED = 0.25
+"""Of a window's texture per pixel: what the surroundings of a pixel need to have, or it tells of another place."""
+
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
 
@@ -79,7 +82,8 @@ class SlantedSettings(Limits):
     - `window_px` 17: width of the square window, in pixels of the mirror image. Odd.
     - `patch_px` 5: of the surroundings by which a pixel chooses between planes. Odd.
     - `iterations` 8: Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`).
-      The last `sharp_iterations` 2 look at patches; those before choose by windows alone, at a fraction of the cost.
+      The last `sharp_iterations` 2 look at patches; those before choose by windows alone, at a fraction of the cost,
+      and go farther, so that less is left of the start.
     - `consistency_px` 1: how far view 2's own answer may lead elsewhere, in columns of the panorama.
     - `max_sigma_px` 1: the largest standard deviation that is an answer, in columns of the panorama.
     """
@@ -125,9 +129,9 @@ def refine_slanted(
     Returns
     -------
     matches
-        With `sigma_alpha_2`, and its inverse as confidence. `Reason.NO_MATCH`: no window with texture, no plane between
-        d_min and d_max, two that fit alike, or a standard deviation above `max_sigma_px`. `Reason.INCONSISTENT`: view
-        2 says otherwise.
+        With `sigma_alpha_2`, and its inverse as confidence. `Reason.NO_MATCH`: no window with texture, none of it near
+        the pixel, no plane between d_min and d_max, two that fit alike, or a standard deviation above `max_sigma_px`.
+        `Reason.INCONSISTENT`: view 2 says otherwise.
 
     Raises
     ------
@@ -147,8 +151,10 @@ def refine_slanted(
         forth = _fit(first, second, there, start, settings, settings.iterations, grid.phi_pitch, pool)
         start = _carried_over(forth, there)
         reverse = _fit(second, first, back, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
-        inflation = _inflation(forth, first, second, there, pool)
-    return _answer(forth, reverse, inflation, there, sensor, grid, settings)
+        samples = _nothing(forth.w.shape)
+        _sampled(forth.w, second, there, samples, pool)
+        inflation = _inflation(forth, first, samples, there, pool)
+    return _answer(forth, reverse, inflation, samples, there, sensor, grid, settings)
 
 
 # -- Geometry and images -----------------------------------------------------------------------------------------------
@@ -290,12 +296,12 @@ def _fit(
     _rows(pool, len(start), _kernels.median_rows, _MEDIAN_REACH, way.seen, start, field.w)
     for iteration in range(iterations):
         _sampled(field.w, second, way, samples, pool)
+        sharp = iteration >= iterations - settings.sharp_iterations
         _rows(
-            pool, len(start), _kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT,
+            pool, len(start), _kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT, not sharp,
             way.seen, way.x, field.w, first.image, samples.known, samples.value, samples.slope, samples.motion,
             field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
         )  # fmt: skip
-        sharp = iteration >= iterations - settings.sharp_iterations
         _rows(
             pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,
             _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, way.seen, way.x, way.t, way.R,
@@ -318,7 +324,14 @@ def _carried_over(field: _Field, way: _Way) -> Array:
 
 
 def _answer(
-    forth: _Field, reverse: _Field, inflation: Array, way: _Way, sensor: Sensor, grid: Grid, settings: SlantedSettings
+    forth: _Field,
+    reverse: _Field,
+    inflation: Array,
+    samples: _Samples,
+    way: _Way,
+    sensor: Sensor,
+    grid: Grid,
+    settings: SlantedSettings,
 ) -> Matches:
     """Evaluate the planes in the directions of the panorama's pixels."""
     x, pixel = directions(grid), grid.phi_pitch
@@ -327,7 +340,7 @@ def _answer(
     length = np.linalg.norm(q, axis=-1)
     across = np.linalg.norm(np.cross(way.t, x), axis=-1)
     # d alpha_2/dw = |t × x|/|x - w t|²
-    sigma = across / length**2 * _sigma(forth, inflation, x, window, way, settings.iterations)
+    sigma = across / length**2 * _sigma(forth, inflation, x, window, way, settings)
 
     # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and what view 2 says there.
     x_2 = normalise(q @ way.R.T)
@@ -337,7 +350,7 @@ def _answer(
     with np.errstate(invalid="ignore"):
         found = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
         sure = (sigma <= settings.max_sigma_px * pixel) & (forth.rival.ravel()[place] >= _AMBIGUOUS)
-        sure &= forth.share.ravel()[window] < 1
+        sure &= (forth.share.ravel()[window] < 1) & ~_blank(forth, samples, place, window, settings.window_px)
         consistent = apart <= settings.consistency_px * pixel
     reason = np.where(consistent, np.uint8(Reason.MATCHED), np.uint8(Reason.INCONSISTENT))
     reason[~(found & sure)] = Reason.NO_MATCH
@@ -350,6 +363,29 @@ def _answer(
         sigma_alpha_2=sigma,
         reason=reason,
     )
+
+
+def _blank(
+    field: _Field, samples: _Samples, place: NDArray[np.intp], window: NDArray[np.int64], window_px: int
+) -> Mask:
+    """Whether pixels lie where their windows hold less texture than `_TEXTURED` of their mean, beyond doubt.
+
+    A plane that leans on texture farther off, the border of another surface as a rule, is precise and may be wrong.
+    Texture is the sum of g² per squared motion, over two thirds of the window's side; f of it is noise, whose mean over
+    n² pixels has the relative standard deviation sqrt(2)/n.
+    """
+    n = 2 * (window_px // 3) + 1
+    g2, motion = (np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion))
+
+    def density(side: int) -> Array:
+        sums = (ndimage.uniform_filter(a, side, mode="constant") for a in (g2, motion))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.divide(*sums)
+
+    f = field.share.ravel()[window]
+    with np.errstate(invalid="ignore"):
+        expected = f + _TEXTURED * (1 - f) - 2 * f * np.sqrt(2) / n
+        return density(n).ravel()[place] < expected * density(window_px).ravel()[window]
 
 
 def _read(field: _Field, x: Array, sensor: Sensor) -> tuple[NDArray[np.intp], NDArray[np.int64], Array]:
@@ -368,14 +404,16 @@ def _read(field: _Field, x: Array, sensor: Sensor) -> tuple[NDArray[np.intp], ND
 # -- The standard deviation --------------------------------------------------------------------------------------------
 
 
-def _sigma(field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], way: _Way, iterations: int) -> Array:
+def _sigma(
+    field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], way: _Way, settings: SlantedSettings
+) -> Array:
     """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
 
     - What adds up in a window is not white; see `_inflation`.
     - The gradient g holds noise too. It adds to the normal matrix, not to what the normal equations say, so a step goes
-      only the part 1 - f of the way, f being the noise's share in the sum of g². After k steps the field is the mean of
-      the planes that noise alone would give, smoothed n = 0 .. k - 1 times over a window, with weights f^n; see
-      `_smoothed`.
+      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f² when taken 1 + f times as
+      far. What is left of the field before, f or f² of it, is smoothed over a window. So the field is the sum of the
+      planes that noise alone would give, smoothed n times and less and less of each; see `_smoothed`.
     """
     # Tangents at the middle of the window, as in the kernel.
     c = way.x.reshape(-1, 3)[window]
@@ -385,23 +423,29 @@ def _sigma(field: _Field, inflation: Array, x: Array, window: NDArray[np.int64],
     one, a, b = (np.sum(x * axis, axis=-1) for axis in (c, e, np.cross(c, e)))
     c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
     spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
-    smoothed = polyval(field.share.ravel()[window], _smoothed(iterations))
+    smoothed = polyval(field.share.ravel()[window], _smoothed(settings.iterations, settings.sharp_iterations))
     # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
     residual = field.residual.ravel()[window] + 1e-10
     with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
         return np.sqrt(spread * residual * smoothed * inflation.ravel()[window])
 
 
-def _smoothed(iterations: int) -> Array:
+def _smoothed(iterations: int, sharp_iterations: int) -> Array:
     """Coefficients of the variance, in units of s² C, as a polynomial of f.
 
     Two planes, one smoothed k times over a window and one l times, correlate as (b_n+2(0)/b_2(0))², n = k + l: planes
     of neighbouring windows share pixels, which is smoothing too, and b_m is the density of the sum of m evenly
     distributed numbers, the centred B-spline of degree m - 1.
     """
-    n = np.arange(2 * iterations - 1)
-    pairs = np.minimum(n + 1, 2 * iterations - 1 - n)
-    return np.array([count * _centre_of_spline(m + 2) ** 2 for m, count in zip(n.tolist(), pairs, strict=True)])
+    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f), p = 0 for the last.
+    powers = [1 if k < sharp_iterations else 2 for k in range(iterations)]
+    weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(iterations)]
+    total = np.zeros(2 * sum(powers) - 1)
+    for k, one in enumerate(weights):
+        for m, other in enumerate(weights):
+            product = np.convolve(one, other)
+            total[: len(product)] += product * _centre_of_spline(k + m + 2) ** 2
+    return total
 
 
 def _centre_of_spline(m: int) -> float:
@@ -415,7 +459,7 @@ def _centre_of_spline(m: int) -> float:
     return total
 
 
-def _inflation(field: _Field, first: _View, second: _View, way: _Way, pool: ThreadPoolExecutor) -> Array:
+def _inflation(field: _Field, first: _View, samples: _Samples, way: _Way, pool: ThreadPoolExecutor) -> Array:
     """How much larger the variance is of a window's sums than if residuals were white, `[height, width]`.
 
     The larger of two. Where pixels of view 2 are larger than those of view 1, by the factor A in area, neighbouring
@@ -423,9 +467,8 @@ def _inflation(field: _Field, first: _View, second: _View, way: _Way, pool: Thre
     what the model leaves out, the finest texture above all, is measured: the sum of g_i r_i g_j r_j over neighbours
     i, j against that over i = j (Newey and West 1987).
     """
-    samples, shape = _nothing(field.w.shape), field.w.shape
+    shape = field.w.shape
     score, area = np.zeros(shape), np.ones(shape)
-    _sampled(field.w, second, way, samples, pool)
     _rows(
         pool, len(score), _kernels.judge_rows, way.seen, way.x, way.R, way.s, way.camera, first.image, samples.known,
         samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
