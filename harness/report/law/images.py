@@ -96,7 +96,7 @@ def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binn
     y = np.exp(_adjusted(cells))
     limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in there])), 0.003)
     limits_x = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
-    fig, panels = theme.pair(height=330, top=46)
+    fig, panels = theme.pair(height=330, top=46, left=70)
     told = []
     for ax, law in zip(panels, LAWS, strict=True):
         theme.logarithmic(ax, "x", *limits_x, most=4)
