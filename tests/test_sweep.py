@@ -26,11 +26,11 @@ AXES = """
 [axes]
 "view_2.baseline_m" = [0.3, 0.5]
 "noise.sigma_grey" = [0.0, 4.0]
-seed = [1, 2, 3, 4, 5, 6]
+seed = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]
 "matching.window_px" = [5, 7]
 "matching.subpixel" = ["none", "parabola"]
 """
-TRIALS = 2 * 2 * 6 * 2 * 2
+TRIALS = 2 * 2 * 16 * 2 * 2
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def test_killed_again_and_again(room: Path, whole: bytes) -> None:
 def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
     out = room / f"interrupted{workers}"
     process = begin(room, "run", "small.toml", "--workers", workers, "--out", out)
-    wait_for(out, 100_000)
+    wait_for(out, 60_000)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -136,7 +136,7 @@ def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
 def test_workers_end_with_their_parent(room: Path) -> None:
     out = room / "orphans"
     process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
-    wait_for(out, 100_000)
+    wait_for(out, 60_000)
     children = psutil.Process(process.pid).children(recursive=True)
     assert len(children) >= 2
     process.kill()
@@ -148,7 +148,7 @@ def test_workers_end_with_their_parent(room: Path) -> None:
 def test_killed_worker_costs_time_alone(room: Path, whole: bytes) -> None:
     out = room / "murdered"
     process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
-    wait_for(out, 100_000)
+    wait_for(out, 60_000)
     youngest = max(psutil.Process(process.pid).children(recursive=True), key=lambda child: child.create_time())
     youngest.kill()
     _, said = process.communicate(timeout=60)
