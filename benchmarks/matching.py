@@ -38,7 +38,6 @@ from harness.stereo.matching.registry import match_pair
 from harness.stereo.matching.semi_global import Geometry, SemiGlobal, View
 from harness.stereo.matching.subpixel import refine
 from harness.stereo.matching.window import WindowMatcher, match_whole_pixels
-from harness.stereo.pair import nothing_shared
 from harness.stereo.panorama import cylinder
 from harness.stereo.slanted.match import Slanted
 from harness.stereo.slanted.refine import refine_slanted
@@ -125,7 +124,8 @@ def main() -> None:
     print(heading("slanted"))
     slanted, start = Slanted(), SemiGlobal()
     coarse = match_pair(outcome.pair, start).alpha_2
-    two = dataclasses.replace(outcome.pair, threads=THREADS, share=nothing_shared)
+    # A pair shares what was made of it; every repetition has to make all of it.
+    two = dataclasses.replace(outcome.pair, threads=THREADS, share=lambda _stage, _key, make: make())
 
     def refined() -> None:
         refine_slanted(two.images, two.sensor, two.motion, two.grid, coarse, settings=slanted, threads=THREADS)
