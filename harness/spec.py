@@ -50,13 +50,23 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"not valid TOML: {error}", file=path) from error
 
 
-def parse(model: type[S], table: Mapping[str, Any], *, file: str | Path | None = None, key: str = "") -> S:
+def parse(
+    model: type[S],
+    table: Mapping[str, Any],
+    *,
+    file: str | Path | None = None,
+    key: str = "",
+    checked: dict[int, Any] | None = None,
+) -> S:
     """Build a specification from a table read from `file`.
 
     Parameters
     ----------
     key
         The dotted place of `table` inside the file, for messages.
+    checked
+        The parts of tables, by identity, whose values are known to be of the right types; added to. For many tables
+        that share most of their parts, and are not written to.
 
     Raises
     ------
@@ -69,7 +79,7 @@ def parse(model: type[S], table: Mapping[str, Any], *, file: str | Path | None =
     except ValidationError as error:
         place, text = _explain([_locate(model, each) for each in error.errors()])
         raise InputError(text, file=file, key=_dotted(place, key)) from error
-    for place, text in _coerced(given, spec.model_dump()):
+    for place, text in _coerced(given, spec.model_dump(), checked={} if checked is None else checked):
         raise InputError(text, file=file, key=_dotted(place, key))
     return spec
 
@@ -236,18 +246,22 @@ def _shown(value: Any) -> str:
     return repr(value)
 
 
-def _coerced(given: Any, taken: Any, place: Place = ()) -> Iterator[tuple[Place, str]]:
+def _coerced(given: Any, taken: Any, place: Place = (), *, checked: dict[int, Any]) -> Iterator[tuple[Place, str]]:
     """Values that pydantic would let pass for another type: `"3"` for a number, `true` for 1, 1 for `true`.
 
     Its own strict mode would refuse lists too, which are the only way to write a tuple in TOML.
     """
-    if isinstance(given, Mapping) and isinstance(taken, Mapping):
+    if id(given) in checked:
+        return
+    if isinstance(given, dict) and isinstance(taken, dict):
         for name in given:
             if name in taken:
-                yield from _coerced(given[name], taken[name], (*place, name))
+                yield from _coerced(given[name], taken[name], (*place, name), checked=checked)
+        checked[id(given)] = given  # kept, so that its identity stays its own
     elif isinstance(given, list | tuple) and isinstance(taken, list | tuple):
         for i, (one, other) in enumerate(zip(given, taken, strict=False)):
-            yield from _coerced(one, other, (*place, i))
+            yield from _coerced(one, other, (*place, i), checked=checked)
+        checked[id(given)] = given
     elif isinstance(taken, bool | int | float) and (
         isinstance(given, str) or isinstance(given, bool) != isinstance(taken, bool)
     ):

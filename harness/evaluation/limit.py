@@ -7,7 +7,7 @@ but wrong, and no bound on precision speaks of it.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from harness.camera.angles import Array
 
@@ -72,7 +72,8 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
     mean = kept.sum(axis=0) / n
     variance = np.where(fine[:, use], (kept - mean) ** 2, 0.0).sum(axis=0) / (n - 1)
     # The median of a chi-squared variable lies below its mean: few draws would flatter the median spread.
-    std = np.sqrt(variance / (stats.chi2.ppf(0.5, n - 1) / (n - 1)))
+    median_of_chi_2 = 2 * special.gammaincinv((n - 1) / 2, 0.5)
+    std = np.sqrt(variance / (median_of_chi_2 / (n - 1)))
     bias_2 = np.maximum(mean**2 - variance / n, 0.0)
     ratio = quartiles = rms = None
     if bound_px is not None:

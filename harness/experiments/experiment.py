@@ -64,10 +64,11 @@ class Experiment(Spec):
         base = self.trial.model_dump(mode="json")
         columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
         planned: dict[str, Planned] = {}
+        checked: dict[int, Any] = {}
         for case, settings in self._settings():
             table = _changed(base, settings, self, case)
             try:
-                trial = parse(Trial, table)
+                trial = parse(Trial, table, checked=checked)
             except InputError as error:
                 key = self._blame(error.key, settings, case) or self.place_of("", case).rstrip(".")
                 raise InputError(error.problem, key=key) from error
