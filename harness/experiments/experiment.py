@@ -68,7 +68,7 @@ class Experiment(Spec):
         for case, settings in self._settings():
             table = _changed(base, settings, self, case)
             try:
-                trial = parse(Trial, table, checked=checked)
+                trial = parse(Trial, self._with_validated(table, base), checked=checked)
             except InputError as error:
                 key = self._blame(error.key, settings, case) or self.place_of("", case).rstrip(".")
                 raise InputError(error.problem, key=key) from error
@@ -86,6 +86,13 @@ class Experiment(Spec):
                 )
             planned[one.key] = one
         return tuple(planned.values())
+
+    def _with_validated(self, table: Settings, base: Settings) -> Settings:
+        """A trial's table with the base trial's own parts for those that are unchanged: they need no second check."""
+        return {
+            name: getattr(self.trial, name) if name in base and part is base[name] else part
+            for name, part in table.items()
+        }
 
     def trials(self) -> list[tuple[Settings, Trial]]:
         """Every trial with its place on the axes; see `planned`."""
