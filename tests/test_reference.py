@@ -46,3 +46,30 @@ def test_the_reference_of_the_law_is_of_all_its_trials_and_of_this_geometry():
     # What the README says of them.
     assert all(0.8 < fit["slope"] < 1 and fit["slope_ci95"][1] < 1 for fit in walls)
     assert all(fit["slope"] < 0 for fit in floors)
+
+
+def test_the_readme_says_what_the_reference_of_the_matchers_says():
+    ladder = json.loads((REFERENCES / "matchers.json").read_text())["ladder"]
+    said = (REFERENCES.parents[1] / "README.md").read_text()
+    for name, kind, step in (
+        ("the paper, whole pixels", "window", "none"),
+        ("the paper, sub-pixel", "window", "parabola"),
+        ("columns that follow the map, V fit", "column", "v"),
+        ("semi-global matching", "sgm", None),
+        ("slanted least squares", "slanted", None),
+    ):
+        mine = {
+            (each["scene"], each["noise.sigma_grey"]): each
+            for each in ladder
+            if (each["matching.kind"], each["matching.subpixel"]) == (kind, step)
+        }
+        cells = [mine[scene, noise] for noise in (0, 10) for scene in ("box", "corridor", "room")]
+        row = [f"{each['disparity_median_abs_px']:.3f}, {100 * each['density']:.0f} %" for each in cells]
+        assert f"| {name} | {' | '.join(row)} |" in said
+
+
+def test_the_reference_of_the_limit_is_near_it():
+    entries = json.loads((REFERENCES / "matchers.json").read_text())["limit"]
+    slanted = [each for each in entries if each["matcher"] == "slanted" and each["sigma_grey"]]
+    assert [each["seeds"] for each in slanted] == [16] * 4
+    assert all(0.95 < each["std_over_bound"] < 1.1 and each["bad_3px"] < 0.01 for each in slanted)
