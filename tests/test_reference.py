@@ -73,3 +73,11 @@ def test_the_reference_of_the_limit_is_near_it():
     slanted = [each for each in entries if each["matcher"] == "slanted" and each["sigma_grey"]]
     assert [each["seeds"] for each in slanted] == [16] * 4
     assert all(0.95 < each["std_over_bound"] < 1.1 and each["bad_3px"] < 0.01 for each in slanted)
+
+
+def test_the_law_holds_once_each_cells_bound_is_known():
+    law = json.loads((REFERENCES / "law_best.json").read_text())["law"]
+    slopes = {(fit["surface"], fit["law"]): fit["slope"] for fit in law["noise_limited"]}
+    for surface in ("wall", "floor"):
+        assert slopes[surface, "bound"] == pytest.approx(1, abs=0.05)
+        assert slopes[surface, "exact"] < 0.95  # with one constant for all textures it does not
