@@ -293,3 +293,21 @@ def test_views_that_see_nothing_are_the_users_to_mend(tmp_path, settings, says):
     assert done.returncode == 2
     assert done.stderr.startswith(f"omnirange: own.toml: {says}")
     assert done.stderr.count("\n") == 1
+
+
+def test_an_axis_over_matchers_drops_axes_that_one_of_them_does_not_know():
+    planned = load_experiment("paper", axes=["matching.kind=window,slanted"]).planned
+    assert [each.place for each in planned] == [{"matching.kind": "window"}, {"matching.kind": "slanted"}]
+    both = load_experiment("paper", axes=["matching.kind=window,column"]).planned
+    assert len(both) == 4  # both know the axis over sub-pixel steps
+
+
+def test_details_keep_to_what_a_matcher_takes():
+    """The base trial's window settings are for `window`; `column` does not take all of them."""
+    from harness.experiments.run import _with_method
+
+    base = load_experiment("paper", sets=["matching.sampling=alpha", "matching.pitch_px=0.7"]).planned[0].trial
+    other = load_experiment("paper", sets=["matching.kind=column"]).planned[0].trial
+    assert _with_method(base, other).matching == other.matching
+    finer = load_experiment("paper", sets=["matching.window_px=7"]).planned[0].trial
+    assert _with_method(finer, other).matching == other.matching.model_copy(update={"window_px": 7})

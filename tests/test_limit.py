@@ -1,9 +1,13 @@
 """Spread against the bound: what known draws must give."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from harness.evaluation.limit import efficiency
+from harness.report import limit as drawn
+from harness.report import steps, theme
+from harness.report.sweep import Axis, Sweep, Way
 
 
 def draws(count, pixels, std, bias=0.0, seed=0):
@@ -48,3 +52,45 @@ def test_pixels_without_a_bound_or_with_few_draws_do_not_count():
     assert efficiency(errors, None).std_over_bound is None
     assert efficiency(errors[:2], bound) is None
     assert efficiency(np.full((10, 100), np.nan), bound) is None
+
+
+# The report's figures of it -------------------------------------------------------------------------------------------
+
+
+def way(step="own"):
+    return Way("slanted" if step == "own" else "window", step, step, "#000000", "solid", "o", filled=True)
+
+
+def entry(sigma_grey, seeds, std):
+    names = ("density", "median_abs_px", "bad_1px", "bad_3px", "bias_px", "rms_over_bound")
+    return dict.fromkeys(names, 0.1) | {
+        "matcher": "slanted", "subpixel": "own", "condition": "the base trial", "sigma_grey": sigma_grey,
+        "seeds": seeds, "bound_px": 0.01 * sigma_grey, "std_px": std, "std_over_bound": std and 1.0,
+        "std_over_bound_quartiles": std and (0.9, 1.1), "within_sigma": None,
+    }  # fmt: skip
+
+
+def test_a_noise_with_too_few_seeds_leaves_a_gap_in_the_figure():
+    sweep = Sweep([way()], [], [1, 2, 3], pd.DataFrame(), [], pd.DataFrame())
+    with theme.style():
+        made = drawn.limit(sweep, [entry(2.0, 1, None), entry(5.0, 3, 0.05), entry(10.0, 1, None)])
+    assert len(made.pictures) == 2
+    assert len(made.table.rows) == 3
+
+
+def test_a_setting_without_any_estimate_has_no_best_step():
+    ways = [way("none"), way("parabola")]
+    trials = pd.DataFrame(
+        {
+            "matcher": "window",
+            "subpixel": ["none", "parabola"] * 2,
+            "matching.window_px": ["5", "5", "47", "47"],
+            "wall_disparity_median_abs_px": [0.2, 0.1, np.nan, np.nan],
+            "floor_disparity_median_abs_px": np.nan,
+        }
+    )
+    sweep = Sweep(ways, [Axis("matching.window_px", [5, 47])], [1], trials, [], pd.DataFrame())
+    found = steps.steps(sweep)
+    assert found.findings == [
+        "Walls, parabola: smaller median error than whole samples in 1 of 1 settings. It is the best of all in 1."
+    ]

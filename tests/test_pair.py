@@ -1,5 +1,7 @@
 """What a matcher is given."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,15 @@ def test_what_was_made_is_shared_and_what_differs_is_not():
     assert made.count("unwrap") == 4
     other.panoramas()  # other images, for all that is known
     assert made.count("unwrap") == 6
+
+
+def test_what_matchers_share_depends_on_how_panoramas_are_made():
+    image = np.zeros((480, 640), np.float32)
+    pair = Pair((image, image), SENSOR, relative_motion(*VIEWS), GRID)
+    other = dataclasses.replace(pair, log_sigma_px=3.0)
+    another = dataclasses.replace(pair, interpolation="cubic")
+    assert [each.shared("mine", "settings", object) is pair.shared("mine", "settings", object) for each in
+            (pair, other, another)] == [True, False, False]  # fmt: skip
 
 
 def test_exposure_changes_what_the_sensor_sees_and_nothing_else():

@@ -146,7 +146,8 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
         `key=value`: settings of the base trial; an axis over the same key goes. With `matching.kind`, so do axes over
         settings that this matcher has not got.
     axes
-        `key=a,b,c`: further axes, or other values of one that is there. Values are as in TOML, or plain words.
+        `key=a,b,c`: further axes, or other values of one that is there. Values are as in TOML, or plain words. With an
+        axis over `matching.kind`, the experiment's own axes go that one of those matchers does not know.
 
     Raises
     ------
@@ -241,7 +242,14 @@ def _with_axes(experiment: Experiment, axes: Sequence[str]) -> Experiment:
             if key in case:
                 raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--axis", key=key)
     absolute = {key: [_absolute(key, value, Path(), "--axis") for value in values] for key, values in given.items()}
-    return experiment.model_copy(update={"axes": experiment.axes | absolute})
+    merged = experiment.axes | absolute
+    if _KIND in given:  # an axis of the experiment that one of these matchers does not know cannot be varied
+        merged = {
+            key: values
+            for key, values in merged.items()
+            if key in given or all(_is_known(key, kind) for kind in given[_KIND])
+        }
+    return experiment.model_copy(update={"axes": merged})
 
 
 def read_value(option: str, text: str) -> tuple[str, Any]:

@@ -130,7 +130,7 @@ def estimate(
         matcher=matcher,
         matches=matches,
         range_m=range_m,
-        sigma_m=law * sigma_alpha_2(pair, matcher, matches),
+        sigma_m=np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan),
         reason=np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons),
     )
 

@@ -340,7 +340,7 @@ def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
     for base in (experiment.trial, first_done):
         outcomes = []
         for trial in chosen:
-            with contextlib.suppress(InputError):
+            with contextlib.suppress(Exception):  # its rows say why; the others are shown all the same
                 outcomes.append(worker.run_here(_with_method(base, trial)))
         if outcomes:
             return outcomes
@@ -351,7 +351,9 @@ def _with_method(base: Trial, other: Trial) -> Trial:
     """The base trial, matched as another one is; with its own settings as far as they say the same."""
     matching = other.matching
     if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
-        matching = base.matching.model_copy(update={"kind": matching.kind, "subpixel": matching.subpixel})
+        mixed = base.matching.model_dump() | {"kind": matching.kind, "subpixel": matching.subpixel}
+        with contextlib.suppress(ValueError):  # pydantic's: what this kind does not take; its own settings then
+            matching = WindowMatcher.model_validate(mixed)
     return base.model_copy(update={"matching": matching})
 
 

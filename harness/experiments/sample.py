@@ -34,7 +34,7 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
     sigma, bound = outcome.matches.sigma_alpha_2, outcome.bound_px
     nothing = np.full(domain.sum(), np.nan)
     return {
-        "error_px": _plain(outcome.errors.disparity_px[some][domain]),
+        "error_px": _plain(_errors(outcome, outcome.errors.disparity_px)[some][domain]),
         "bound_px": _plain(nothing if bound is None else bound[some][domain]),
         "sigma_px": _plain(nothing if sigma is None else sigma[some][domain] / pitch),
     }
@@ -45,7 +45,7 @@ def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
     confidence = surest(outcome)
     if confidence is None or not (outcome.valid & outcome.reference.domain).any():
         return None
-    error = np.where(outcome.reference.domain, outcome.errors.disparity_px, np.nan)
+    error = domain_errors_px(outcome)
     curve = sparsification(error, confidence)
     bad, among = exceeding(error, BAD_PX)
     auc = roc(confidence, bad, among=among).auc
@@ -64,11 +64,19 @@ def calibration_of(outcome: Outcome) -> dict[str, Any] | None:
     sigma = outcome.matches.sigma_alpha_2
     if sigma is None:
         return None
-    error = np.where(outcome.reference.domain, outcome.errors.alpha_2, np.nan)
-    found = calibration(error, sigma)
+    found = calibration(_errors(outcome, outcome.errors.alpha_2), sigma)
     if not found.pixels:
         return None
     return {"within": list(found.within), "spread": found.spread, "bias": found.bias, "predicted": found.predicted}
+
+
+def domain_errors_px(outcome: Outcome) -> Array:
+    """Errors of disparity in the domain; NaN outside it and where there is no range."""
+    return _errors(outcome, outcome.errors.disparity_px)
+
+
+def _errors(outcome: Outcome, errors: Array) -> Array:
+    return np.where(outcome.reference.domain & outcome.valid, errors, np.nan)
 
 
 def with_bounds(outcome: Outcome, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:

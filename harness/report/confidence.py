@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from harness.camera.angles import Array
 from harness.evaluation.confidence import EXPECTED_WITHIN, Roc, calibration, exceeding, roc, sparsification
-from harness.experiments.sample import BAD_PX, surest
+from harness.experiments.sample import BAD_PX, domain_errors_px, surest
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.methods import Method
@@ -55,8 +55,7 @@ def _axes(title_of_x: str, title_of_y: str) -> tuple[Any, Any]:
 
 
 def _domain_error(method: Method) -> Array:
-    outcome = method.outcome
-    return np.where(outcome.reference.domain, outcome.errors.disparity_px, np.nan)
+    return domain_errors_px(method.outcome)
 
 
 def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> Picture:
@@ -95,7 +94,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
     told = []
     for method in predicting:
         outcome = method.outcome
-        domain = outcome.reference.domain
+        domain = outcome.reference.domain & outcome.valid
         error, sigma = outcome.errors.alpha_2[domain], outcome.matches.sigma_alpha_2
         scaled = np.abs(error) / sigma[domain] if sigma is not None else np.empty(0)
         scaled = np.sort(scaled[np.isfinite(scaled)])
@@ -161,7 +160,7 @@ def _table(sure: list[tuple[Method, Array]]) -> Table:
         sigma = method.outcome.matches.sigma_alpha_2
         within: list[float | None] = [None] * 3
         if sigma is not None:
-            angle = np.where(method.outcome.reference.domain, method.outcome.errors.alpha_2, np.nan)
+            angle = error * method.outcome.trial.panorama.phi_pitch
             within = list(calibration(angle, sigma).within)
         rows.append(
             [

@@ -122,9 +122,9 @@ def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
         ax.plot(x, std, linestyle=way.stroke, marker=way.marker, label=way.label, **style)
         x_bias, bias = _line(entries, lambda entry: entry["bias_px"])
         ax.plot(x_bias, bias, linestyle=(0, (1, 1.5)), linewidth=1.0, **style)
-        _, bound = _line(entries, lambda entry: entry["bound_px"])
+        x_bound, bound = _line(entries, lambda entry: entry["bound_px"])
         if bound:
-            ax.plot(x[: len(bound)], bound, color=way.colour, linewidth=0.6, alpha=0.7)
+            ax.plot(x_bound, bound, color=way.colour, linewidth=0.6, alpha=0.7)
         values += [*std, *bias, *bound]
         told.append(f"{way.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
     if values:
@@ -133,7 +133,8 @@ def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
     else:
         theme.note(ax, "no method was run with noise and three seeds")
     ax.set_xlim(0, None)
-    alt = f"Spread and bias of the disparity against the noise; at the most noise {'; '.join(told) or 'nothing drawn'}."
+    ends = "; ".join(told) or "nothing drawn"
+    alt = f"Spread and bias of the disparity against the noise; at the last point drawn of each {ends}."
     return theme.picture(fig, alt, "(b) spread (marked lines), bias (dotted), bound (thin)")
 
 

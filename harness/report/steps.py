@@ -95,7 +95,7 @@ def _findings(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) ->
                     f"; most, {figure(float(gain.max()), '.2f')} times smaller, at {_named(sweep, most)}, least, "
                     f"{figure(float(gain.min()), '.2f')}, at {_named(sweep, least)}"
                 )
-            best = int((table.idxmin(axis=1) == index).sum())
+            best = int((table.dropna(how="all").idxmin(axis=1) == index).sum())
             yield f"{text}. It is the best of all in {best}."
 
 

@@ -134,7 +134,8 @@ class Pair:
         settings
             All that the result depends on beside the pair.
         """
-        key = (*self.keys, self.motion.R_v2_from_v1.tobytes(), self.t_v1.tobytes(), self.sensor, self.grid, settings)
+        turned, made = self.motion.R_v2_from_v1.tobytes(), (self.interpolation, self.log_sigma_px)
+        key = (*self.keys, turned, self.t_v1.tobytes(), self.sensor, self.grid, made, settings)
         return cast("T", self.share(f"{self.owner} {stage}" if self.owner else stage, key, make))
 
 

@@ -112,13 +112,11 @@ def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
     the best label's costs are below those of the next one that is not beside it.
     """
     geometry = geometry_for(pair, matcher)
-    settings = ("about the baseline", geometry.places, pair.interpolation)
+    settings = ("about the baseline", geometry.places)
     views = pair.shared("about the baseline", settings, lambda: views_about_the_baseline(pair, geometry))
     searched = matcher.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
-    found = pair.shared(
-        "match", (searched, pair.interpolation), lambda: search(views, geometry, searched, pair.available_threads)
-    )
-    return pair.shared("sub-pixel", (matcher, pair.interpolation), lambda: match(found, geometry, matcher))
+    found = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
+    return pair.shared("sub-pixel", matcher, lambda: match(found, geometry, matcher))
 
 
 # -- Geometry: depends on the pose and the limits alone, and is kept for the next pair of images -----------------------

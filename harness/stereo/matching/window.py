@@ -40,7 +40,7 @@ def match_pair(pair: Pair, matcher: WindowMatcher) -> Matches:
     whole = whole_pixels(pair, matcher)
     return pair.shared(
         "sub-pixel",
-        (matcher, pair.interpolation, pair.log_sigma_px),
+        matcher,
         lambda: match(whole, matcher, pair.filtered(), threads=pair.available_threads),
     )
 
@@ -51,7 +51,7 @@ def whole_pixels(pair: Pair, matcher: WindowMatcher) -> WholePixelMatches:
     searched = matcher.model_copy(update={"subpixel": "none"})
     return pair.shared(
         "match",
-        (searched, pair.interpolation, pair.log_sigma_px),
+        searched,
         lambda: match_whole_pixels(first, second, pair.t_v1, matcher, threads=pair.available_threads),
     )
 

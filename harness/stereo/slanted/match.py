@@ -35,4 +35,4 @@ def match_pair(pair: Pair, matcher: Slanted) -> Matches:
             threads=pair.available_threads,
         )
 
-    return pair.shared("refine", (matcher, pair.interpolation, pair.log_sigma_px), refined)
+    return pair.shared("refine", matcher, refined)

@@ -37,15 +37,19 @@ def match_pair(pair: Pair, matcher: OpenCV) -> Matches:
     Raises
     ------
     InputError
-        When OpenCV and its contributed modules are not installed, the sensor's lens has a k3, or `opencv-reconstruct`
-        is given a vertical baseline.
+        When OpenCV and its contributed modules are not installed, the sensor's lens has a k3, `opencv-reconstruct`
+        is given a vertical baseline, or OpenCV itself refuses.
     """
     cv2 = opencv(str(getattr(matcher, "kind", "opencv")))
-    with threads(cv2, pair.available_threads):
-        if isinstance(matcher, StereoReconstruct):
-            return reconstruct(pair, matcher, cv2)
-        if isinstance(matcher, StereoBM | StereoSGBM):
-            return block_match(pair, matcher, cv2)
+    try:
+        with threads(cv2, pair.available_threads):
+            if isinstance(matcher, StereoReconstruct):
+                return reconstruct(pair, matcher, cv2)
+            if isinstance(matcher, StereoBM | StereoSGBM):
+                return block_match(pair, matcher, cv2)
+    except cv2.error as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"OpenCV cannot work with these settings: {said}", file=matcher.kind) from error
     raise TypeError(f"{type(matcher).__name__} is none of OpenCV's matchers")
 
 
