@@ -40,7 +40,8 @@ def match_pair(pair: Pair, matcher: OpenCV) -> Matches:
         When OpenCV and its contributed modules are not installed, the sensor's lens has a k3, `opencv-reconstruct`
         is given a vertical baseline, or OpenCV itself refuses.
     """
-    cv2 = opencv(str(getattr(matcher, "kind", "opencv")))
+    kind = str(getattr(matcher, "kind", "opencv"))
+    cv2 = opencv(kind)
     try:
         with threads(cv2, pair.available_threads):
             if isinstance(matcher, StereoReconstruct):
@@ -49,7 +50,7 @@ def match_pair(pair: Pair, matcher: OpenCV) -> Matches:
                 return block_match(pair, matcher, cv2)
     except cv2.error as error:
         said = " ".join(str(error).split())
-        raise InputError(f"OpenCV cannot work with these settings: {said}", file=matcher.kind) from error
+        raise InputError(f"OpenCV cannot work with these settings: {said}", file=kind) from error
     raise TypeError(f"{type(matcher).__name__} is none of OpenCV's matchers")
 
 
