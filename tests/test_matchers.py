@@ -70,9 +70,8 @@ def test_semi_global_matching_finds_nearly_everything(run):
     ],
     ids=["LoG", "ZNCC", "census", "slanted"],
 )
-@pytest.mark.parametrize("noise", [0, 10])
-def test_another_exposure_of_the_second_camera_costs_little(run, sets, noise):
-    noise_set = f"noise.sigma_grey={noise}"
+def test_another_exposure_of_the_second_camera_costs_little(run, sets):
+    noise_set = "noise.sigma_grey=10"
     alike = np.median(errors_px(run(*sets, noise_set)))
     for change in (("exposure_2.gain=1.05", "exposure_2.offset_grey=-12.75"), ("exposure_2.gain=0.95",)):
         assert np.median(errors_px(run(*sets, noise_set, *change))) < 1.1 * alike
