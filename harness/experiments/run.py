@@ -35,7 +35,7 @@ SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
 """What `summary.json` and the report call the paper's two methods."""
 
-MOST_DETAILS = 4
+MOST_DETAILS = 6
 """How many methods are looked at in detail: their maps and profiles still fit a page."""
 
 DATABASE = "run.sqlite"

@@ -46,7 +46,7 @@ def confidences(methods: list[Method]) -> Confidences:
 
 def _axes(title_of_x: str, title_of_y: str) -> tuple[Any, Any]:
     fig = theme.figure(HALF, 320)
-    ax = theme.axes(fig, 62, 34, HALF - 76, 236)
+    ax = theme.axes(fig, 62, 50, HALF - 76, 220)
     ax.set_xlabel(title_of_x)
     ax.set_ylabel(title_of_y)
     ax.grid(color="#E8E8E8", linewidth=0.5)
@@ -76,7 +76,7 @@ def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> 
     if known.size and known.min() < known.max():
         theme.logarithmic(ax, "y", max(float(known.min()) / 1.3, float(known.max()) / 1000), 1.3 * float(known.max()))
     if told:
-        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     else:
         theme.note(ax, "no pixel has an estimate")
     shown = "; ".join(told) or "no estimate"
@@ -106,7 +106,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
         told.append(f"{method.label} {100 * share[20]:.0f} % within one")
     ax.set_xlim(0, 4)
     ax.set_ylim(0, 100)
-    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     alt = (
         f"Share of errors within so many predicted standard deviations, beside a normal variable's: {'; '.join(told)}."
     )
@@ -137,7 +137,7 @@ def _roc(warned: list[tuple[Method, Roc]], rows: list[list[Any]], title: str) ->
         told.append(f"{method.label} area {found.auc:.3f}")
     ax.set_xlim(0, 100)
     ax.set_ylim(0, 100)
-    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     return theme.picture(fig, f"Receiver operating characteristic: {'; '.join(told)}.", title)
 
 

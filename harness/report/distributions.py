@@ -87,8 +87,10 @@ def histograms(methods: list[Method]) -> Iterator[list[Any]]:
 
 
 def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title: str, label: str) -> Picture:
+    # More curves than two methods have leave no room for a legend among them; the dashes are in the caption.
+    many = len(methods) > 2
     fig = theme.figure(HALF, 320)
-    ax = theme.axes(fig, 58, 12, HALF - 70, 258)
+    ax = theme.axes(fig, 58, 50 if many else 12, HALF - 70, 220 if many else 258)
     reference = methods[0].outcome.reference
     found = common(methods) & reference.domain
     lowest, medians = np.inf, []
@@ -100,7 +102,8 @@ def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title
             error = np.sort(scale * np.abs(getattr(method.outcome.errors, name)[found & where]))
             if not error.size:
                 continue
-            _draw(ax, error, colour=method.colour, linestyle=dashes, label=f"{method.label}, {surface}")
+            said = method.label if many else f"{method.label}, {surface}"
+            _draw(ax, error, colour=method.colour, linestyle=dashes, label=said)
             lowest = min(lowest, float(np.percentile(error, 2)))
             medians.append(f"{method.label} on {surface} {np.median(error):.3g} {unit}")
     ax.set_xscale("log")
@@ -113,7 +116,12 @@ def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title
     ax.set_ylabel("share of pixels at or below")
     if medians:
         ax.set_xlim(max(lowest, 1e-12), None)
-        ax.legend(loc="lower right")
+        handles, labels = ax.get_legend_handles_labels()
+        if many:
+            first = list(dict(zip(reversed(labels), reversed(handles), strict=True)).items())[::-1]
+            theme.legend_above(ax, [handle for _, handle in first], [label for label, _ in first], gap=0.3, most=3)
+        else:
+            ax.legend(loc="lower right")
     else:
         theme.note(ax, "no pixel has an estimate")
     alt = f"Cumulative distribution of the {label}; medians: {', '.join(medians) or 'no estimate'}."

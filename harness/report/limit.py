@@ -74,7 +74,7 @@ def _is_of(entry: Entry, way: Way) -> bool:
 
 def _axes(ordinate: str) -> tuple[Any, Any]:
     fig = theme.figure(HALF, 340)
-    ax = theme.axes(fig, 62, 34, HALF - 76, 256)
+    ax = theme.axes(fig, 62, 50, HALF - 76, 240)
     ax.set_xlabel(r"noise $\sigma$ (grey levels)")
     ax.set_ylabel(ordinate)
     ax.grid(color="#E8E8E8", linewidth=0.5)
@@ -104,7 +104,7 @@ def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
     theme.logarithmic(ax, "y", 0.85 * min(values), 1.2 * max(values))
     ax.set_xlim(0, None)
     if told:
-        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     else:
         theme.note(ax, "no method with a window of its own was run with noise and three seeds")
     alt = f"Standard deviation over the bound against the noise: {'; '.join(told) or 'nothing drawn'}."
@@ -129,7 +129,7 @@ def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
         told.append(f"{way.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
     if values:
         theme.logarithmic(ax, "y", max(min(values) / 1.3, max(values) / 1000), 1.3 * max(values))
-        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)
+        theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     else:
         theme.note(ax, "no method was run with noise and three seeds")
     ax.set_xlim(0, None)

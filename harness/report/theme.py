@@ -278,14 +278,19 @@ def dots(
     ax.add_artist(patch)
 
 
-def legend_above(ax: Axes, handles: Sequence[Artist], labels: Sequence[str], *, gap: float) -> None:
-    """A legend in one line above the axes, flush left; `gap` in parts of the letters' height."""
+def legend_above(
+    ax: Axes, handles: Sequence[Artist], labels: Sequence[str], *, gap: float, most: int | None = None
+) -> None:
+    """A legend above the axes, flush left, in one line or with at most so many entries in each.
+
+    gap : in parts of the letters' height.
+    """
     ax.legend(
         handles,
         labels,
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
-        ncol=len(labels),
+        ncol=min(len(labels), most or len(labels)) or 1,
         columnspacing=1.6,
         borderaxespad=gap,
     )
