@@ -29,7 +29,7 @@ from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import Truth, truth
-from harness.stereo.epipolar import Curves, Sampling, epipolar_curves, sample_at
+from harness.stereo.epipolar import Curves, sample_at
 from harness.stereo.matching.contract import Matches, Reason
 from harness.stereo.matching.registry import match_pair
 from harness.stereo.pair import Pair
@@ -195,22 +195,14 @@ def run_trial(
         )
         matches = match_pair(pair, trial.matching)
     with clock("range"):
-        sampling, pitch_px = _sampling(trial)
-        curves = epipolar_curves(
-            grid,
-            motion.t_v1,
-            d_min_m=trial.matching.d_min_m,
-            d_max_m=trial.matching.d_max_m,
-            sampling=sampling,
-            pitch_px=pitch_px,
-        )
+        curves = trial.matching.curves(grid, motion.t_v1)
         range_m = range_from_angles(curves.alpha_1, matches.alpha_2, motion.baseline_m)
         lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
         reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons)
     with clock("score"):
         expected, parts = kept.get(
             "reference",
-            (scene, trial.sensor, poses, grid, sampling, pitch_px),
+            (scene, trial.sensor, poses, grid, trial.matching.sampled(motion.t_v1)),
             lambda: _expected(seen, looking, poses[0], grid, curves),
         )
         found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
@@ -260,18 +252,6 @@ def _check_view(scene: Scene, pose: Pose, key: str) -> None:
         check_viewpoint(geometry, pose.position_m)
     except InputError as error:
         raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
-
-
-def _sampling(trial: Trial) -> tuple[Sampling, float]:
-    """How the trial's matcher samples the curves, and the distance of samples in columns.
-
-    One that has no samples is held against whole columns, or against whole steps of alpha_2 where t is so steep that
-    phi hardly follows the curves.
-    """
-    x, y, z = trial.motion.t_v1
-    steep = abs(z) > np.hypot(x, y)
-    sampling: Sampling = getattr(trial.matching, "sampling", "alpha" if steep else "phi")
-    return sampling, float(getattr(trial.matching, "pitch_px", 1.0))
 
 
 def _expected(seen: Truth, looking: Array, pose: Pose, grid: Grid, curves: Curves) -> tuple[Reference, Layout]:

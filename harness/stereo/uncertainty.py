@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from harness.camera.angles import Array
-from harness.stereo.epipolar import Curves, angular_step, epipolar_curves
+from harness.stereo.epipolar import Curves, angular_step
 from harness.stereo.matching.contract import Limits, Matches
 from harness.stereo.pair import Pair
 from harness.stereo.panorama import Panorama
@@ -39,23 +39,11 @@ def sigma_alpha_2(pair: Pair, matcher: Limits, matches: Matches) -> Array:
     if matches.sigma_alpha_2 is not None:
         return matches.sigma_alpha_2
     window = int(getattr(matcher, "window_px", WINDOW_PX))
-    curves = _curves(pair, matcher)
+    curves = matcher.curves(pair.grid, pair.t_v1)
     variance = _photometric_variance(pair, curves, matches.alpha_2, window)
     if getattr(matcher, "subpixel", "") == "none":
         variance = variance + angular_step(curves, matches.alpha_2) ** 2 / 12
     return cast("Array", np.sqrt(variance))
-
-
-def _curves(pair: Pair, matcher: Limits) -> Curves:
-    x, y, z = pair.t_v1
-    return epipolar_curves(
-        pair.grid,
-        pair.t_v1,
-        d_min_m=matcher.d_min_m,
-        d_max_m=matcher.d_max_m,
-        sampling=getattr(matcher, "sampling", "alpha" if abs(z) > np.hypot(x, y) else "phi"),
-        pitch_px=getattr(matcher, "pitch_px", 1.0),
-    )
 
 
 def _photometric_variance(pair: Pair, curves: Curves, alpha_2: Array, window_px: int) -> Array:

@@ -13,6 +13,7 @@ from pydantic import Field, JsonValue, model_validator
 from harness.camera.angles import Array
 from harness.errors import InputError
 from harness.spec import Positive, Spec
+from harness.stereo.epipolar import Curves, Sampling, epipolar_curves
 from harness.stereo.panorama import Grid
 
 
@@ -44,6 +45,24 @@ class Limits(Spec):
         if not self.d_min_m < self.d_max_m:
             raise ValueError(f"d_min_m = {self.d_min_m:g} must be below d_max_m = {self.d_max_m:g}")
         return self
+
+    def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
+        """How the epipolar curves are sampled, and the distance of samples in columns.
+
+        A matcher that has no samples is held against whole columns, or against whole steps of alpha_2 where t is so
+        steep that phi hardly follows the curves.
+        """
+        x, y, z = t_v1
+        steep = abs(z) > np.hypot(x, y)
+        sampling: Sampling = getattr(self, "sampling", "alpha" if steep else "phi")
+        return sampling, float(getattr(self, "pitch_px", 1.0))
+
+    def curves(self, grid: Grid, t_v1: Array) -> Curves:
+        """The epipolar curves between the limits, sampled so."""
+        sampling, pitch_px = self.sampled(t_v1)
+        return epipolar_curves(
+            grid, t_v1, d_min_m=self.d_min_m, d_max_m=self.d_max_m, sampling=sampling, pitch_px=pitch_px
+        )
 
     def support(self, log_sigma_px: float) -> Support | None:  # noqa: ARG002 - for matchers of filtered panoramas
         """What a match is made from, given the filter before it; None for a matcher whose window is not fixed."""
