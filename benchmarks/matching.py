@@ -28,19 +28,19 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from harness.camera.angles import normalise
 from harness.camera.sensor import project
-from harness.experiments.experiment import load_experiment
-from harness.experiments.trial import Outcome, run_trial
-from harness.stereo.matching import semi_global
-from harness.stereo.matching.peers.settings import StereoSGBM
-from harness.stereo.matching.registry import match_pair
-from harness.stereo.matching.semi_global import Geometry, SemiGlobal, View
-from harness.stereo.matching.subpixel import refine
-from harness.stereo.matching.window import WindowMatcher, match_whole_pixels
-from harness.stereo.panorama import cylinder
-from harness.stereo.slanted.match import Slanted
-from harness.stereo.slanted.refine import refine_slanted
+from harness.geometry.angles import normalise
+from harness.geometry.panorama import cylinder
+from harness.matching.opencv.settings import StereoSGBM
+from harness.matching.registry import match_pair
+from harness.matching.semi_global import match as semi_global
+from harness.matching.semi_global.match import Geometry, SemiGlobal, View
+from harness.matching.slanted.match import Slanted
+from harness.matching.slanted.refine import refine_slanted
+from harness.matching.window.match import WindowMatcher, match_whole_pixels
+from harness.matching.window.subpixel import refine
+from harness.pipeline.trial import Outcome, run_trial
+from harness.runs.experiment import load_experiment
 
 THREADS = 2
 WINDOWS = (7, 9, 11, 13, 15)

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor, pixel_directions, rays_of
+from harness.geometry.pose import Pose
 from harness.simulation.cast import available_cpus, in_threads, nearest_triangles
 from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render_with_range

@@ -27,10 +27,10 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUM
 
 import psutil  # noqa: E402
 
-from harness.experiments import run, worker  # noqa: E402
-from harness.experiments.cache import RenderCache  # noqa: E402
-from harness.experiments.executors import workplace  # noqa: E402
-from harness.experiments.experiment import Experiment, load_experiment  # noqa: E402
+from harness.pipeline.render_cache import RenderCache  # noqa: E402
+from harness.runs import run, worker  # noqa: E402
+from harness.runs.executors import workplace  # noqa: E402
+from harness.runs.experiment import Experiment, load_experiment  # noqa: E402
 
 
 def main() -> None:

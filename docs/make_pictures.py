@@ -7,10 +7,10 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from harness.experiments.experiment import load_experiment
-from harness.experiments.run import run_experiment
 from harness.report import images, profiles, theme
 from harness.report.methods import methods_of
+from harness.runs.experiment import load_experiment
+from harness.runs.run import run_experiment
 
 PICTURE = Path(__file__).parent / "images" / "paper.png"
 PAGE = """<body style="margin:0;background:white"><div id="all" style="width:1080px;padding:12px">

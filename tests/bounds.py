@@ -3,7 +3,7 @@
 Every limit is a consequence of geometry, with room for what geometry does not say.
 """
 
-from harness.assertions import assert_density, assert_improves, assert_unbiased, assert_within_law
+from harness.testing.assertions import assert_density, assert_improves, assert_unbiased, assert_within_law
 
 
 def check_pixel_level(outcome):

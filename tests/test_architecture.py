@@ -33,9 +33,9 @@ def test_imports_point_downwards() -> None:
 @pytest.mark.parametrize(
     ("module", "line"),
     [
-        ("camera/angles.py", "import harness.simulation"),  # upwards
-        ("stereo/panorama.py", "import harness.simulation"),  # between neighbours
-        ("simulation/scene.py", "import harness.stereo"),
+        ("camera/lens.py", "import harness.simulation"),  # upwards
+        ("matching/pair.py", "import harness.simulation"),  # between neighbours
+        ("simulation/scene.py", "import harness.matching"),
         ("errors.py", "import harness.spec"),
     ],
 )

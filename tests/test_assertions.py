@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from harness.assertions import (
+from harness.testing.assertions import (
     assert_density,
     assert_improves,
     assert_median_error,

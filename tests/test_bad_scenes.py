@@ -5,9 +5,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
+from harness.geometry.pose import Pose
 from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render
 from harness.simulation.scene import Box, Mesh, Plane, Scene, load_scene

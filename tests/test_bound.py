@@ -6,16 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from harness.camera.angles import normalise
-from harness.camera.pose import Pose, relative_motion
 from harness.camera.sensor import Camera, Sensor, in_field, pixel_directions, project, unproject
 from harness.evaluation.bound import cramer_rao, least_std
+from harness.geometry.angles import normalise
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Pose, relative_motion
+from harness.geometry.triangulation import exact_alpha_2
 from harness.simulation.render import render
 from harness.simulation.scene import Box, Scene
 from harness.simulation.texture import GreyTexture, NoiseTexture
 from harness.simulation.truth import ranges, truth
-from harness.stereo.panorama import Grid, directions
-from harness.stereo.ranging import exact_alpha_2
 
 # Off the middle, so that no pixel's centre lies on a border of two of the panorama's columns.
 SENSOR = Sensor(camera=Camera(width_px=320, height_px=240, focal_px=306, cx_px=159.2, cy_px=119.65))

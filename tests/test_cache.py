@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from sweeps import omnirange, write_small
 
-from harness.camera.pose import Pose
 from harness.errors import InputError
-from harness.experiments.cache import RenderCache, cache_folder, limit_bytes
-from harness.experiments.experiment import load_experiment
-from harness.experiments.kept import Kept
-from harness.experiments.trial import run_trial
+from harness.geometry.pose import Pose
+from harness.pipeline.render_cache import RenderCache, cache_folder, limit_bytes
+from harness.pipeline.stage_cache import Kept
+from harness.pipeline.trial import run_trial
+from harness.runs.experiment import load_experiment
 
 IMAGE = np.arange(12, dtype=np.float32).reshape(3, 4) + np.float32(0.1)
 
@@ -123,7 +123,7 @@ def test_processes_share_it(tmp_path: Path) -> None:
     program = """
 import sys, numpy as np
 from pathlib import Path
-from harness.experiments.cache import RenderCache
+from harness.pipeline.render_cache import RenderCache
 cache = RenderCache(Path(sys.argv[1]), 45_000)
 draws = np.random.default_rng(int(sys.argv[2]))
 for _ in range(300):

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from harness.camera.angles import angle_between, cylinder_point, normalise, wrap_angle
 from harness.camera.lens import Lens, fold_radius
 from harness.camera.mirror import Mirror, point_on_mirror
 from harness.camera.sensor import (
@@ -26,6 +25,7 @@ from harness.camera.sensor import (
     unproject,
 )
 from harness.errors import InputError
+from harness.geometry.angles import angle_between, cylinder_point, normalise, wrap_angle
 from harness.spec import dump_toml, parse
 
 # The contract of the camera: the round trip closes to a millionth of what the best matcher resolves.

@@ -10,7 +10,7 @@ from sweeps import begin, omnirange, wait_for, write_small
 from harness import shipped
 from harness.cli import main
 from harness.errors import InputError
-from harness.experiments.experiment import load_experiment
+from harness.runs.experiment import load_experiment
 
 
 @pytest.fixture
@@ -304,7 +304,7 @@ def test_an_axis_over_matchers_drops_axes_that_one_of_them_does_not_know():
 
 def test_details_keep_to_what_a_matcher_takes():
     """The base trial's window settings are for `window`; `column` does not take all of them."""
-    from harness.experiments.run import _with_method
+    from harness.runs.run import _with_method
 
     base = load_experiment("paper", sets=["matching.sampling=alpha", "matching.pitch_px=0.7"]).planned[0].trial
     other = load_experiment("paper", sets=["matching.kind=column"]).planned[0].trial

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from bounds import check_all
 
-from harness.camera.angles import wrap_angle
-from harness.experiments.trial import Kept, run_trial
-from harness.stereo.epipolar import epipolar_curves, point_at
-from harness.stereo.matching.column import PER_GREY, costs_of_half_samples
-from harness.stereo.matching.window import Reason, WindowMatcher, costs_along_curve, match, match_whole_pixels
-from harness.stereo.panorama import Grid, Panorama
+from harness.geometry.angles import wrap_angle
+from harness.geometry.epipolar import epipolar_curves, point_at
+from harness.geometry.panorama import Grid, Panorama
+from harness.matching.window.column import PER_GREY, costs_of_half_samples
+from harness.matching.window.match import Reason, WindowMatcher, costs_along_curve, match, match_whole_pixels
+from harness.pipeline.trial import Kept, run_trial
 
 GRID = Grid(width_px=60, height_px=24, z_max=0.5, z_min=-2.0)
 

@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 
 from harness import shipped
-from harness.camera.pose import Pose
 from harness.cli import main
-from harness.conformity import CHECKS, GRID, Finding, Subject, conformity, examine, quarter_turn, scenery
 from harness.errors import InputError
-from harness.experiments.experiment import load_matcher
-from harness.experiments.spec import SecondView, Trial
-from harness.experiments.trial import run_trial
+from harness.geometry.pose import Pose
+from harness.matching import registry
+from harness.matching.window.settings import WindowMatcher
+from harness.pipeline.specification import SecondView, Trial
+from harness.pipeline.trial import run_trial
+from harness.runs.experiment import load_matcher
 from harness.simulation.scene import load_scene
-from harness.stereo.matching import registry
-from harness.stereo.matching.window_settings import WindowMatcher
+from harness.testing.conformity import CHECKS, GRID, Finding, Subject, conformity, examine, quarter_turn, scenery
 
 pytest_plugins = "pytester"
 ROOT = Path(__file__).parent.parent
@@ -231,7 +231,11 @@ def test_marks_where_the_terminal_knows_letters_alone(monkeypatch: pytest.Monkey
 def plugin() -> list[str]:
     """Its name for pytest, unless it is installed so that pytest finds it."""
     found = metadata.entry_points(group="pytest11")
-    return [] if any(each.value == "harness.pytest_plugin" for each in found) else ["-p", "harness.pytest_plugin"]
+    return (
+        []
+        if any(each.value == "harness.testing.pytest_plugin" for each in found)
+        else ["-p", "harness.testing.pytest_plugin"]
+    )
 
 
 def run_suite(pytester: pytest.Pytester, call: str) -> pytest.RunResult:
@@ -272,4 +276,4 @@ def test_other_suites_pay_nothing(pytester: pytest.Pytester) -> None:
 
 def test_pytest_finds_it_in_an_installed_program() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert project["entry-points"]["pytest11"] == {"omnirange": "harness.pytest_plugin"}
+    assert project["entry-points"]["pytest11"] == {"omnirange": "harness.testing.pytest_plugin"}

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from harness.camera.angles import angle_between, cylinder_point, normalise, wrap_angle
-from harness.camera.pose import Motion
-from harness.stereo.epipolar import alpha_1, alpha_2_at, angular_step, epipolar_curves, point_at
-from harness.stereo.panorama import Grid, cylinder
-from harness.stereo.ranging import exact_alpha_2, points, triangulate
+from harness.geometry.angles import angle_between, cylinder_point, normalise, wrap_angle
+from harness.geometry.epipolar import alpha_1, alpha_2_at, angular_step, epipolar_curves, point_at
+from harness.geometry.panorama import Grid, cylinder
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import exact_alpha_2, points, triangulate
 
 SMALL = Grid(width_px=16, height_px=3, z_max=0.7, z_min=-1.1)
 INFINITE = {"d_min_m": 0.01, "d_max_m": np.inf}

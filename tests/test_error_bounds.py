@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from bounds import check_all, check_pixel_level, check_subpixel_helps
 
-import harness.experiments.trial as chain
+import harness.pipeline.trial as chain
 from harness.camera.sensor import project
-from harness.experiments.run import by_method
-from harness.experiments.spec import SecondView
-from harness.experiments.trial import Kept, run_trial
-from harness.stereo import pair
-from harness.stereo.matching import window
-from harness.stereo.matching.subpixel import refine
-from harness.stereo.panorama import unwrap
+from harness.camera.unwrap import unwrap
+from harness.matching import pair
+from harness.matching.window import match as window
+from harness.matching.window.subpixel import refine
+from harness.pipeline.specification import SecondView
+from harness.pipeline.trial import Kept, run_trial
+from harness.runs.run import by_method
 
 
 def both(trial, kept=None):
@@ -202,7 +202,7 @@ def test_half_a_pixel_in_the_mirror_image_is_caught(paper, monkeypatch):
     """Both views shifted alike hardly change a disparity; the panorama's own test sees it (see test_panorama)."""
     from test_panorama import SENSOR, pattern, picture
 
-    from harness.stereo import panorama
+    from harness.geometry import panorama
 
     def off(sensor, directions):
         pixels, valid = project(sensor, directions)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor
+from harness.geometry.pose import Pose
 from harness.simulation.export import write_glb
 from harness.simulation.render import render
 from harness.simulation.scene import Box, Mesh, Scene, load_scene

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from harness.stereo.filter import laplacian_of_gaussian
-from harness.stereo.panorama import Grid, Panorama
+from harness.geometry.panorama import Grid, Panorama
+from harness.matching.filter import laplacian_of_gaussian
 
 GRID = Grid(width_px=120, height_px=80, z_max=1.0, z_min=-1.0)
 

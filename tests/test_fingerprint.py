@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from harness.errors import InputError
-from harness.experiments.experiment import load_experiment
-from harness.experiments.worker import pack
+from harness.runs.experiment import load_experiment
+from harness.runs.worker import pack
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.mesh_file import companions
 from harness.simulation.scene import load_scene

@@ -7,7 +7,7 @@ import pytest
 from harness.evaluation.law import verdict
 from harness.evaluation.law_geometry import BASELINE_M, check_geometry, second_order_bias
 from harness.evaluation.law_images import best_baselines, fit_laws, noise_limited, residuals, sigma_alpha_slopes
-from harness.stereo.ranging import triangulate
+from harness.geometry.triangulation import triangulate
 
 BASELINES = 2.0 ** np.arange(-3, 0.5, 0.5)
 

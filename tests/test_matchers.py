@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from harness.evaluation.confidence import calibration, roc
-from harness.experiments.experiment import load_experiment
-from harness.experiments.sample import surest
-from harness.experiments.trial import Kept, run_trial
+from harness.pipeline.sample import surest
+from harness.pipeline.trial import Kept, run_trial
+from harness.runs.experiment import load_experiment
 
 
 @pytest.fixture(scope="module")

@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from harness.stereo.epipolar import epipolar_curves, point_at
-from harness.stereo.matching.subpixel import parabola_minimum
-from harness.stereo.matching.window import (
+from harness.geometry.epipolar import epipolar_curves, point_at
+from harness.geometry.panorama import Grid, Panorama
+from harness.matching.window.match import (
     Reason,
     WindowMatcher,
     costs_along_curve,
     match,
     match_whole_pixels,
 )
-from harness.stereo.panorama import Grid, Panorama
+from harness.matching.window.subpixel import parabola_minimum
 
 GRID = Grid(width_px=60, height_px=24, z_max=0.5, z_min=-2.0)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from harness.experiments.experiment import changed
-from harness.experiments.row import row_of
-from harness.experiments.spec import Trial
-from harness.experiments.trial import run_trial
+from harness.pipeline.row import row_of
+from harness.pipeline.specification import Trial
+from harness.pipeline.trial import run_trial
+from harness.runs.experiment import changed
 from harness.spec import parse
 
 SMALL = {

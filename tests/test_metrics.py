@@ -32,7 +32,7 @@ from harness.evaluation.metrics import (
     tally,
 )
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
-from harness.experiments.row import row_of
+from harness.pipeline.row import row_of
 
 
 @pytest.fixture

@@ -7,15 +7,15 @@ from browser import chromium, visit
 from PIL import Image
 from sweeps import omnirange
 
-from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor, in_field
 from harness.cli import main
-from harness.experiments.own_pair import read_photograph
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Pose
+from harness.pipeline.photographs import read_photograph
 from harness.simulation.render import render
 from harness.simulation.scene import load_scene
 from harness.simulation.truth import truth
 from harness.spec import dump_toml
-from harness.stereo.panorama import Grid, directions
 
 SENSOR = Sensor()
 FIRST = Pose(position_m=(0.3, -0.2, 1.0))

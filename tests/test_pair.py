@@ -5,19 +5,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from harness.camera.pose import Pose, relative_motion
 from harness.camera.sensor import Sensor, pixel_directions
+from harness.camera.unwrap import unwrap
+from harness.geometry.epipolar import epipolar_curves
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Pose, relative_motion
+from harness.geometry.triangulation import exact_alpha_2
+from harness.matching.interface import Matches
+from harness.matching.pair import Pair
+from harness.matching.uncertainty import sigma_alpha_2
+from harness.matching.window.settings import WindowMatcher
 from harness.simulation.exposure import with_exposure
 from harness.simulation.render import render
 from harness.simulation.scene import load_scene
 from harness.simulation.truth import truth
-from harness.stereo.epipolar import epipolar_curves
-from harness.stereo.matching.contract import Matches
-from harness.stereo.matching.window_settings import WindowMatcher
-from harness.stereo.pair import Pair
-from harness.stereo.panorama import Grid, directions, unwrap
-from harness.stereo.ranging import exact_alpha_2
-from harness.stereo.uncertainty import sigma_alpha_2
 
 SENSOR = Sensor()
 GRID = Grid(width_px=360, height_px=100)
@@ -112,7 +113,7 @@ def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
 def one_step(pair, curves, alpha_2, window_px):
     from scipy import ndimage
 
-    from harness.stereo.uncertainty import _seen_at
+    from harness.matching.uncertainty import _seen_at
 
     first, second = pair.filtered()
     step = GRID.phi_pitch / 2

@@ -7,8 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from harness.camera.lens import Lens
 from harness.camera.sensor import Camera, Sensor, pixel_directions
-from harness.stereo import _kernels
-from harness.stereo.panorama import Grid, cylinder, unwrap
+from harness.camera.unwrap import unwrap
+from harness.geometry import _triangulation_kernels as _kernels
+from harness.geometry.panorama import Grid, cylinder
 
 SENSOR = Sensor()
 GRID = Grid()

@@ -12,18 +12,18 @@ from pydantic import ValidationError
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from harness.camera.angles import angle_between, normalise
 from harness.camera.lens import Lens
 from harness.camera.mirror import Mirror
-from harness.camera.pose import Motion
 from harness.camera.sensor import Camera, FieldOfView, Sensor, in_field, pixel_directions, project, unproject
 from harness.camera.unified import mirrored_frame
 from harness.errors import InputError
-from harness.experiments.experiment import load_experiment
-from harness.experiments.trial import run_trial
-from harness.stereo.epipolar import alpha_1
-from harness.stereo.matching.peers import matchers
-from harness.stereo.matching.peers.rectify import (
+from harness.geometry.angles import angle_between, normalise
+from harness.geometry.epipolar import alpha_1
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import exact_alpha_2, triangulate
+from harness.matching.opencv import match as matchers
+from harness.matching.opencv.rectify import (
     Rectangle,
     Rectified,
     disparities,
@@ -34,11 +34,11 @@ from harness.stereo.matching.peers.rectify import (
     rectangle_for,
     rectify,
 )
-from harness.stereo.matching.peers.settings import StereoBM, StereoReconstruct, StereoSGBM
-from harness.stereo.matching.registry import BUILT_IN, match_pair
-from harness.stereo.pair import Pair
-from harness.stereo.panorama import Grid, directions
-from harness.stereo.ranging import exact_alpha_2, triangulate
+from harness.matching.opencv.settings import StereoBM, StereoReconstruct, StereoSGBM
+from harness.matching.pair import Pair
+from harness.matching.registry import BUILT_IN, match_pair
+from harness.pipeline.trial import run_trial
+from harness.runs.experiment import load_experiment
 
 BENT = Lens(k1=-0.02, k2=0.004, p1=0.001, p2=-0.002)
 SENSORS = {

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.camera.pose import Pose, relative_motion, translated
+from harness.geometry.pose import Pose, relative_motion, translated
 
 degrees = st.floats(-360, 360)
 metres = st.floats(-10, 10)

@@ -15,15 +15,15 @@ from hypothesis import strategies as st
 from PIL import Image
 from sweeps import begin, kill_group, omnirange, write_small
 
-from harness.camera.pose import Motion, Pose, relative_motion
 from harness.camera.sensor import Camera, Sensor, load_sensor
 from harness.errors import InputError
-from harness.experiments.experiment import load_experiment, load_matcher
-from harness.stereo.matching import program, registry
-from harness.stereo.matching.program import Program
-from harness.stereo.pair import Pair
-from harness.stereo.panorama import Grid, cylinder
-from harness.stereo.view_folder import pose_in
+from harness.geometry.panorama import Grid, cylinder
+from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.io.view_folder import pose_in
+from harness.matching import program, registry
+from harness.matching.pair import Pair
+from harness.matching.program import Program
+from harness.runs.experiment import load_experiment, load_matcher
 
 START = "import sys\nimport numpy as np\nfrom pathlib import Path\nsource, target = map(Path, sys.argv[1:3])\n"
 ANSWER = "alpha = np.full((16, 60), 1.5)\nnp.save(target / 'alpha_2.npy', alpha)\n"

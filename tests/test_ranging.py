@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.stereo import _kernels
-from harness.stereo.ranging import (
+from harness.geometry import _triangulation_kernels as _kernels
+from harness.geometry.triangulation import (
     paper_law,
     range_from_angles,
     sensitivity_to_alpha_2,

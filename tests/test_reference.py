@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from harness.evaluation.law_geometry import check_geometry
-from harness.experiments.experiment import load_experiment
-from harness.experiments.run import run_experiment
+from harness.runs.experiment import load_experiment
+from harness.runs.run import run_experiment
 
 REFERENCES = Path(__file__).parents[1] / "results" / "reference"
 REFERENCE = json.loads((REFERENCES / "paper.json").read_text())

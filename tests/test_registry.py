@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 from sweeps import omnirange, rows, write_small
 
-from harness.camera.pose import Motion, Pose, relative_motion
 from harness.camera.sensor import Camera, Sensor
 from harness.cli import main
 from harness.errors import InputError
-from harness.experiments.experiment import load_experiment, load_matcher
-from harness.experiments.worker import run_here
-from harness.stereo.matching import plugins, registry
-from harness.stereo.matching.contract import Matches, Reason, as_matches, faults
-from harness.stereo.matching.registry import Plugin
-from harness.stereo.pair import Pair
-from harness.stereo.panorama import Grid
+from harness.geometry.panorama import Grid
+from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.matching import plugins, registry
+from harness.matching.interface import Matches, Reason, as_matches, faults
+from harness.matching.pair import Pair
+from harness.matching.registry import Plugin
+from harness.runs.experiment import load_experiment, load_matcher
+from harness.runs.worker import run_here
 
 FAR = """
 import numpy as np
@@ -396,7 +396,7 @@ def test_bad_answers_are_refused_in_words(answer: object, rule: str, said: str) 
 def digest(kind: str, folder: Path) -> str:
     """In a process of its own, as each run is; and without a module of the matcher being loaded."""
     program = (
-        "import sys; from harness.stereo.matching import plugins; before = set(sys.modules); "
+        "import sys; from harness.matching import plugins; before = set(sys.modules); "
         f"print(plugins.digest({kind!r}, {{}})); "
         "sys.exit([each for each in set(sys.modules) - before if each.startswith(('top', 'beside', 'pack.'))])"
     )

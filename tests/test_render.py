@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from harness.camera.lens import Lens
-from harness.camera.pose import Pose
 from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project, unproject
+from harness.geometry.pose import Pose
 from harness.simulation import render as rendering
-from harness.simulation._kernels import TRACE, mark_edges
+from harness.simulation._rendering_kernels import TRACE, mark_edges
 from harness.simulation.render import render, render_every_sample, render_with_range
 from harness.simulation.scene import Box, Plane, Scene, load_scene
 from harness.simulation.texture import GreyTexture, NoiseTexture, lookup, texels_of

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from browser import chromium, visit
 
-from harness.experiments.experiment import Experiment
-from harness.experiments.run import Result, run_experiment
 from harness.report import curve, maps, profiles, theme, words
 from harness.report.build import build_report
 from harness.report.law import example
 from harness.report.methods import methods_of
+from harness.runs.experiment import Experiment
+from harness.runs.run import Result, run_experiment
 from harness.simulation.scene import Scene, load_scene
 from harness.spec import parse
 
@@ -215,7 +215,7 @@ def test_cost_curve_is_the_matchers(paper):
     best = np.nanargmin(found.costs)
     assert found.angle_deg[best] == pytest.approx(found.best_deg)
     assert found.near.sum() == 7
-    from harness.stereo.matching.window import whole_pixels
+    from harness.matching.window.match import whole_pixels
 
     # The parabola is the one that the sub-pixel step used: its minimum is the estimate.
     refined = methods[1].outcome
@@ -247,7 +247,7 @@ def test_other_rows_show_walls_and_floor(paper):
 
 
 def test_every_reason_has_words_and_a_colour_of_its_own():
-    from harness.stereo.matching.window import Reason
+    from harness.matching.window.match import Reason
 
     assert set(maps.REASONS) == set(Reason)
     assert len({colour for _, colour in maps.REASONS.values()}) == len(Reason)

@@ -7,7 +7,7 @@ from PIL import Image
 from scipy import ndimage
 
 from harness import shipped
-from harness.camera.pose import Pose
+from harness.geometry.pose import Pose
 from harness.simulation.cast import cast
 from harness.simulation.geometry import check_viewpoint, geometry_of, homographies
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Scene, assets, load_scene

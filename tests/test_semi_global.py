@@ -8,14 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from harness.camera.angles import angle_between
-from harness.camera.pose import Motion
 from harness.camera.sensor import Sensor, pixel_directions
-from harness.experiments.trial import Kept, run_trial
-from harness.stereo.epipolar import epipolar_curves, point_at
-from harness.stereo.matching import _semi_global_kernels as kernels
-from harness.stereo.matching.contract import Reason
-from harness.stereo.matching.semi_global import (
+from harness.geometry.angles import angle_between
+from harness.geometry.epipolar import epipolar_curves, point_at
+from harness.geometry.panorama import Grid, cylinder_point, directions
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import exact_alpha_2
+from harness.matching.interface import Reason
+from harness.matching.pair import Pair
+from harness.matching.semi_global import _semi_global_kernels as kernels
+from harness.matching.semi_global.match import (
     BITS,
     PER_BIT,
     SemiGlobal,
@@ -27,9 +29,7 @@ from harness.stereo.matching.semi_global import (
     match_pair,
     search,
 )
-from harness.stereo.pair import Pair
-from harness.stereo.panorama import Grid, cylinder_point, directions
-from harness.stereo.ranging import exact_alpha_2
+from harness.pipeline.trial import Kept, run_trial
 
 GRID = Grid(width_px=72, height_px=20, z_max=0.5, z_min=-1.2)
 DIRECTIONS = [(0.5, 0.0, 0.0), (-0.2, 0.4, 0.15), (0.1, -0.1, -0.45), (0.0, 0.0, 0.5)]

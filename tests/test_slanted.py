@@ -7,15 +7,15 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from harness.camera.angles import normalise
 from harness.camera.lens import Lens
-from harness.camera.pose import Motion
 from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
-from harness.stereo.matching.contract import Reason, as_matches
-from harness.stereo.panorama import Grid, directions
-from harness.stereo.ranging import exact_alpha_2
-from harness.stereo.slanted import _kernels
-from harness.stereo.slanted.refine import SlantedSettings, _centre_of_spline, _smoothed, _way, refine_slanted
+from harness.geometry.angles import normalise
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import exact_alpha_2
+from harness.matching.interface import Reason, as_matches
+from harness.matching.slanted import _slanted_kernels as _kernels
+from harness.matching.slanted.refine import SlantedSettings, _centre_of_spline, _smoothed, _way, refine_slanted
 
 SENSOR = Sensor(
     camera=Camera(width_px=220, height_px=220, focal_px=560.0, cx_px=109.5, cy_px=109.5),

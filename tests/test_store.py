@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from harness.errors import InputError
-from harness.experiments import store as module
-from harness.experiments.store import Finished, Foreign, Store
+from harness.runs import store as module
+from harness.runs.store import Finished, Foreign, Store
 
 DONE = Finished("a", "scene", "done", payload='{"figures": {"x": 0.1}}', seconds='{"render": 1.5}')
 FAILED = Finished("b", "scene", "failed", message="no view", traceback="Traceback ...")

@@ -7,12 +7,12 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from harness.stereo.epipolar import alpha_2_at, epipolar_curves, point_at
-from harness.stereo.matching import square
-from harness.stereo.matching.contract import Reason
-from harness.stereo.matching.subpixel import FROM_COSTS, cancelled_minimum, refine
-from harness.stereo.matching.window import WindowMatcher, match, match_whole_pixels
-from harness.stereo.panorama import Grid, Panorama
+from harness.geometry.epipolar import alpha_2_at, epipolar_curves, point_at
+from harness.geometry.panorama import Grid, Panorama
+from harness.matching.interface import Reason
+from harness.matching.window import square
+from harness.matching.window.match import WindowMatcher, match, match_whole_pixels
+from harness.matching.window.subpixel import FROM_COSTS, cancelled_minimum, refine
 
 X3, X7 = np.arange(-1.0, 2), np.arange(-3, 4) / 2
 TRUE = np.linspace(-0.49, 0.49, 15)

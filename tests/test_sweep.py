@@ -16,11 +16,11 @@ import psutil
 import pytest
 from sweeps import begin, kill_group, omnirange, rows, wait_for, write_small
 
-from harness.experiments import run
-from harness.experiments.executors import Workplace
-from harness.experiments.experiment import load_experiment
-from harness.experiments.plan import plan
-from harness.experiments.store import Store
+from harness.runs import run
+from harness.runs.executors import Workplace
+from harness.runs.experiment import load_experiment
+from harness.runs.plan import plan
+from harness.runs.store import Store
 
 AXES = """
 [axes]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from harness.camera.lens import Lens
-from harness.camera.pose import Pose
 from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
+from harness.geometry.pose import Pose
 from harness.simulation.cast import cast
 from harness.simulation.geometry import geometry_of
 from harness.simulation.scene import Box, Plane, Scene, load_scene

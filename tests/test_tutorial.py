@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from harness.cli import main
-from harness.conformity import CHECKS
+from harness.testing.conformity import CHECKS
 
 pytest_plugins = "pytester"
 ROOT = Path(__file__).parent.parent
@@ -119,6 +119,6 @@ def test_as_a_program(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_tests_of_the_page(folder: Path, pytester: pytest.Pytester) -> None:
     shutil.copy(folder / "test_plane_sweep.py", pytester.path)
-    installed = any(each.value == "harness.pytest_plugin" for each in metadata.entry_points(group="pytest11"))
-    plugin = [] if installed else ["-p", "harness.pytest_plugin"]
+    installed = any(each.value == "harness.testing.pytest_plugin" for each in metadata.entry_points(group="pytest11"))
+    plugin = [] if installed else ["-p", "harness.testing.pytest_plugin"]
     pytester.runpytest_inprocess(*plugin, "-p", "no:cacheprovider").assert_outcomes(passed=len(CHECKS))

@@ -5,10 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.camera.angles import normalise
 from harness.camera.lens import Lens, distort
 from harness.camera.mirror import Mirror
-from harness.camera.pose import Pose, relative_motion
 from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
 from harness.camera.unified import (
     Unified,
@@ -19,6 +17,8 @@ from harness.camera.unified import (
     unified_lens,
     unproject_unified,
 )
+from harness.geometry.angles import normalise
+from harness.geometry.pose import Pose, relative_motion
 
 models = st.builds(
     Unified,

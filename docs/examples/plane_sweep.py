@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from harness.camera.angles import angle_between
+from harness.geometry.angles import angle_between
 
 
 def match(pair, limits, *, window=7, steps=64):

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 from harness.spec import Finite, Spec
 
 

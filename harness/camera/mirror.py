@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import model_validator
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 from harness.spec import Positive, Spec
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from harness.camera._kernels import rays_of_pixels
-from harness.camera.angles import Array
+from harness.camera._unproject_kernels import rays_of_pixels
 from harness.camera.lens import Lens, distort, fold_radius
 from harness.camera.mirror import Mirror, point_on_mirror
+from harness.geometry.angles import Array
 from harness.spec import Finite, Positive, Spec, load
 
 Pixels = Annotated[int, Field(ge=8, le=16384)]

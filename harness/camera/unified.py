@@ -15,10 +15,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from harness.camera.angles import Array
 from harness.camera.lens import Lens
 from harness.camera.mirror import Mirror
 from harness.camera.sensor import Camera, FieldOfView, Sensor
+from harness.geometry.angles import Array
 from harness.spec import Finite, Positive, Spec
 
 

@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> None:
     """Empty the cache if asked to, and say what it holds."""
-    from harness.experiments.cache import RenderCache
+    from harness.pipeline.render_cache import RenderCache
 
     cache = RenderCache()
     if options.clear:

@@ -27,15 +27,15 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> int:
     """Carry out every check, a line for each."""
-    from harness.experiments.executors import ONE_THREAD
+    from harness.runs.executors import ONE_THREAD
 
     os.environ.update(ONE_THREAD | os.environ)
 
-    from harness.experiments.experiment import load_matcher
+    from harness.runs.experiment import load_matcher
 
     matcher = load_matcher(options.matcher, options.set)
 
-    from harness.conformity import CHECKS, conformity
+    from harness.testing.conformity import CHECKS, conformity
 
     marks = _marks()
     width = max(len(check.title) for check in CHECKS)

@@ -23,7 +23,7 @@ def run(options: Namespace) -> None:
     """Write the page, and print a table for every pair of runs."""
     from rich.console import Console
 
-    from harness.experiments.files import write
+    from harness.files import write
     from harness.report.compare import build_comparison
 
     comparison = build_comparison(*options.folders)

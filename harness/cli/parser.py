@@ -5,7 +5,8 @@ import traceback
 from collections.abc import Sequence
 
 from harness import __version__
-from harness.cli import cache, check, compare, own_pair, render, report, run
+from harness.cli import cache, check, compare, render, report, run
+from harness.cli import photographs as own_pair
 from harness.cli.exits import INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
 from harness.errors import InputError

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
-    from harness.experiments.store import Finished
+    from harness.runs.store import Finished
 
 _LINE_EVERY_S = 60.0
 

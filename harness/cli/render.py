@@ -29,10 +29,10 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> None:
     """Render, and write the folder."""
-    from harness.camera.pose import Pose
     from harness.camera.sensor import Sensor, load_sensor
-    from harness.experiments.render_folder import write_render
-    from harness.experiments.spec import Rendering
+    from harness.geometry.pose import Pose
+    from harness.pipeline.render_folder import write_render
+    from harness.pipeline.specification import Rendering
     from harness.simulation.scene import load_scene
     from harness.spec import parse
 

@@ -21,9 +21,9 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> int:
     """Write everything that is made from the rows of a run."""
-    from harness.experiments.experiment import Experiment
-    from harness.experiments.run import DATABASE, standing
-    from harness.experiments.store import Store
+    from harness.runs.experiment import Experiment
+    from harness.runs.run import DATABASE, standing
+    from harness.runs.store import Store
     from harness.spec import parse
 
     database = options.folder / DATABASE

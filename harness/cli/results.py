@@ -10,8 +10,8 @@ from harness.cli.tables import methods_table
 from harness.errors import InputError
 
 if TYPE_CHECKING:
-    from harness.experiments.experiment import Experiment
-    from harness.experiments.store import Foreign, Store
+    from harness.runs.experiment import Experiment
+    from harness.runs.store import Foreign, Store
 
 
 def write(
@@ -24,7 +24,7 @@ def write(
     InputError
         Where no trial could be carried out because of what was `given`: the user's to mend, like a wrong key.
     """
-    from harness.experiments.run import result_of, standing, write_result, write_tables
+    from harness.runs.run import result_of, standing, write_result, write_tables
 
     write_tables(experiment, store, folder)
     now = standing(experiment, store)

@@ -14,7 +14,7 @@ from harness.cli.progress import Progress, duration
 from harness.cli.results import say_foreign, show, write
 
 if TYPE_CHECKING:
-    from harness.experiments.experiment import Experiment
+    from harness.runs.experiment import Experiment
 
 
 def add(commands: declare.Commands) -> None:
@@ -39,13 +39,13 @@ def add(commands: declare.Commands) -> None:
 def run(options: Namespace) -> int:
     """Run what is not yet done, then write everything that is made from it."""
     # Heavy libraries are loaded here, so that --help and a mistyped name answer at once.
-    from harness.experiments.executors import ONE_THREAD, workplace
+    from harness.runs.executors import ONE_THREAD, workplace
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
-    from harness.experiments.experiment import load_experiment
-    from harness.experiments.files import make_folder
-    from harness.experiments.run import is_reported, open_run, standing, sweep
+    from harness.files import make_folder
+    from harness.runs.experiment import load_experiment
+    from harness.runs.run import is_reported, open_run, standing, sweep
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
     if options.dry_run:
@@ -82,8 +82,8 @@ def run(options: Namespace) -> int:
 
 
 def _dry_run(experiment: "Experiment") -> int:
-    from harness.experiments.executors import cpus
-    from harness.experiments.plan import plan
+    from harness.runs.executors import cpus
+    from harness.runs.plan import plan
 
     whole = plan(experiment.planned)
     seconds = whole.total_s / cpus()

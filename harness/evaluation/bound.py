@@ -34,13 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.angles import Array, angle_between
-from harness.camera.pose import Motion
 from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, unproject
 from harness.evaluation import _bound_kernels
+from harness.geometry.angles import Array, angle_between
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
 from harness.simulation.truth import Truth
-from harness.stereo.panorama import Grid, directions
-from harness.stereo.ranging import exact_alpha_2, sensitivity_to_alpha_2
 
 Model = Literal["slanted", "frontal"]
 Frame = Literal["panorama", "mirror"]

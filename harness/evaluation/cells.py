@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.evaluation._kernels import GROSS
+from harness.evaluation._grouping_kernels import GROSS
 from harness.evaluation.groups import medians_of_seen
 from harness.evaluation.metrics import Tally
-from harness.stereo.ranging import paper_law
+from harness.geometry.triangulation import paper_law
 
 MIN_PIXELS = 200
 """A median of fewer correlated pixels is no observation."""

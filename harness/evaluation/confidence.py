@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 
 Statistic = Literal["mean", "median"]
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
-from harness.evaluation import _kernels
+from harness.evaluation import _grouping_kernels as _kernels
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import Curves
 from harness.simulation.truth import Truth
-from harness.stereo.epipolar import Curves
 
 MIN_SINE_ALPHA_1 = 0.5
 """Directions nearer than 30° to the baseline are left out: there range answers to angle more than twice as strongly."""

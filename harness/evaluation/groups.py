@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
-from harness.evaluation import _kernels
+from harness.evaluation import _grouping_kernels as _kernels
+from harness.geometry.angles import Array
 
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]

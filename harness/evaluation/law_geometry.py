@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from harness.camera.angles import Array
-from harness.stereo.ranging import paper_law, sensitivity_to_alpha_2, sensitivity_to_baseline, triangulate
+from harness.geometry.angles import Array
+from harness.geometry.triangulation import paper_law, sensitivity_to_alpha_2, sensitivity_to_baseline, triangulate
 
 BASELINE_M = 0.5
 RANGES_M = (1.5, 3.0, 6.0)

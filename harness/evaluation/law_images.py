@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.camera.angles import Array
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.geometry.angles import Array
 
 BOOTSTRAP_DRAWS = 2000
 LAWS = ("exact", "paper")

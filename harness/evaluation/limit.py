@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 
 GROSS_PX = 3.0
 """An error beyond this is another match, not an imprecise one."""

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
-from harness.evaluation import _kernels
+from harness.evaluation import _grouping_kernels as _kernels
 from harness.evaluation.errors import Errors
 from harness.evaluation.groups import ascending, mean_of_middles, medians
 from harness.evaluation.regions import SURFACES, Layout
+from harness.geometry.angles import Array
 
 Measures = dict[str, float | None]
 Mask = NDArray[np.bool_]

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
 from harness.evaluation.errors import Reference
 from harness.evaluation.groups import Groups, Sorted, bins, grouped, members, sorted_parts
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid
 from harness.simulation.truth import Truth
-from harness.stereo.panorama import Grid
 
 Labels = NDArray[np.int16]
 Mask = NDArray[np.bool_]

@@ -9,8 +9,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
 from harness.evaluation.limit import GROSS_PX
-from harness.experiments.run import Result
-from harness.experiments.trial import Outcome
+from harness.matching.registry import method_of
+from harness.pipeline.trial import Outcome
 from harness.report import (
     confidence,
     curve,
@@ -35,8 +35,8 @@ from harness.report.methods import Method, methods_of
 from harness.report.statistics import FEW_SEEDS
 from harness.report.sweep import Sweep, sweep_of, value_text
 from harness.report.theme import Picture
+from harness.runs.run import Result
 from harness.spec import dump_toml
-from harness.stereo.matching.registry import method_of
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.camera.angles import Array
 from harness.errors import InputError
-from harness.experiments.experiment import text_of
+from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.build import template
 from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
@@ -21,6 +20,7 @@ from harness.report.statistics import FEW_SEEDS, between, resampled
 from harness.report.sweep import in_words
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure
+from harness.runs.experiment import text_of
 
 READ = ("experiment.toml", "trials.csv")
 """Written by every run. They are read rather than the rows, so that runs of other code can be compared."""

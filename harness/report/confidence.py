@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
 from harness.evaluation.confidence import EXPECTED_WITHIN, Roc, calibration, exceeding, roc, sparsification
-from harness.experiments.sample import BAD_PX, domain_errors_px, surest
+from harness.geometry.angles import Array
+from harness.pipeline.sample import BAD_PX, domain_errors_px, surest
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.methods import Method

@@ -6,16 +6,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array, wrap_angle
-from harness.experiments.trial import Outcome
+from harness.geometry.angles import Array, wrap_angle
+from harness.geometry.panorama import cylinder
+from harness.geometry.triangulation import points
+from harness.matching.window.match import costs_along_curve, whole_pixels
+from harness.matching.window.settings import WholePixelMatches, WindowMatcher
+from harness.matching.window.subpixel import refine
+from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.report.methods import Method, common
 from harness.report.theme import FAINT, HALF, INK, Picture
-from harness.stereo.matching.subpixel import refine
-from harness.stereo.matching.window import costs_along_curve, whole_pixels
-from harness.stereo.matching.window_settings import WholePixelMatches, WindowMatcher
-from harness.stereo.panorama import cylinder
-from harness.stereo.ranging import points
 
 _UNITS = {"sad": "grey levels", "ssd": "grey levels²", "zncc": "1 − correlation", "census": "bits"}
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.methods import Method, common
 from harness.report.theme import HALF, Picture

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
+from harness.matching.window.match import Reason
 from harness.report.curve import Curve
 from harness.report.data import Data
 from harness.report.distributions import curves, histograms
 from harness.report.law import example
 from harness.report.methods import Method
 from harness.report.profiles import Row, other_rows, row_at
-from harness.stereo.matching.window import Reason
 
 BLOCKS = (20, 72)
 """At most so many blocks down and across a panorama."""

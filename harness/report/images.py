@@ -7,13 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array, normalise
-from harness.experiments.trial import Outcome
+from harness.geometry.angles import Array, normalise
+from harness.geometry.panorama import Grid
+from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.report.theme import HALF, INK, WIDE, Picture
 from harness.simulation.geometry import Geometry, geometry_of
 from harness.simulation.texture import lookup
-from harness.stereo.panorama import Grid
 
 _LEFT, _PLOT = 50, 845
 """Where panoramas begin and how wide they are, CSS pixels: all of them line up."""

@@ -6,12 +6,12 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from harness.geometry.panorama import Grid
+from harness.matching.interface import Reason
 from harness.report import theme
 from harness.report.images import extent_of, panorama_axes, unmirrored
 from harness.report.methods import Method, common
 from harness.report.theme import Picture
-from harness.stereo.matching.contract import Reason
-from harness.stereo.panorama import Grid
 
 REASONS = {
     Reason.MATCHED: ("matched", "#E8EEF3"),

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.experiments.experiment import shown
-from harness.experiments.run import Result
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.statistics import mean_over_seeds
 from harness.report.sweep import Sweep, Way
+from harness.runs.experiment import shown
+from harness.runs.run import Result
 
 MOST_ROWS = 240
 """Of a table on the page; more are not read there, and are in its data."""

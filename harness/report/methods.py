@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.experiments.run import by_method
-from harness.experiments.trial import Outcome
+from harness.matching.registry import method_of
+from harness.pipeline.trial import Outcome
 from harness.report import theme
-from harness.stereo.matching.registry import method_of
+from harness.runs.run import by_method
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
-from harness.experiments.trial import Outcome
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import alpha_2_at
+from harness.geometry.triangulation import triangulate
+from harness.matching.registry import method_of
+from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.report.methods import Method, common
 from harness.report.theme import HALF, WIDE, Picture
-from harness.stereo.epipolar import alpha_2_at
-from harness.stereo.matching.registry import method_of
-from harness.stereo.ranging import triangulate
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.methods import Method

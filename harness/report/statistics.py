@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
+from harness.geometry.angles import Array
 
 DRAWS = 1000
 FEW_SEEDS = 8

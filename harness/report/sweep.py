@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.experiments.experiment import text_of
-from harness.experiments.run import Result
+from harness.matching.registry import method_of
 from harness.report import theme
 from harness.report.methods import looks
-from harness.stereo.matching.registry import method_of
+from harness.runs.experiment import text_of
+from harness.runs.run import Result
 
 NOT_AN_AXIS = ("seed", "matching.kind", "matching.subpixel")
 """Keys that vary, but are averaged over or drawn as methods."""

@@ -8,9 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from harness.camera.angles import Array
 from harness.evaluation.cells import NORMAL
 from harness.evaluation.regions import RANGE_RATIO
+from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data
 from harness.report.statistics import Curve, balanced, mean_over_seeds

@@ -7,13 +7,13 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from harness.experiments.run import Result
-from harness.experiments.spec import Trial
+from harness.matching.interface import Limits
+from harness.matching.registry import method_of
+from harness.matching.window.settings import WindowMatcher
+from harness.pipeline.specification import Trial
 from harness.report.methods import Method
 from harness.report.sweep import Axis, Sweep, value_text
-from harness.stereo.matching.contract import Limits
-from harness.stereo.matching.registry import method_of
-from harness.stereo.matching.window_settings import WindowMatcher
+from harness.runs.run import Result
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.angles import Array
 from harness.errors import InputError
-from harness.simulation._kernels import verify_hits
+from harness.geometry.angles import Array
+from harness.simulation._rendering_kernels import verify_hits
 from harness.simulation.geometry import Geometry, Ints
 
 _CHUNK = 1 << 15

@@ -16,10 +16,10 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.angles import Array
-from harness.camera.pose import Pose
 from harness.errors import InputError
-from harness.simulation._kernels import face_maps
+from harness.geometry.angles import Array
+from harness.geometry.pose import Pose
+from harness.simulation._rendering_kernels import face_maps
 from harness.simulation.mesh_file import read_mesh
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Plane, Scene
 from harness.simulation.texture import Texels, texels_of

@@ -9,8 +9,8 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
 from harness.errors import InputError
+from harness.geometry.angles import Array
 from harness.simulation.texture import Texels, luma
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply")

@@ -12,11 +12,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
 from harness.camera.lens import fold_radius
-from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor, pixel_directions, rays_of
-from harness.simulation._kernels import (
+from harness.geometry.angles import Array
+from harness.geometry.pose import Pose
+from harness.simulation._rendering_kernels import (
     TRACE,
     classify_pixels,
     face_ranges,

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from harness import shipped
-from harness.camera.pose import Pose
 from harness.errors import InputError
+from harness.geometry.pose import Pose
 from harness.simulation.texture import Grey, ImageTexture, Texture
 from harness.spec import Finite, Positive, Spec, parse, read_toml
 

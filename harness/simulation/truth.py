@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.angles import Array
 from harness.camera.lens import fold_radius
-from harness.camera.pose import Pose
 from harness.camera.sensor import Sensor
-from harness.simulation._kernels import describe_surfaces, in_view, look_from, mark_jumps
+from harness.geometry.angles import Array
+from harness.geometry.pose import Pose
+from harness.simulation._rendering_kernels import describe_surfaces, in_view, look_from, mark_jumps
 from harness.simulation.cast import cast, rotated
 from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_of
 from harness.simulation.scene import Scene

@@ -13,9 +13,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from harness.experiments.environment import environment
-from harness.experiments.experiment import load_experiment
-from harness.experiments.run import run_experiment
+from harness.pipeline.environment import environment
+from harness.runs.experiment import load_experiment
+from harness.runs.run import run_experiment
 
 HERE = Path(__file__).parent
 SCENES = ("box", "corridor", "room")

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.lines import Line2D
 
-from harness.camera.angles import Array
 from harness.evaluation.law_images import baseline_curve
 from harness.evaluation.regions import RANGE_RATIO
+from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.law.part import Part, is_of

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.angles import Array
-from harness.experiments.trial import Outcome
+from harness.geometry.angles import Array
+from harness.geometry.triangulation import exact_alpha_2, paper_law, sensitivity_to_alpha_2
+from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.report.methods import Method
 from harness.report.theme import FAINT, HALF, INK, Picture
-from harness.stereo.ranging import exact_alpha_2, paper_law, sensitivity_to_alpha_2
 
 BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
 """The paper's worked example (section 6): half a metre of baseline, a wall 3 m away, one degree."""

@@ -4,8 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from harness.camera.angles import Array
 from harness.evaluation.law_geometry import GeometryCheck, check_geometry
+from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, number, words
 from harness.report.law.part import Part

@@ -1,0 +1,23 @@
+"""Compiled loops that sample images. Called through the modules beside this one, which prepare the arguments."""
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bilinear(image, rows, columns, out):
+    """Write samples of an image between its pixels; beyond its border the border goes on.
+
+    rows, columns : `[n]`, at the pixels' centres whole.
+    """
+    height, width = image.shape
+    for i in range(rows.size):
+        row, column = min(max(rows[i], 0.0), height - 1.0), min(max(columns[i], 0.0), width - 1.0)
+        top, left = int(row), int(column)
+        below, right = row - top, column - left
+        bottom, east = min(top + 1, height - 1), min(left + 1, width - 1)
+        above, beside = 1.0 - below, 1.0 - right
+        value = (image[top, left] * above) * beside
+        value += (image[top, east] * above) * right
+        value += (image[bottom, left] * below) * beside
+        value += (image[bottom, east] * below) * right
+        out[i] = value

@@ -1,0 +1,93 @@
+"""Mirror images re-projected onto the unit cylinder (section 2 of the paper)."""
+
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.camera import _sampling_kernels
+from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid, Panorama, cylinder
+
+Interpolation = Literal["bilinear", "cubic"]
+
+
+def unwrap(
+    image: NDArray[np.float32],
+    sensor: Sensor,
+    grid: Grid,
+    *,
+    R_sensor_from_panorama: Array | None = None,
+    interpolation: Interpolation = "bilinear",
+) -> Panorama:
+    """Sample a mirror image on the unit cylinder.
+
+    Parameters
+    ----------
+    image
+        `[sensor height, sensor width]`, grey levels.
+    R_sensor_from_panorama
+        `[3, 3]`; turns a direction of the cylinder's frame into the sensor's. Given the rotation between the views, the
+        second panorama is made in the first one's orientation, and what is left between them is a pure translation.
+    interpolation
+        `bilinear`, or `cubic`: the interpolating cubic B-spline.
+
+    Raises
+    ------
+    ValueError
+        When the image has not the sensor's size.
+    """
+    camera = sensor.camera
+    if image.shape != (camera.height_px, camera.width_px):
+        raise ValueError(
+            f"the image is {image.shape}, the sensor {(camera.height_px, camera.width_px)} (rows, columns)"
+        )
+    rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
+    order = {"bilinear": 1, "cubic": 3}[interpolation]
+    coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
+    if order == 1:
+        values = np.empty(grid.shape, dtype=np.float32)
+        _sampling_kernels.bilinear(image, coordinates[0].reshape(-1), coordinates[1].reshape(-1), values.reshape(-1))
+    else:
+        # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
+        extended = _extend(image, pixel_directions(sensor)[1])
+        values = ndimage.map_coordinates(extended, coordinates, order=order, mode="nearest", output=np.float32)
+    values.flags.writeable = False
+    return Panorama(grid, values, valid)
+
+
+@lru_cache(maxsize=8)
+def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Where on the mirror image each pixel of the panorama is sampled, (rows, columns), and whether it can be."""
+    R = np.frombuffer(rotation).reshape(3, 3)
+    pixels, in_view = project(sensor, cylinder(grid) @ R.T)
+    coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
+    valid = in_view & _all_taps_seen(pixel_directions(sensor)[1], coordinates, order)
+    coordinates.flags.writeable = False
+    valid.flags.writeable = False
+    return coordinates, valid
+
+
+def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
+    """Whether every pixel that an interpolation at `coordinates` (rows, columns) touches is seen by the sensor."""
+    first = np.floor(coordinates).astype(np.intp) - (order // 2)
+    result = np.ones(coordinates.shape[1:], dtype=bool)
+    for row in range(order + 1):
+        for column in range(order + 1):
+            v, u = first[0] + row, first[1] + column
+            inside = (v >= 0) & (v < seen.shape[0]) & (u >= 0) & (u < seen.shape[1])
+            # A tap with weight zero may lie outside: the last row and column of a bilinear sample at an integer.
+            weightless = ((coordinates[0] == v - 1) & (row == order == 1)) | (
+                (coordinates[1] == u - 1) & (column == order == 1)
+            )
+            result &= weightless | (inside & seen[np.clip(v, 0, seen.shape[0] - 1), np.clip(u, 0, seen.shape[1] - 1)])
+    return result
+
+
+def _extend(image: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The image with every unseen pixel set to the nearest seen one."""
+    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    return np.asarray(image[rows, columns])

@@ -1,0 +1,75 @@
+"""`omnirange range`: range from two photographs of one's own."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from harness.cli.options import Commands, add_out
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "range",
+        run,
+        brief="range from two mirror images of your own",
+        description="Match two mirror images and write the range of every pixel of the first view's panorama, its "
+        "predicted standard deviation, a coloured point cloud and a page. No truth is needed.",
+        epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
+    )
+    command.add_argument("left", type=Path, metavar="LEFT", help="mirror image of view 1 (PNG, JPEG, TIFF ...)")
+    command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2, by the same sensor")
+    command.add_argument("--sensor", type=Path, required=True, metavar="FILE", help="sensor TOML: mirror, camera, lens")
+    command.add_argument(
+        "--baseline",
+        type=float,
+        nargs=3,
+        required=True,
+        metavar=("X", "Y", "Z"),
+        help="viewpoint 2 seen from viewpoint 1, in view 1's frame, metres",
+    )
+    command.add_argument(
+        "--rotation-deg",
+        type=float,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("YAW", "PITCH", "ROLL"),
+        help="how view 2 is turned against view 1: about z, then y, then x (0 0 0)",
+    )
+    command.add_argument("--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)")
+    command.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a setting of the matcher, such as window_px=15 or d_min_m=0.5, or of the panorama, such as "
+        "panorama.width_px=1440; repeatable",
+    )
+    add_out(command, required=True)
+
+
+def run(options: Namespace) -> None:
+    """Match, and write the folder."""
+    from harness.camera.sensor import load_sensor
+    from harness.errors import InputError
+    from harness.files import write
+    from harness.geometry.pose import Pose, relative_motion
+    from harness.pipeline.photographs import estimate, read_photograph, write_estimate
+    from harness.report.photographs import build_page
+    from harness.runs.photograph_settings import own_settings
+    from harness.spec import parse
+
+    sensor = load_sensor(options.sensor)
+    yaw, pitch, roll = options.rotation_deg
+    second = parse(
+        Pose, {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}, file="--baseline"
+    )
+    motion = relative_motion(Pose(), second)
+    if not motion.baseline_m > 0:
+        raise InputError("must not be zero: two views from one place tell no range", file="--baseline")
+    settings = own_settings(options.matcher, options.set)
+    photographs = [read_photograph(file, sensor) for file in (options.left, options.right)]
+    found = estimate(photographs[0], photographs[1], sensor, motion, settings.matching, settings.panorama)
+    write_estimate(found, options.out)
+    write(options.out / "range.html", build_page(found))
+    share = found.valid.mean()
+    print(f"{share:.1%} of the panorama has a range; {options.out / 'range.html'}")

@@ -1,0 +1,84 @@
+"""The virtual panoramic camera: the unit cylinder and its pixels (section 2 of the paper)."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from harness.geometry.angles import Array, cylinder_point, normalise
+from harness.spec import Finite, Spec
+
+
+class Grid(Spec):
+    """The cylinder's pixels, `[row = z, column = phi]`.
+
+    720x200 as in the paper, which leaves the z range open. By default the pixels are square at the horizon
+    ((z_max - z_min)/200 = 2 pi/720) and the top row, 18.6°, is the highest whose cubic taps all lie inside the
+    default sensor's rim at 20°.
+    """
+
+    width_px: Annotated[int, Field(ge=16, le=16384)] = 720
+    height_px: Annotated[int, Field(ge=3, le=16384)] = 200
+    z_max: Finite = 0.34
+    z_min: Finite = -1.4053
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Grid":
+        if self.z_min >= self.z_max:
+            raise ValueError("z_min must be below z_max")
+        return self
+
+    @property
+    def phi_pitch(self) -> float:
+        """Width of a column in radians: one pixel of disparity."""
+        return 2 * np.pi / self.width_px
+
+    @property
+    def z_pitch(self) -> float:
+        """Height of a row on the unit cylinder, no unit."""
+        return (self.z_max - self.z_min) / self.height_px
+
+    @property
+    def phi(self) -> Array:
+        """Azimuth of the column centres `[width]`, radians, ascending from -pi."""
+        return np.asarray(-np.pi + (np.arange(self.width_px) + 0.5) * self.phi_pitch, dtype=np.float64)
+
+    @property
+    def z(self) -> Array:
+        """Height of the row centres `[height]` on the unit cylinder, row 0 at the top."""
+        return np.asarray(self.z_max - (np.arange(self.height_px) + 0.5) * self.z_pitch, dtype=np.float64)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.height_px, self.width_px
+
+
+@lru_cache(maxsize=8)
+def cylinder(grid: Grid) -> Array:
+    """Points `x = [cos phi, sin phi, z]` at the pixel centres `[height, width, 3]`; read-only, kept."""
+    points = cylinder_point(grid.phi[None, :], grid.z[:, None])
+    points.flags.writeable = False
+    return points
+
+
+@lru_cache(maxsize=8)
+def directions(grid: Grid) -> Array:
+    """Unit vectors towards the pixel centres `[height, width, 3]`; read-only, kept."""
+    unit = normalise(cylinder(grid))
+    unit.flags.writeable = False
+    return unit
+
+
+@dataclass(frozen=True)
+class Panorama:
+    """An image on the cylinder."""
+
+    grid: Grid
+    values: NDArray[np.float32]
+    """`[height, width]`; grey levels, or a filter's answer. Finite everywhere, but meant only where `valid`."""
+    valid: NDArray[np.bool_]
+    """`[height, width]`: made only of pixels that the sensor sees."""

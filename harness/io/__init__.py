@@ -1,0 +1,1 @@
+"""Files of the outside world: how a view is laid down and read."""

@@ -1,0 +1,90 @@
+"""One view as files that anyone can read without this program, and how they are described to people."""
+
+import io
+import math
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from PIL import Image
+
+from harness.camera.sensor import Sensor
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Panorama
+from harness.geometry.pose import Motion, Pose
+from harness.spec import dump_toml
+
+FILES = """\
+omni.png              mirror image, 8 bit grey; 0 outside the image circle
+omni.npy              the same before rounding, float32, 0 .. 255, [row = v, column = u]
+panorama.png          the mirror image on a cylinder around the vertical axis, 8 bit grey, [row = z, column = phi]
+panorama.npy          the same before rounding, float32; NaN where the sensor does not see all that a pixel is made of
+sensor.toml           the mirror, camera and lens
+pose.toml             where the sensor stands in the world, metres and degrees, z up, and the panorama's grid
+"""
+
+CAMERA = """\
+The centre of pixel [v, u] is at the integers (u, v). A direction (x, y, z) of unit length in the sensor's frame, z up,
+is seen at
+    u = cx + focal x / w,   v = cy + focal aspect y / w
+    w = (z + 2 e / s),   s = b^2 / (a - e z),   e = sqrt(a^2 + b^2)
+before lens distortion. A direction in the world is R (x, y, z), R = Rz(yaw) Ry(pitch) Rx(roll), which is
+R_world_from_view in pose.toml, row by row.
+"""
+
+PANORAMA = """\
+Panorama column j is centred at phi = -pi + (j + 0.5) 2 pi / width and row i, row 0 at the top, at
+z_max - (i + 0.5) (z_max - z_min) / height; its pixel looks along (cos phi, sin phi, z). Column 0 is beside the last.
+"""
+
+
+def view_files(
+    image: NDArray[np.float32], panorama: Panorama, sensor: Sensor, pose: Pose, R_world_from_view: Array | None = None
+) -> dict[str, bytes]:
+    """The files of one view, by name: those of `FILES`.
+
+    Parameters
+    ----------
+    image
+        `[sensor height, sensor width]`, grey levels.
+    R_world_from_view
+        `[3, 3]`, where it is known better than to the rounding of the pose's angles.
+    """
+    rotation = pose.R_world_from_view if R_world_from_view is None else R_world_from_view
+    placed = dump_toml(pose) + tomli_w.dumps({"R_world_from_view": rotation.tolist()})
+    return {
+        "omni.png": png(image),
+        "omni.npy": npy(image),
+        "panorama.png": png(np.where(panorama.valid, panorama.values, np.float32(0))),
+        "panorama.npy": npy(np.where(panorama.valid, panorama.values, np.float32(np.nan))),
+        "sensor.toml": dump_toml(sensor).encode(),
+        "pose.toml": (placed + "\n[panorama]\n" + dump_toml(panorama.grid)).encode(),
+    }
+
+
+def pose_in(motion: Motion) -> Pose:
+    """View 2's pose in v1's frame: `Rz(yaw) Ry(pitch) Rx(roll) = R_v2_from_v1^T`; roll is 0 where it is not defined."""
+    R = motion.R_v2_from_v1.T
+    x, y, z = motion.t_v1.tolist()
+    level = math.hypot(R[0, 0], R[1, 0])
+    if level > 1e-9:
+        yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
+    else:  # looking straight up or down: only yaw and roll together have a meaning
+        yaw, roll = math.atan2(-R[0, 1], R[1, 1]), 0.0
+    pitch = math.atan2(-R[2, 0], level)
+    yaw_deg, pitch_deg, roll_deg = (math.degrees(angle) for angle in (yaw, pitch, roll))
+    return Pose(position_m=(x, y, z), yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+
+
+def png(image: NDArray[np.float32]) -> bytes:
+    """An 8 bit grey picture."""
+    stream = io.BytesIO()
+    Image.fromarray(np.clip(np.rint(image), 0, 255).astype(np.uint8)).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def npy(array: NDArray[np.floating]) -> bytes:
+    """NumPy's own format."""
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()

@@ -1,0 +1,276 @@
+"""What every matcher takes and gives: its limits, and the matches or the reasons why there are none."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, JsonValue, model_validator
+
+from harness.errors import InputError
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import Curves, Sampling, epipolar_curves
+from harness.geometry.panorama import Grid
+from harness.spec import Positive, Spec
+
+
+@dataclass(frozen=True)
+class Support:
+    """The pixels that a match is made from, for the bound on its accuracy."""
+
+    window_px: int
+    """Side of a square around the pixel, odd."""
+    model: Literal["slanted", "frontal"]
+    """What is fitted: see `evaluation.bound`."""
+    frame: Literal["panorama", "mirror"] = "panorama"
+    """Whose pixels the square is made of."""
+
+
+class Limits(Spec):
+    """What is common to the settings of all matchers: the ranges from viewpoint 1 that are searched.
+
+    - `d_min_m` 1: the floor is nearest at the bottom row, 1.22 m away under a sensor 1 m high.
+    - `d_max_m` 10: more than twice the farthest point of the paper's box (4.5 m), so that the limit hides no error,
+      yet finite, so that every matched pixel has a range.
+    """
+
+    d_min_m: Positive = 1.0
+    d_max_m: Annotated[float, Field(gt=0)] = 10.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "Limits":
+        if not self.d_min_m < self.d_max_m:
+            raise ValueError(f"d_min_m = {self.d_min_m:g} must be below d_max_m = {self.d_max_m:g}")
+        return self
+
+    def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
+        """How the epipolar curves are sampled, and the distance of samples in columns.
+
+        A matcher that has no samples is held against whole columns, or against whole steps of alpha_2 where t is so
+        steep that phi hardly follows the curves.
+        """
+        x, y, z = t_v1
+        steep = abs(z) > np.hypot(x, y)
+        sampling: Sampling = getattr(self, "sampling", "alpha" if steep else "phi")
+        return sampling, float(getattr(self, "pitch_px", 1.0))
+
+    def curves(self, grid: Grid, t_v1: Array) -> Curves:
+        """The epipolar curves between the limits, sampled so."""
+        sampling, pitch_px = self.sampled(t_v1)
+        return epipolar_curves(
+            grid, t_v1, d_min_m=self.d_min_m, d_max_m=self.d_max_m, sampling=sampling, pitch_px=pitch_px
+        )
+
+    def support(self, log_sigma_px: float) -> Support | None:  # noqa: ARG002 - for matchers of filtered panoramas
+        """What a match is made from, given the filter before it; None for a matcher whose window is not fixed."""
+        return None
+
+
+class Parametrised(Limits):
+    """Limits, and parameters that only the matcher understands."""
+
+    parameters: Annotated[dict[str, JsonValue], Field(default_factory=dict)]
+
+    def __hash__(self) -> int:
+        return hash(json.dumps(self.model_dump(mode="json"), sort_keys=True))
+
+
+class Reason(IntEnum):
+    """Why a pixel has no match (0: it has one)."""
+
+    MATCHED = 0
+    CURVE_LEAVES_IMAGE = 1
+    """A sample of the curve, or its extremum, has no whole window in the second panorama."""
+    WINDOW_LEAVES_IMAGE = 2
+    """The pixel's own window is not whole in the first panorama."""
+    NO_EPIPOLAR_PLANE = 3
+    """The pixel looks along t, or n_z vanishes and phi cannot follow the curve."""
+    NO_SAMPLE = 4
+    """The search interval falls between two samples of the curve."""
+    BEYOND_INFINITY = 5
+    """There is a match, but its rays are parallel or diverge: no range."""
+    NO_MATCH = 6
+    """The matcher found none, or was not sure of it."""
+    INCONSISTENT = 7
+    """The match from view 2 back to view 1 leads elsewhere: most likely a point that view 2 does not see."""
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What a matcher found, on view 1's panorama; every array `[height, width]`.
+
+    Only `alpha_2` is asked for. What else a matcher knows makes more of the report.
+    """
+
+    alpha_2: Array
+    """Radians: the angle in the epipolar plane between t and the direction from viewpoint 2 to the point, in v1's
+    orientation. NaN where there is no match."""
+    confidence: Array | None = None
+    """The larger, the surer; in any unit, as only the order counts. NaN where there is no match."""
+    sigma_alpha_2: Array | None = None
+    """Predicted standard deviation of `alpha_2`, radians. NaN where there is no match."""
+    reason: NDArray[np.uint8] | None = None
+    """`Reason`: why there is no match."""
+    refined: NDArray[np.bool_] | None = None
+    """Moved off the whole sample by a sub-pixel step; None for a matcher that has no samples."""
+    k: Array | None = None
+    """Position on the curve in samples, NaN where there is no match; None for a matcher that has no samples."""
+
+    @property
+    def reasons(self) -> NDArray[np.uint8]:
+        """`reason`; `Reason.NO_MATCH` for every NaN of a matcher that gives no reasons."""
+        if self.reason is not None:
+            return self.reason
+        return np.where(np.isnan(self.alpha_2), np.uint8(Reason.NO_MATCH), np.uint8(Reason.MATCHED))
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with a matcher's answer."""
+
+    rule: Literal["form", "shape", "dtype", "angles", "missing"]
+    """What it breaks: which thing is returned, of which shape and type, angles in range, NaN where there is no match
+    and only there."""
+    text: str
+    """In words, the first place included."""
+
+
+def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
+    """What somebody's matcher returned, checked; arrays of its own, read-only.
+
+    Parameters
+    ----------
+    answer
+        `Matches`, an array `alpha_2`, or a pair of arrays `(alpha_2, confidence)`.
+    name
+        What to call the matcher in a message.
+
+    Raises
+    ------
+    InputError
+        When `faults` finds any: the first.
+    """
+    for fault in faults(answer, grid):
+        raise InputError(fault.text, file=name)
+    given = _sorted_out(answer)
+    matched = ~np.isnan(np.asarray(given["alpha_2"]))
+    reason = np.where(matched, np.uint8(Reason.MATCHED), np.uint8(Reason.NO_MATCH))
+    if given["reason"] is not None:
+        reason = np.array(given["reason"], dtype=np.uint8)
+    reason.flags.writeable = False
+    return Matches(
+        alpha_2=_own(given["alpha_2"]),
+        confidence=None if given["confidence"] is None else _own(given["confidence"]),
+        sigma_alpha_2=None if given["sigma_alpha_2"] is None else _own(given["sigma_alpha_2"]),
+        reason=reason,
+        refined=None if given["refined"] is None else np.array(given["refined"], dtype=bool),
+        k=None if given["k"] is None else _own(given["k"]),
+    )
+
+
+def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
+    """All that is wrong with an answer, the gravest first: after a wrong form, shape or type nothing else is looked at.
+
+    Asked for is what `as_matches` takes, where every array has the panorama's shape and holds real numbers; `alpha_2`
+    within 0 .. pi radians, or NaN where there is no match; `confidence`, `sigma_alpha_2` and `k` finite where there is
+    a match and NaN where there is none, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
+    `refined` true only there.
+    """
+    given = _sorted_out(answer)
+    if not given:
+        yield Fault(
+            "form",
+            "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; it returned "
+            f"{type(answer).__name__}",
+        )
+        return
+    if given["alpha_2"] is None:
+        yield Fault("form", "alpha_2 is missing")
+        return
+    broken = [fault for name, value in given.items() if value is not None for fault in _no_array(name, value, grid)]
+    yield from broken
+    if broken:
+        return
+    alpha_2 = np.asarray(given["alpha_2"], dtype=np.float64)
+    matched = ~np.isnan(alpha_2)
+    yield from _somewhere(
+        "angles",
+        "alpha_2 must lie within 0 .. pi radians, or be NaN for no match",
+        alpha_2,
+        matched & ~((alpha_2 >= 0) & (alpha_2 <= np.pi)),
+    )
+    for name in ("confidence", "sigma_alpha_2", "k"):
+        if given[name] is None:
+            continue
+        value = np.asarray(given[name], dtype=np.float64)
+        yield from _somewhere(
+            "missing", f"{name} must be finite where there is a match", value, matched & ~np.isfinite(value)
+        )
+        yield from _somewhere(
+            "missing", f"{name} must be NaN where there is no match", value, ~matched & ~np.isnan(value)
+        )
+        if name == "sigma_alpha_2":
+            yield from _somewhere("angles", f"{name} must be above zero", value, matched & (value <= 0))
+    if given["reason"] is not None:
+        reason = np.asarray(given["reason"])
+        yield from _somewhere(
+            "missing",
+            f"reason must be one of 0 .. {max(Reason)}",
+            reason,
+            ~np.isin(reason, [each.value for each in Reason]),
+        )
+        yield from _somewhere(
+            "missing",
+            "reason must be 0 (matched) exactly where alpha_2 is not NaN",
+            reason,
+            (reason == Reason.MATCHED) != matched,
+        )
+    if given["refined"] is not None:
+        refined = np.asarray(given["refined"])
+        yield from _somewhere("missing", "refined must be false where there is no match", refined, refined & ~matched)
+
+
+def _sorted_out(answer: Any) -> dict[str, Any]:
+    """The arrays of an answer by name; none when it has no form that is known."""
+    if isinstance(answer, np.ndarray):
+        answer = Matches(answer)
+    elif isinstance(answer, tuple) and len(answer) == 2:
+        answer = Matches(*answer)
+    return {field.name: getattr(answer, field.name) for field in fields(answer)} if isinstance(answer, Matches) else {}
+
+
+def _no_array(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
+    """What keeps a value from being an array of the panorama."""
+    kinds, what = ("b", "booleans") if name == "refined" else ("iu", "whole numbers")
+    if name not in {"refined", "reason"}:
+        kinds, what = "fiu", "real numbers"
+    if not isinstance(value, np.ndarray):
+        yield Fault("form", f"{name} must be a NumPy array; it is {type(value).__name__}")
+    elif isinstance(value, np.ma.MaskedArray):
+        yield Fault("form", f"{name} must be a plain array with NaN where there is no match; its mask would be lost")
+    else:
+        if value.shape != grid.shape:
+            yield Fault("shape", f"{name} must have the panorama's shape {grid.shape}; it has {value.shape}")
+        if value.dtype.kind not in kinds:
+            yield Fault("dtype", f"{name} must be an array of {what}; its dtype is {value.dtype}")
+
+
+def _somewhere(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bool_]) -> Iterator[Fault]:
+    """A fault that some pixels have."""
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        more = f", and wrong at {int(wrong.sum())} pixels in all" if wrong.sum() > 1 else ""
+        shown = value[row, column].item()
+        yield Fault(
+            rule, f"{text}; it is {f'{shown:g}' if isinstance(shown, float) else shown} at [{row}, {column}]{more}"
+        )
+
+
+def _own(value: Any) -> Array:
+    """A copy: a matcher may use its arrays again."""
+    array = np.array(value, dtype=np.float64)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,171 @@
+"""What people use today, behind the same door as the matchers here: OpenCV's StereoBM, StereoSGBM and
+`omnidir.stereoReconstruct`. They need the extra `peers`.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from harness.camera.unified import mirrored_frame
+from harness.errors import InputError
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import alpha_1
+from harness.geometry.panorama import directions
+from harness.geometry.triangulation import exact_alpha_2
+from harness.matching.interface import Matches
+from harness.matching.opencv.library import opencv, threads
+from harness.matching.opencv.rectify import (
+    Rectangle,
+    around_of,
+    disparities,
+    mei,
+    mirrored_rotation,
+    on_panorama,
+    rectangle_for,
+    rectify,
+)
+from harness.matching.opencv.settings import OpenCV, StereoBM, StereoReconstruct, StereoSGBM
+from harness.matching.pair import Pair
+
+_FIXED_POINT = 16
+"""OpenCV's disparities are whole numbers of sixteenths of a pixel; negative where there is none."""
+
+
+def match_pair(pair: Pair, matcher: OpenCV) -> Matches:
+    """Run one of OpenCV's matchers; none of them says how sure it is, nor why it has no answer.
+
+    Raises
+    ------
+    InputError
+        When OpenCV and its contributed modules are not installed, the sensor's lens has a k3, `opencv-reconstruct`
+        is given a vertical baseline, or OpenCV itself refuses.
+    """
+    kind = str(getattr(matcher, "kind", "opencv"))
+    cv2 = opencv(kind)
+    try:
+        with threads(cv2, pair.available_threads):
+            if isinstance(matcher, StereoReconstruct):
+                return reconstruct(pair, matcher, cv2)
+            if isinstance(matcher, StereoBM | StereoSGBM):
+                return block_match(pair, matcher, cv2)
+    except cv2.error as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"OpenCV cannot work with these settings: {said}", file=kind) from error
+    raise TypeError(f"{type(matcher).__name__} is none of OpenCV's matchers")
+
+
+def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches:
+    """StereoBM or StereoSGBM on the rectified pair; its disparities are angles, with sixteenths of a pixel.
+
+    OpenCV searches the same disparities at all angles to the baseline: what it finds nearer than d_min or beyond d_max
+    is no match.
+    """
+    baseline = pair.motion.baseline_m
+    step = Rectangle(around_of(pair, matcher.rectified_scale)).step
+    number = disparities(matcher, baseline, step)
+    # The first columns have no partner for every disparity, and no disparity therefore.
+    rectangle = rectangle_for(pair, matcher.rectified_scale, number, matcher.block_px)
+    rectified = pair.shared(
+        "rectify", (rectangle, matcher.interpolation), lambda: rectify(pair, rectangle, matcher.interpolation, cv2)
+    )
+    found = _engine(matcher, number, cv2).compute(*rectified.images)
+    disparity = np.where(found >= 0, found / _FIXED_POINT, np.nan)
+    looking = directions(pair.grid)
+    a_1 = alpha_1(pair.grid, pair.t_v1)
+    a_2 = a_1 + on_panorama(rectified, disparity, looking) * step
+    near, far = (_alpha_2_at(looking, d, a_1, pair.t_v1) for d in (matcher.d_min_m, matcher.d_max_m))
+    return Matches(np.where((far <= a_2) & (a_2 <= near), a_2, np.nan))
+
+
+def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
+    """`cv2.omnidir.stereoReconstruct` as it comes, on all angles to the baseline and all half planes around it.
+
+    Its points are scored as they are. It takes `|t| f/disparity`, the law of perspective cameras, for the range, which
+    is off by more the farther a direction is from a right angle to the baseline: `sin alpha_2` is missing, and an angle
+    stands for its sine. Triangulating its disparities would hide that. So a pixel gets the alpha_2 of a point in the
+    pixel's own direction at the range of the point p that OpenCV puts there, `angle(|p| x̂_1 - t, t)`, from which the
+    harness triangulates that very range.
+
+    OpenCV 5.0 leaves out points whose disparity is 15 pixels or less, however far apart pixels are, and has no margin:
+    its first columns stay empty. Some earlier releases truncate disparities to whole pixels besides.
+
+    Raises
+    ------
+    InputError
+        When the baseline is vertical, for which `cv2.omnidir.stereoRectify` divides by zero.
+    """
+    rotation = mirrored_rotation(pair.motion.R_v2_from_v1)
+    t = -rotation @ mirrored_frame(pair.t_v1)  # of p_v2 = R p_v1 + t
+    frame, _ = cv2.omnidir.stereoRectify(rotation, t)
+    if not np.isfinite(frame).all():
+        raise InputError(
+            "cv2.omnidir.stereoRectify has no answer for a vertical baseline; use opencv-sgbm, or another direction",
+            file=matcher.kind,
+        )
+    rectangle = Rectangle(around_of(pair, matcher.rectified_scale))
+    first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in pair.images)
+    _, _, _, cloud = cv2.omnidir.stereoReconstruct(
+        first,
+        second,
+        *mei(pair.sensor),
+        *mei(pair.sensor),
+        rotation,
+        t,
+        cv2.omnidir.RECTIFY_LONGLATI,
+        disparities(matcher, pair.motion.baseline_m, rectangle.step),
+        matcher.block_px,
+        newSize=rectangle.shape[::-1],
+        Knew=rectangle.K,
+        pointType=cv2.omnidir.XYZ,
+    )
+    range_m = _ranges(cloud, rectangle)
+    looking = directions(pair.grid)
+    row, column = rectangle.places(frame, looking)
+    there = range_m[np.rint(row).astype(int) % rectangle.around, np.clip(np.rint(column).astype(int), 0, None)]
+    a_2 = exact_alpha_2(there[..., None] * looking, pair.t_v1)
+    return Matches(a_2)
+
+
+def _engine(matcher: StereoBM | StereoSGBM, number: int, cv2: Any) -> Any:
+    """OpenCV's object for these settings."""
+    if isinstance(matcher, StereoSGBM):
+        area = matcher.block_px**2
+        engine = cv2.StereoSGBM.create(
+            minDisparity=0,
+            numDisparities=number,
+            blockSize=matcher.block_px,
+            P1=round(matcher.p1_per_px * area),
+            P2=round(matcher.p2_per_px * area),
+            mode=getattr(cv2, f"STEREO_SGBM_MODE_{_MODES[matcher.mode]}"),
+        )
+    else:
+        engine = cv2.StereoBM.create(numDisparities=number, blockSize=matcher.block_px)
+        engine.setPreFilterType(getattr(cv2, f"STEREO_BM_PREFILTER_{_PRE_FILTERS[matcher.pre_filter]}"))
+        engine.setPreFilterSize(matcher.pre_filter_px)
+        engine.setTextureThreshold(matcher.texture_threshold)
+    engine.setPreFilterCap(matcher.pre_filter_cap)
+    engine.setUniquenessRatio(matcher.uniqueness_percent)
+    engine.setDisp12MaxDiff(matcher.disp12_max_diff_px)
+    engine.setSpeckleWindowSize(matcher.speckle_px)
+    engine.setSpeckleRange(matcher.speckle_range_px)
+    return engine
+
+
+_MODES = {"sgbm": "SGBM", "hh": "HH", "3way": "SGBM_3WAY", "hh4": "HH4"}
+_PRE_FILTERS = {"xsobel": "XSOBEL", "normalized": "NORMALIZED_RESPONSE"}
+
+
+def _alpha_2_at(looking: Array, range_m: float, a_1: Array, t: Array) -> Array:
+    """alpha_2 of points at one range, which may be infinite."""
+    return a_1 if np.isinf(range_m) else exact_alpha_2(range_m * looking, t)
+
+
+def _ranges(cloud: Any, rectangle: Rectangle) -> Array:
+    """Ranges `[rows, columns]` of OpenCV's points, which are a list: where each belongs is told by its direction."""
+    range_m = np.full(rectangle.shape, np.nan)
+    points = np.zeros((0, 3)) if cloud is None else np.asarray(cloud, dtype=np.float64).reshape(-1, 3)
+    # The points are in the rectified frame: no rotation, and `places` expects our frame.
+    row, column = rectangle.places(np.eye(3), mirrored_frame(points))
+    rows, columns = np.rint(row).astype(int), np.rint(column).astype(int)
+    range_m[rows, columns] = np.linalg.norm(points, axis=-1)
+    return range_m

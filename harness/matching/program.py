@@ -1,0 +1,301 @@
+"""A matcher in any language: a command that reads a folder of images and settings, and writes its angles into another.
+
+Whatever the command does (never end, crash, write nonsense) comes out as one `InputError`.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from pydantic import Field, JsonValue, field_validator
+
+from harness.errors import InputError
+from harness.geometry.panorama import Grid
+from harness.geometry.pose import Pose
+from harness.io.view_folder import CAMERA, FILES, PANORAMA, pose_in, view_files
+from harness.matching.interface import Matches, Parametrised, as_matches
+from harness.matching.pair import Pair
+from harness.matching.plugins import hash_of
+
+_LAST_WORDS = 400
+"""Characters of stderr that a message quotes: its last lines."""
+
+README = f"""\
+Two views of one scene, for a matcher. Wanted is, for every pixel of view 1's panorama, the angle alpha_2.
+
+view_1/, view_2/      a folder for each view, see below
+limits.toml           d_min_m, d_max_m: the ranges from viewpoint 1 to search, metres; threads: how many to use
+parameters.toml       the parameters that the experiment gives, if any
+
+Write into the output folder, in NumPy's .npy format, arrays [height, width] of float64 or float32, one value for each
+pixel of view 1's panorama:
+
+alpha_2.npy           radians, 0 .. pi; NaN where there is no match
+confidence.npy        may be left out: the larger, the surer, in any unit; NaN where there is no match, and only there
+sigma_alpha_2.npy     may be left out: predicted standard deviation of alpha_2, radians; NaN likewise
+
+and end with exit code 0. The working folder is a new one and is removed afterwards.
+
+alpha_2
+-------
+Let x be the unit vector towards the panorama's pixel in v1's frame, t the position of viewpoint 2 in v1's frame
+(view_2/pose.toml: position_m), and P = d_1 x the point that the pixel sees, d_1 metres away from viewpoint 1. Then
+    alpha_1 = angle between x and t
+    alpha_2 = angle between P - t and t, always larger than alpha_1 for a point that is not infinitely far
+and the range follows as d_1 = |t| sin(alpha_2) / sin(alpha_2 - alpha_1). Not asked for: the range itself, a disparity
+(alpha_2 - alpha_1), or an angle in degrees.
+
+A point d_1 away along x is seen in view 2's panorama in the direction d_1 x - t: at phi = atan2(y, x) and
+z / sqrt(x^2 + y^2) of that vector, with no rotation left to apply.
+
+The files of a view
+-------------------
+{FILES}
+{CAMERA}
+Both panoramas are in view 1's orientation: a rotation between the views is taken out of view 2's, so that what is left
+between the panoramas is the translation t alone. The mirror images are as each camera took them.
+
+pose.toml is in v1's frame: view 1 stands at the origin, unrotated; view 2 at t. A direction in view 2's own frame is
+turned into v1's by R_world_from_view.
+
+{PANORAMA}"""
+
+
+class Program(Parametrised):
+    """A matcher that is a command.
+
+    - `command`: the program and its arguments. `{input}` and `{output}` stand for the folders that it reads and writes,
+      `{name}` for the parameter of that name. A relative path to a file is relative to the experiment's file.
+    - `timeout_s` 600: after that long it is killed, with all that it has started.
+    """
+
+    kind: Literal["program"] = "program"
+    command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
+    timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 600.0
+
+    @field_validator("command")
+    @classmethod
+    def _complete(cls, command: tuple[str, ...]) -> tuple[str, ...]:
+        for place in ("input", "output"):
+            if not any(f"{{{place}}}" in word for word in command):
+                raise ValueError(f"must say where the {place} folder goes: no word of it holds {{{place}}}")
+        return command
+
+    @field_validator("parameters")
+    @classmethod
+    def _told_apart(cls, parameters: dict[str, JsonValue]) -> dict[str, JsonValue]:
+        for name in ("input", "output"):
+            if name in parameters:
+                raise ValueError(f"'{name}' cannot be a parameter's name: {{{name}}} in command is a folder")
+        return parameters
+
+
+def match_pair(pair: Pair, program: Program) -> Matches:
+    """Run the program on a pair.
+
+    Raises
+    ------
+    InputError
+        When it cannot be started, takes too long, ends with another exit code than 0, or what it wrote is no answer.
+    """
+    return as_matches(answer(pair, program), pair.grid, _name(program))
+
+
+def answer(pair: Pair, program: Program) -> Matches:
+    """What the program wrote, as it is; errors as in `match_pair`, but for what is in the arrays."""
+    name = _name(program)
+    with tempfile.TemporaryDirectory(prefix="omnirange-", ignore_cleanup_errors=True) as temporary:
+        folder = Path(temporary)
+        for part in ("input", "output", "work"):
+            (folder / part).mkdir()
+        write_input(pair, program, folder / "input")
+        _run(filled_in(program, folder), program.timeout_s, folder, name)
+        return _read_answer(folder / "output", pair.grid, name)
+
+
+def check(program: Program) -> None:
+    """See whether the command is there.
+
+    Raises
+    ------
+    InputError
+        `error.key` is `command`.
+    """
+    first = program.command[0]
+    if shutil.which(first) is None:
+        why = "is not executable" if Path(first).is_file() else "there is no such program"
+        raise InputError(f"{first}: {why}", key="command")
+
+
+def digest(program: Program) -> str:
+    """SHA-256 of the files among the command's words, in their order."""
+    contents = [hash_of(Path(word)) for word in program.command if Path(word).is_file()]
+    return hashlib.sha256("\n".join(contents).encode()).hexdigest()
+
+
+def with_absolute_files(command: Sequence[Any], folder: Path) -> list[Any]:
+    """The words of a command with those that name a file of a folder made absolute.
+
+    The first word is looked for on the search path unless there is a slash in it, as a shell does.
+    """
+    return [
+        str((folder / Path(word).expanduser()).resolve())
+        if isinstance(word, str) and word and _is_file_of(folder, word, first=i == 0)
+        else word
+        for i, word in enumerate(command)
+    ]
+
+
+def _is_file_of(folder: Path, word: str, *, first: bool) -> bool:
+    if first:
+        return "/" in word
+    try:
+        return (folder / Path(word).expanduser()).is_file()
+    except (OSError, ValueError, RuntimeError):  # too long for a path, a null byte, a user that is not there
+        return False
+
+
+def filled_in(program: Program, folder: Path) -> list[str]:
+    """The command with the folders `input` and `output` of a folder, and with the parameters, in their places."""
+    values = {name: _word(value) for name, value in program.parameters.items()}
+    values |= {part: str(folder / part) for part in ("input", "output")}
+    return [re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), word) for word in program.command]
+
+
+def _word(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def write_input(pair: Pair, program: Program, folder: Path) -> None:
+    """Write all that a matcher may know of a pair: no truth, and no scene."""
+    poses = (Pose(), pose_in(pair.motion))
+    turned = (np.eye(3), pair.motion.R_v2_from_v1.T)
+    for view, panorama in enumerate(pair.panoramas()):
+        place = folder / f"view_{view + 1}"
+        place.mkdir()
+        for name, data in view_files(pair.images[view], panorama, pair.sensor, poses[view], turned[view]).items():
+            (place / name).write_bytes(data)
+    limits = {"d_min_m": program.d_min_m, "d_max_m": program.d_max_m, "threads": pair.available_threads}
+    (folder / "limits.toml").write_text(tomli_w.dumps(limits), encoding="utf-8")
+    (folder / "parameters.toml").write_text(tomli_w.dumps(_without_null(program.parameters)), encoding="utf-8")
+    (folder / "README.txt").write_text(README, encoding="utf-8")
+
+
+def _without_null(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in parameters.items() if value is not None}
+
+
+def _name(program: Program) -> str:
+    """What to call it in a message: the first file of its own, not the interpreter."""
+    files = [word for word in program.command[1:] if Path(word).is_file()]
+    return f"program {Path((files or program.command)[0]).name}"
+
+
+def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
+    """Run to the end or until the time is up; nothing that it has started is left behind in its process group."""
+    log = folder / "stderr"
+    with log.open("wb") as stderr:
+        try:
+            process = subprocess.Popen(  # noqa: S603 - to run what the user names is what it is for
+                command,
+                cwd=folder / "work",
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=stderr,
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            raise InputError(f"cannot be started ({getattr(error, 'strerror', None) or error})", file=name) from error
+        with _dying_with_us(process):
+            try:
+                code = process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                raise InputError(
+                    f"was not done after timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
+                ) from None
+            finally:
+                _kill(process)
+    if code < 0:
+        raise InputError(f"was ended by {_signal(-code)}{_last_words(log)}", file=name)
+    if code:
+        raise InputError(f"ended with exit code {code}{_last_words(log)}", file=name)
+
+
+@contextlib.contextmanager
+def _dying_with_us(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """See to it that a program ends when this process is killed, and nobody is left to watch its time."""
+    watch = f"read nothing; kill -s KILL -- -{process.pid}"  # a pipe ends with the process that holds its other end
+    with subprocess.Popen(  # noqa: S603 - a command of our own
+        ["/bin/sh", "-c", watch], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+    ) as watcher:
+        try:
+            yield
+        finally:
+            watcher.kill()
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # the second is what macOS says of a zombie
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _last_words(log: Path) -> str:
+    with log.open("rb") as stream:
+        stream.seek(max(0, log.stat().st_size - 4 * _LAST_WORDS))
+        text = " ".join(stream.read().decode("utf-8", "replace").split())
+    if not text:
+        return "; it said nothing on stderr"
+    return f"; its last words: {text if len(text) <= _LAST_WORDS else '... ' + text[-_LAST_WORDS:]}"
+
+
+def _read_answer(folder: Path, grid: Grid, name: str) -> Matches:
+    if not folder.is_dir():
+        raise InputError("removed the output folder", file=name)
+    alpha_2 = _read_array(folder / "alpha_2.npy", grid, name)
+    if alpha_2 is None:
+        others = ", ".join(sorted(path.name for path in folder.iterdir())[:5]) or "nothing"
+        raise InputError(f"wrote no alpha_2.npy into the output folder, but {others}", file=name)
+    confidence, sigma = (_read_array(folder / f"{each}.npy", grid, name) for each in ("confidence", "sigma_alpha_2"))
+    return Matches(alpha_2, confidence, sigma)
+
+
+def _read_array(path: Path, grid: Grid, name: str) -> NDArray[Any] | None:
+    """The array in a file, None when there is none."""
+    if not os.path.lexists(path):
+        return None
+    if not path.is_file():  # a pipe would be waited for
+        raise InputError(f"{path.name} is not a file", file=name)
+    try:
+        # Mapped, not read: a header may claim any size, and only a file that is as long as it says can be mapped.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, TypeError, SyntaxError, OverflowError) as error:
+        raise InputError(
+            f"{path.name} cannot be read as a .npy file of plain numbers: cut short, pickled or of another format",
+            file=name,
+        ) from error
+    if not isinstance(array, np.ndarray):
+        array.close()
+        raise InputError(f"{path.name} is an .npz archive; write the array alone", file=name)
+    if array.shape != grid.shape:  # before it is copied
+        raise InputError(f"{path.stem} must have the panorama's shape {grid.shape}; it has {array.shape}", file=name)
+    return np.array(array)

@@ -1,0 +1,1 @@
+"""Semi-global matching over alpha_2."""

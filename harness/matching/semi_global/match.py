@@ -1,0 +1,457 @@
+"""Semi-global matching around the seam (Hirschmüller 2005, 2008), on parallaxes.
+
+**Labels** are whole steps k of alpha_2 - alpha_1, the angle that the baseline fills as seen from the point. It is
+defined and continuous in every direction but those of t and -t themselves, where it tends to 0: paths run straight on
+across their azimuths, where a label that counts columns changes its sign, and a vertical baseline is no exception.
+`asin(|t|/d_min)` bounds the number of labels everywhere; in columns, the floor under the sensor takes twice as many.
+
+**Views are compared on the sphere's longitudes and latitudes about the baseline.** There all points of an epipolar
+curve lie in one row, the sample k of a pixel is k columns on, and a patch of the floor keeps its height and nearly its
+width; on the cylinder, whose rows stretch towards the nadir, it may become five times as high from one view to the
+other. The rows of view 2 that its panorama has not got, but its mirror image has, are there as well: a tenth of the
+pixels of the paper's box are seen in them. Each pixel of view 1's panorama is compared at the nearest such place, the
+same in both views, so that one image as both views has no parallax at all. What this rounding costs is the change of
+the parallax over half a step, and measured, finer steps gain nothing.
+
+**The matching cost** is the number of differing bits of census transforms (5 x 5, after a slight blur), averaged over a
+box of pixels with one label. Any growing function of the grey levels leaves it as it is.
+
+**Paths run over view 1's panorama.** Around a row they have neither beginning nor end: each is followed until it
+repeats itself, so that every pixel has the costs of an endless path, and a turn of the panorama by whole columns turns
+the result. On the paper's box, corridor and room that takes 15 pixels beyond the first lap in the median and 86 at
+most. (Where two ways around the whole row cost exactly the same, where it began may show.) Rows end above and below.
+Labels outside a pixel's search interval cost what they cost and cannot win; to forbid them was no better.
+"""
+
+import itertools
+import math
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy import ndimage
+
+from harness.camera.sensor import Sensor, project
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import Curves, alpha_2_at, epipolar_curves
+from harness.geometry.panorama import directions
+from harness.matching.interface import Limits, Matches, Reason
+from harness.matching.pair import Pair
+from harness.matching.semi_global import _semi_global_kernels as kernels
+from harness.matching.window.subpixel import refine
+from harness.spec import Positive
+
+PER_BIT = 2
+"""Costs are counted in halves of a bit."""
+BITS = (2 * kernels.REACH + 1) ** 2 - 1
+"""Of a census code: the most that two pixels differ by."""
+_PER_GREY = 16
+"""Steps in a grey level of what the census compares, before the blur adds four bits."""
+
+
+class SemiGlobal(Limits):
+    """Settings of semi-global matching. One set for all scenes; measured on box, corridor and room, without noise and
+    with 10 grey levels of it.
+
+    - `pitch_px` 1: with half of it, and half of P1, the median error on the box is 0.08 px instead of 0.11; but at
+      noise 10 half as many pixels again are off by more than 1 px, and the time nearly doubles.
+    - `blur`: (1 2 1)/4 along rows and columns before the census. Without it, such pixels are 0.1 % instead of 0.3 % on
+      the box, and 14 % instead of 10 % in the corridor at noise 10.
+    - `box_px` 5: 3 is better at the room's edges and worse in noise, 7 the other way round.
+    - `p1_bits`, `p2_bits`: what a step and a jump from one pixel to the next cost, in differing bits of 24. Half of
+      these and half as much again are a little worse nearly everywhere.
+    - `edge_grey`: P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, Hirschmüller's idea; 0 leaves P2 as it
+      is, since it gains nothing at the room's edges, and more pixels go astray in noise.
+    - `paths`: 4 directions, along rows and columns, or 8 with the diagonals, which take half as long again, and gain
+      less in noise than they lose in the room.
+    - `subpixel`: `v`, two lines of opposite slopes through the best sum and its neighbours; `parabola`, through the
+      same three, with a median error of 0.13 px; or `none`.
+    - `consistency_px`: a pixel whose place in view 2 is a better match of another pixel, with a parallax that differs
+      by more than this, is `Reason.INCONSISTENT`; 0 keeps all. At 2 nearly half of the room's wrong pixels are lost,
+      and hardly any right ones of box and corridor; at 1 several times as many are, on slanted surfaces.
+    """
+
+    kind: Literal["sgm"] = "sgm"
+    sampling: Literal["alpha"] = "alpha"
+    pitch_px: Positive = 1.0
+    blur: bool = True
+    box_px: Annotated[int, Field(ge=1, le=15)] = 5
+    p1_bits: Annotated[float, Field(ge=0)] = 8.0
+    p2_bits: Annotated[float, Field(ge=0)] = 64.0
+    edge_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
+    paths: Literal[4, 8] = 4
+    subpixel: Literal["none", "parabola", "v"] = "v"
+    consistency_px: Annotated[float, Field(ge=0)] = 2.0
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "SemiGlobal":
+        if self.box_px % 2 == 0:
+            raise ValueError(f"box_px must be odd, so that the box has a centre; found {self.box_px}")
+        if self.p1_bits > self.p2_bits:
+            raise ValueError(f"p1_bits = {self.p1_bits:g} must not be above p2_bits = {self.p2_bits:g}")
+        # A path cost is at most a matching cost and P2, P1 is added to it, and 8 bits must hold that.
+        largest = 255 / PER_BIT - BITS
+        if self.p1_bits + self.p2_bits > largest:
+            raise ValueError(
+                f"p1_bits + p2_bits must not be above {largest:g}; found {self.p1_bits:g} + {self.p2_bits:g}"
+            )
+        return self
+
+
+def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
+    """Match the mirror images, resampled about the baseline as `pair.interpolation` says.
+
+    A pixel is `CURVE_LEAVES_IMAGE` if its best sample is at a place that view 2 does not see, and `NO_MATCH` if a label
+    that is not beside the best one costs no more: there is nothing to tell them apart. Its confidence is by what part
+    the best label's costs are below those of the next one that is not beside it.
+    """
+    geometry = geometry_for(pair, matcher)
+    settings = ("about the baseline", geometry.places)
+    views = pair.shared("about the baseline", settings, lambda: views_about_the_baseline(pair, geometry))
+    searched = matcher.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
+    found = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
+    return pair.shared("sub-pixel", matcher, lambda: match(found, geometry, matcher))
+
+
+# -- Geometry: depends on the pose and the limits alone, and is kept for the next pair of images -----------------------
+
+
+@dataclass(frozen=True)
+class Places:
+    """Directions about t, the same for both views: row b is a half plane through t, and column a an angle to t."""
+
+    t_v1: tuple[float, float, float]
+    rows: int
+    """Once around, in steps of `2 pi/rows`."""
+    columns: int
+    step: float
+    """Radians from a column to the next; column 0 looks along t."""
+
+    @property
+    def directions(self) -> Array:
+        """`[rows, columns, 3]`, unit vectors in v1's frame."""
+        t_hat, e_1, e_2 = frame_about(np.array(self.t_v1))
+        around, alpha = np.arange(self.rows) * (2 * np.pi / self.rows), np.arange(self.columns) * self.step
+        across = np.cos(around)[:, None] * e_1 + np.sin(around)[:, None] * e_2
+        return np.cos(alpha)[:, None] * t_hat + np.sin(alpha)[:, None] * across[:, None, :]
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where every pixel of view 1's panorama is compared."""
+
+    curves: Curves
+    places: Places
+    around: NDArray[np.int32]
+    along: NDArray[np.int32]
+    """`[height, width]`: the row and column of `places` nearest to the pixel's direction. Sample k is k columns on."""
+    k_0: int
+    """The first label: one before any searched one, for the sub-pixel fit."""
+    labels: int
+    """How many; whole blocks, and at least one more than is searched."""
+
+
+def frame_about(t: Array) -> tuple[Array, Array, Array]:
+    """Three unit vectors at right angles to each other, the first along t."""
+    t_hat = t / np.linalg.norm(t)
+    reference = np.eye(3)[0 if abs(t_hat[2]) > 0.9 else 2]
+    e_1 = reference - (reference @ t_hat) * t_hat
+    e_1 /= np.linalg.norm(e_1)
+    return t_hat, e_1, np.cross(t_hat, e_1)
+
+
+def geometry_for(pair: Pair, matcher: SemiGlobal) -> Geometry:
+    """Of this pair, within the matcher's limits."""
+    curves = epipolar_curves(
+        pair.grid,
+        pair.t_v1,
+        d_min_m=matcher.d_min_m,
+        d_max_m=matcher.d_max_m,
+        sampling="alpha",
+        pitch_px=matcher.pitch_px,
+    )
+    return geometry_of(curves)
+
+
+@lru_cache(maxsize=4)
+def geometry_of(curves: Curves) -> Geometry:
+    """Of curves that are sampled in alpha_2."""
+    step = float(curves.step[0, 0])
+    _, e_1, e_2 = frame_about(curves.t)
+    x = directions(curves.grid)
+    rows = max(1, round(2 * np.pi / step))
+    x_, y_, z_ = (float(value) for value in curves.t)
+    places = Places((x_, y_, z_), rows, math.ceil(np.pi / step) + 1, step)
+    around = np.rint(np.arctan2(x @ e_2, x @ e_1) * (rows / (2 * np.pi))).astype(np.int32) % rows
+    along = np.rint(curves.alpha_1 / step).astype(np.int32)
+    searched = curves.k_last >= curves.k_first
+    k_0 = int(curves.k_first[searched].min(initial=0)) - 1
+    needed = int(curves.k_last[searched].max(initial=0)) + 2 - k_0
+    labels = kernels.BLOCK * math.ceil(needed / kernels.BLOCK)
+    return Geometry(curves, places, around, along, k_0, labels)
+
+
+# -- Images ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An image at `Places`."""
+
+    values: NDArray[np.int32]
+    """`[rows, columns]`, sixteenths of a grey level; 0 where not seen."""
+    seen: NDArray[np.bool_]
+
+
+def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View]:
+    """Straight from the mirror images, both in v1's orientation."""
+    order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
+
+    def view(image: NDArray[np.float32], R: Array) -> View:
+        coordinates, seen = _sampling_table(pair.sensor, geometry.places, R.tobytes())
+        values = ndimage.map_coordinates(image, coordinates, order=order, mode="nearest", output=np.float32)
+        values = np.where(seen, np.clip(values, 0, 255), 0)
+        return View(np.rint(values * _PER_GREY).astype(np.int32), seen)
+
+    return view(pair.images[0], np.eye(3)), view(pair.images[1], pair.motion.R_v2_from_v1)
+
+
+@lru_cache(maxsize=8)
+def _sampling_table(sensor: Sensor, places: Places, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
+    """Where on the mirror image each place is sampled, (rows, columns), and whether the sensor sees it."""
+    pixels, seen = project(sensor, places.directions @ np.frombuffer(rotation).reshape(3, 3).T)
+    coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
+    coordinates.flags.writeable = False
+    seen.flags.writeable = False
+    return coordinates, seen
+
+
+# -- Search ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best label of every pixel; all `[height, width]`."""
+
+    best: NDArray[np.int32]
+    """Labels from `Geometry.k_0` on; -1 where none is searched."""
+    nearby: NDArray[np.uint16]
+    """`[height, width, 3]`: sums over all paths at the best label and beside it."""
+    second: NDArray[np.uint16]
+    """The least sum of a searched label that is not beside the best one."""
+    seen_1: NDArray[np.bool_]
+    seen_2: NDArray[np.bool_]
+    """Whether the views see the pixel, and its best sample."""
+
+
+def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, threads: int) -> Found:
+    """Costs, paths, and the best label of every pixel; a tie goes to the one nearer to infinity."""
+    curves, margin = geometry.curves, geometry.labels + abs(geometry.k_0)
+    shape, places = curves.grid.shape, views[0].values.shape
+    codes = [_memory(f"codes {view}", (places[0], places[1] + 2 * margin), np.uint32) for view in (1, 2)]
+    blurred = _memory("blurred", places, np.int32)
+    costs = _memory("costs", (*shape, geometry.labels), np.uint8)
+
+    def transform(first: int, end: int) -> None:
+        # View 1 last: its blurred image is what stays.
+        for view in (1, 0):
+            values, seen = views[view].values, views[view].seen
+            kernels.census(values, seen, matcher.blur, margin, first, end, blurred, codes[view])
+
+    def compare(first: int, end: int) -> None:
+        kernels.matching_costs(
+            codes[0],
+            codes[1],
+            geometry.around,
+            geometry.along,
+            margin,
+            geometry.k_0,
+            matcher.box_px // 2,
+            round(PER_BIT * 2**16 / matcher.box_px**2),
+            first,
+            end,
+            costs,
+        )
+
+    _in_bands(transform, places[0], threads)
+    _in_bands(compare, shape[0], threads)
+    grey = blurred[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
+    p2 = jumps(grey, shape, matcher)
+    best, nearby, second = aggregate(costs, geometry.k_0, curves.k_first, curves.k_last, p2, matcher, threads)
+    seen_1, seen_2 = np.empty((2, *shape), dtype=bool)
+    ahead = np.maximum(best, 0) + geometry.k_0
+    kernels.seen_by_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, seen_1, seen_2)
+    return Found(best, nearby, second, seen_1, seen_2)
+
+
+def _in_bands(work: Callable[[int, int], None], rows: int, threads: int) -> None:
+    """Call `work(first, end)` for bands of rows, at the same time."""
+    edges = np.linspace(0, rows, min(threads, rows) + 1).astype(int).tolist()
+    _at_once([partial(work, first, end) for first, end in itertools.pairwise(edges)], threads)
+
+
+def _at_once(works: Sequence[Callable[[], None]], threads: int) -> None:
+    if threads == 1:
+        for work in works:
+            work()
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for done in [pool.submit(work) for work in works]:
+            done.result()
+
+
+class _Memory(threading.local):
+    """What a thread keeps for its next pair: fresh memory takes longer to get than to fill."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, NDArray[Any]] = {}
+
+
+_kept = _Memory()
+
+
+def _memory(name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> NDArray[Any]:
+    """An array with anything in it, until this thread asks for one of this name again."""
+    array = _kept.arrays.get(name)
+    if array is None or array.shape != shape or array.dtype != dtype:
+        array = _kept.arrays[name] = np.empty(shape, dtype)
+    return array
+
+
+def jumps(grey: Array | None, shape: tuple[int, int], matcher: SemiGlobal) -> NDArray[np.uint8]:
+    """P2 in halves of a bit, `[4, height, width]`: between a pixel and the one to the left of it, above it, to its
+    upper left and to its upper right; the last three mean nothing in the first row.
+
+    Parameters
+    ----------
+    grey
+        `[height, width]`, grey levels; None for one P2 everywhere.
+    """
+    p1, p2 = PER_BIT * matcher.p1_bits, PER_BIT * matcher.p2_bits
+    if grey is None or not matcher.edge_grey:
+        return np.full((4, *shape), round(p2), dtype=np.uint8)
+    steps = np.stack([np.abs(grey - np.roll(grey, shift, axis=(0, 1))) for shift in ((0, 1), (1, 0), (1, 1), (1, -1))])
+    return np.rint(np.maximum(p1, p2 / (1 + steps / matcher.edge_grey))).astype(np.uint8)
+
+
+def aggregate(
+    costs: NDArray[np.uint8],
+    k_0: int,
+    k_first: NDArray[np.int32],
+    k_last: NDArray[np.int32],
+    p2: NDArray[np.uint8],
+    matcher: SemiGlobal,
+    threads: int,
+    sums: NDArray[np.uint16] | None = None,
+) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]:
+    """Follow the paths, add up their costs, and take the best label of each pixel.
+
+    The paths from above and those from below are followed at the same time, each first through its own half of the
+    rows, then through the other's, where all sums are then complete: two threads are of use.
+
+    Parameters
+    ----------
+    costs
+        `[height, width, labels]`, halves of a bit.
+    k_first, k_last
+        `[height, width]`: the samples to choose from, the first label being sample k_0.
+    p2
+        From `jumps`.
+    sums
+        Written if given, `[height, width, labels]`: the sums over all paths.
+
+    Returns
+    -------
+    best, nearby, second
+        As in `Found`.
+    """
+    height, width, labels = costs.shape
+    p1 = np.uint8(round(PER_BIT * matcher.p1_bits))
+    guard = 255 - int(p1)
+    sideways = np.array([0] if matcher.paths == 4 else [0, 1, -1])
+    # A path cost fits into 8 bits, the sum of three does not.
+    kept = _memory("kept", costs.shape, np.uint8 if sideways.size == 1 else np.uint16)
+    best = np.empty((height, width), np.int32)
+    nearby = np.zeros((height, width, 3), np.uint16)
+    second = np.zeros((height, width), np.uint16)
+    state = np.full((2, 2, sideways.size, width, labels + 2), guard, np.uint8)
+    least = np.zeros((2, 2, sideways.size, width), np.uint8)
+    own = height // 2, height - height // 2
+    """Rows of the first half, from above and from below."""
+
+    def first(side: int) -> None:
+        start = (0, height - 1)[side]
+        kernels.first_half(costs, start, own[side], side == 0, sideways, p1, p2, state[side], least[side], kept)
+
+    def then(side: int) -> None:
+        kernels.second_half(
+            costs,
+            (own[0], own[0] - 1)[side],
+            own[1 - side],
+            own[side],
+            side == 0,
+            sideways,
+            p1,
+            p2,
+            state[side],
+            least[side],
+            kept,
+            np.full((2, width, labels + 2), guard, np.uint8),
+            np.full((1, 1, labels + 2), guard, np.uint8),
+            np.empty((1, width, labels), np.uint16) if sums is None else sums,
+            k_0,
+            k_first,
+            k_last,
+            best,
+            nearby,
+            second,
+        )
+
+    _at_once([partial(first, side) for side in (0, 1)], threads)
+    _at_once([partial(then, side) for side in (0, 1)], threads)
+    return best, nearby, second
+
+
+# -- Answer ------------------------------------------------------------------------------------------------------------
+
+
+def match(found: Found, geometry: Geometry, matcher: SemiGlobal) -> Matches:
+    """Check whether matches agree with each other, apply the sub-pixel step, and turn samples into angles."""
+    curves = geometry.curves
+    reason = np.full(curves.grid.shape, Reason.MATCHED, dtype=np.uint8)
+    reason[found.second == found.nearby[..., 1]] = Reason.NO_MATCH
+    reason[~found.seen_2] = Reason.CURVE_LEAVES_IMAGE
+    reason[found.best < 0] = Reason.NO_SAMPLE
+    reason[~curves.defined] = Reason.NO_EPIPOLAR_PLANE
+    reason[~found.seen_1] = Reason.WINDOW_LEAVES_IMAGE
+    sample = found.best + geometry.k_0
+    if matcher.consistency_px:
+        keeps = np.ones(curves.grid.shape, dtype=bool)
+        kernels.consistent(
+            geometry.around,
+            geometry.along,
+            np.where(reason == Reason.MATCHED, sample, -1),
+            found.nearby[..., 1],
+            math.floor(matcher.consistency_px / matcher.pitch_px + 1e-9),
+            geometry.places.rows,
+            geometry.places.columns + geometry.labels,
+            keeps,
+        )
+        reason[~keeps] = Reason.INCONSISTENT
+    matched = reason == Reason.MATCHED
+
+    offset, refined = refine(found.nearby.astype(np.float64), matcher.subpixel)
+    k = sample + offset
+    # Between d_max and d_min, as the search itself: finite limits keep every range finite.
+    refined &= matched & (k >= curves.k_far) & (k <= curves.k_near)
+    k = np.where(matched, np.where(refined, k, sample), np.nan)
+    alpha_2 = alpha_2_at(curves, k)
+    # Where there is a match, the rival costs more, and so more than nothing.
+    confidence = np.where(matched, 1 - found.nearby[..., 1] / np.maximum(found.second, 1), np.nan)
+    return Matches(alpha_2=alpha_2, confidence=confidence, reason=reason, refined=refined, k=k)

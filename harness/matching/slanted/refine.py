@@ -1,0 +1,483 @@
+"""Slanted windows fitted by least squares, on the mirror images themselves.
+
+On a plane inverse range is linear in the direction, 1/d = m · x. A point in direction x of view 1 lies along
+q = R (x - (m·x) t) of view 2, so a window of view 1 is compared with view 2 by
+
+    I_1(x_i) = a I_2(q_i(m)) + b,
+
+and m, three numbers, is found by Gauss-Newton. No panorama lies between: view 1 is taken at its own pixels, whose noise
+is white, view 2 between its pixels, by the interpolating cubic B-spline.
+
+All windows share one sample of view 2 for each pixel. With a field of inverse ranges w_i and g_i = dI_2/dw there,
+I_2(q_i(m)) = I_2(w_i) + g_i (m·x_i - w_i) to first order, for every plane m near the field. So the normal equations of
+all windows are sums of products that belong to the pixels, running sums whatever the window's size: one step for all
+windows costs a sample, 27 sums and a 3x3 system a pixel. The planes are the next field.
+
+A window across the border of two surfaces fits neither of them. So a pixel may take the plane of a window beside it,
+if that fits the pixel's own surroundings better: it keeps borders sharp, and carries planes to where the start was
+wrong or missing. At last view 2 is fitted to view 1 in the same way; where it contradicts there is no answer.
+
+The standard deviation is that of least squares, from the window's own residual, with three corrections; see `_sigma`.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from math import comb
+from typing import Annotated
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy import ndimage
+
+from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.camera.unified import to_unified, unified_lens
+from harness.geometry.angles import Array, angle_between, normalise
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.matching.interface import Limits, Matches, Reason
+from harness.matching.slanted import _slanted_kernels as _kernels
+from harness.spec import Positive
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_BAND = 40
+"""Rows that are worked on at a time; fixed, as a running sum begins anew in each."""
+
+_LEAST_SHARE = 0.35
+"""Of a window's pixels that have to be there: a straight border through its middle leaves half."""
+
+_SLOPE_WEIGHT = 0.0025
+"""Slopes of inverse range are 0 ± 2 (1/m per radian) unless texture says more; at a noise of a tenth of contrast."""
+
+_APART_PX = 0.3
+"""Planes closer than this are one surface, as far as the choice between windows goes."""
+
+_CENTRE_BONUS = 0.8
+"""A moved window has to fit better by a fifth: the standard deviation of a patch's mean square is a quarter."""
+
+_RESIDUAL_WEIGHT = 0.5
+"""Of a window's own residual, beside that of the patch, in the choice."""
+
+_AMBIGUOUS = 1.1
+"""A second plane that fits as well, but for a tenth, leaves the choice open: there is no texture to tell them apart."""
+
+_MEDIAN_REACH = 2
+"""Of the median over the start, pixels: it takes out single mistakes and those in pairs."""
+
+_TEXTURED = 0.25
+"""Of a window's texture per pixel: what the surroundings of a pixel need to have, or it tells of another place."""
+
+_CORRELATED_PX = 33
+"""Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
+
+
+class SlantedSettings(Limits):
+    """Settings of the slanted windows.
+
+    - `window_px` 17: width of the square window, in pixels of the mirror image. Odd.
+    - `patch_px` 5: of the surroundings by which a pixel chooses between planes. Odd.
+    - `iterations` 8: Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`).
+      The last `sharp_iterations` 2 look at patches; those before choose by windows alone, at a fraction of the cost,
+      and go farther, so that less is left of the start.
+    - `consistency_px` 1: how far view 2's own answer may lead elsewhere, in columns of the panorama.
+    - `max_sigma_px` 1: the largest standard deviation that is an answer, in columns of the panorama.
+    """
+
+    window_px: Annotated[int, Field(ge=5, le=99)] = 17
+    patch_px: Annotated[int, Field(ge=1, le=31)] = 5
+    iterations: Annotated[int, Field(ge=1, le=50)] = 8
+    sharp_iterations: Annotated[int, Field(ge=1, le=50)] = 2
+    consistency_px: Positive = 1.0
+    max_sigma_px: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _have_a_centre(self) -> "SlantedSettings":
+        for key in ("window_px", "patch_px"):
+            if getattr(self, key) % 2 == 0:
+                raise ValueError(f"{key} must be odd, so that it has a centre; found {getattr(self, key)}")
+        return self
+
+
+def refine_slanted(
+    images: tuple[Image, Image],
+    sensor: Sensor,
+    motion: Motion,
+    grid: Grid,
+    start_alpha_2: Array,
+    *,
+    settings: SlantedSettings | None = None,
+    threads: int | None = None,
+) -> Matches:
+    """Refine a start that is right to about a pixel in most places.
+
+    Parameters
+    ----------
+    images
+        Mirror images of both views, `[sensor height, sensor width]`.
+    grid
+        View 1's panorama, of the start and of the answer.
+    start_alpha_2
+        `[height, width]`, radians; NaN where there is none.
+    threads
+        All available CPUs when None. The result does not depend on it.
+
+    Returns
+    -------
+    matches
+        With `sigma_alpha_2`, and its inverse as confidence. `Reason.NO_MATCH`: no window with texture, none of it near
+        the pixel, no plane between d_min and d_max, two that fit alike, or a standard deviation above `max_sigma_px`.
+        `Reason.INCONSISTENT`: view 2 says otherwise.
+
+    Raises
+    ------
+    ValueError
+        When an image has not the sensor's size, or the start not the grid's.
+    """
+    settings = settings or SlantedSettings()
+    size = (sensor.camera.height_px, sensor.camera.width_px)
+    if any(image.shape != size for image in images):
+        raise ValueError(f"the images are {images[0].shape} and {images[1].shape}, the sensor {size} (rows, columns)")
+    if start_alpha_2.shape != grid.shape:
+        raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
+    there, back = _way(sensor, motion), _way(sensor, _reversed(motion))
+    first, second = (_view(image, there.seen) for image in images)
+    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+        start = _start(start_alpha_2, there, grid)
+        forth = _fit(first, second, there, start, settings, settings.iterations, grid.phi_pitch, pool)
+        start = _carried_over(forth, there)
+        reverse = _fit(second, first, back, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
+        samples = _nothing(forth.w.shape)
+        _sampled(forth.w, second, there, samples, pool)
+        inflation = _inflation(forth, first, samples, there, pool)
+    return _answer(forth, reverse, inflation, samples, there, sensor, grid, settings)
+
+
+# -- Geometry and images -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Way:
+    """From one view to the other, as the kernels take it."""
+
+    t: Array
+    R: Array
+    s: Array
+    """-R t: where q = R x + w s of a point goes as its inverse range w grows."""
+    camera: tuple[float, ...]
+    x: Array
+    """`[height, width, 3]`, unit directions of the mirror pixels."""
+    seen: Mask
+    """`[height, width]`."""
+
+
+def _way(sensor: Sensor, motion: Motion) -> _Way:
+    unified, lens, field = to_unified(sensor), unified_lens(sensor), sensor.field
+    x, seen = pixel_directions(sensor)
+    t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
+    focal = (unified.xi, unified.gamma_u_px, unified.gamma_v_px, unified.cx_px, unified.cy_px)
+    lowest, highest = np.sin(np.radians([field.elevation_min_deg, field.elevation_max_deg])).tolist()
+    return _Way(t, R, -R @ t, (*focal, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, lowest, highest), x, seen)
+
+
+def _reversed(motion: Motion) -> Motion:
+    R = motion.R_v2_from_v1
+    return Motion(R_v2_from_v1=R.T, t_v1=-R @ motion.t_v1)
+
+
+@dataclass(frozen=True)
+class _View:
+    image: Image
+    coefficients: Image
+    """Of the interpolating cubic B-spline; NaN where the sensor sees nothing."""
+
+
+def _view(image: Image, seen: Mask) -> _View:
+    # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
+    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    spline = ndimage.spline_filter(image[rows, columns], 3, output=np.float32, mode="mirror")
+    return _View(np.ascontiguousarray(image, dtype=np.float32), np.where(seen, spline, np.float32(np.nan)))
+
+
+def _start(alpha_2: Array, way: _Way, grid: Grid) -> Array:
+    """Inverse range of every mirror pixel that the panorama covers; NaN elsewhere.
+
+    From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1).
+    """
+    x, y, z = np.moveaxis(way.x, -1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        row = np.floor((grid.z_max - z / np.hypot(x, y)) / grid.z_pitch)
+        column = np.floor((np.arctan2(y, x) + np.pi) / grid.phi_pitch)
+        w = np.sin(alpha_2 - angle_between(directions(grid), way.t)) / (np.linalg.norm(way.t) * np.sin(alpha_2))
+        covered = way.seen & (row >= 0) & (row < grid.height_px)
+    field = np.full(way.seen.shape, np.nan)
+    field[covered] = w[row[covered].astype(np.intp), column[covered].astype(np.intp) % grid.width_px]
+    return field
+
+
+# -- Gauss-Newton ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Every mirror pixel's window, and which window it has taken its plane from; all `[height, width]`."""
+
+    plane: Array
+    """`[..., 3]`, m."""
+    covariance: Array
+    """`[..., 6]`: the inverse normal matrix in tangent coordinates, upper triangle by rows."""
+    residual: Array
+    """Variance in grey levels squared; infinite where there is no plane."""
+    gain: Array
+    offset: Array
+    share: Array
+    """How much of the sum of g² is noise."""
+    w: Array
+    """1/m, NaN where there is none."""
+    chosen: NDArray[np.int64]
+    """Flat index of the window; -1 where there is none."""
+    rival: Array
+    """How much worse the best other plane fits, as a ratio."""
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """View 2 at the field; all `[height, width]`."""
+
+    known: Mask
+    value: Image
+    slope: Image
+    motion: Image
+
+
+def _rows(pool: ThreadPoolExecutor, height: int, work: Callable[..., None], *arguments: object) -> None:
+    """Let a kernel work on all bands of rows."""
+    list(pool.map(lambda first: work(first, min(first + _BAND, height), *arguments), range(0, height, _BAND)))
+
+
+def _sampled(w: Array, second: _View, way: _Way, samples: _Samples, pool: ThreadPoolExecutor) -> None:
+    _rows(
+        pool, len(w), _kernels.warp_rows, way.seen, way.x, w, way.R, way.s, way.camera, second.coefficients,
+        samples.known, samples.value, samples.slope, samples.motion,
+    )  # fmt: skip
+
+
+def _nothing(shape: tuple[int, ...]) -> _Samples:
+    return _Samples(np.zeros(shape, bool), *np.zeros((3, *shape), np.float32))
+
+
+def _fit(
+    first: _View,
+    second: _View,
+    way: _Way,
+    start: Array,
+    settings: SlantedSettings,
+    iterations: int,
+    pixel: float,
+    pool: ThreadPoolExecutor,
+) -> _Field:
+    shape, half = start.shape, settings.window_px // 2
+    samples = _nothing(shape)
+    field = _Field(
+        plane=np.zeros((*shape, 3)),
+        covariance=np.zeros((*shape, 6)),
+        residual=np.full(shape, np.inf),
+        gain=np.ones(shape),
+        offset=np.zeros(shape),
+        share=np.ones(shape),
+        w=np.empty(shape),
+        chosen=np.full(shape, -1, np.int64),
+        rival=np.full(shape, np.inf),
+    )
+    _rows(pool, len(start), _kernels.median_rows, _MEDIAN_REACH, way.seen, start, field.w)
+    for iteration in range(iterations):
+        _sampled(field.w, second, way, samples, pool)
+        sharp = iteration >= iterations - settings.sharp_iterations
+        _rows(
+            pool, len(start), _kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT, not sharp,
+            way.seen, way.x, field.w, first.image, samples.known, samples.value, samples.slope, samples.motion,
+            field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
+        )  # fmt: skip
+        _rows(
+            pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,
+            _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, way.seen, way.x, way.t, way.R,
+            way.s, way.camera, first.image, second.coefficients, field.plane, field.residual, field.gain, field.offset,
+            field.w, field.chosen, field.rival,
+        )  # fmt: skip
+    return field
+
+
+def _carried_over(field: _Field, way: _Way) -> Array:
+    """The field seen from view 2; NaN where no point of view 1 falls."""
+    w_2, misfit_2 = np.full(field.w.shape, np.nan), np.full(field.w.shape, np.inf)
+    _kernels.carry_over(
+        way.seen, way.x, field.w, field.residual, field.chosen, way.R, way.s, way.camera, w_2, misfit_2
+    )  # fmt: skip
+    return w_2
+
+
+# -- The answer --------------------------------------------------------------------------------------------------------
+
+
+def _answer(
+    forth: _Field,
+    reverse: _Field,
+    inflation: Array,
+    samples: _Samples,
+    way: _Way,
+    sensor: Sensor,
+    grid: Grid,
+    settings: SlantedSettings,
+) -> Matches:
+    """Evaluate the planes in the directions of the panorama's pixels."""
+    x, pixel = directions(grid), grid.phi_pitch
+    place, window, w = _read(forth, x, sensor)
+    q = x - w[..., None] * way.t
+    length = np.linalg.norm(q, axis=-1)
+    across = np.linalg.norm(np.cross(way.t, x), axis=-1)
+    # d alpha_2/dw = |t × x|/|x - w t|²
+    sigma = across / length**2 * _sigma(forth, inflation, x, window, way, settings)
+
+    # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and what view 2 says there.
+    x_2 = normalise(q @ way.R.T)
+    _, _, w_2 = _read(reverse, x_2, sensor)
+    apart = np.abs(w_2 - w / length) * across * length
+
+    with np.errstate(invalid="ignore"):
+        found = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
+        sure = (sigma <= settings.max_sigma_px * pixel) & (forth.rival.ravel()[place] >= _AMBIGUOUS)
+        sure &= (forth.share.ravel()[window] < 1) & ~_blank(forth, samples, place, window, settings.window_px)
+        consistent = apart <= settings.consistency_px * pixel
+    reason = np.where(consistent, np.uint8(Reason.MATCHED), np.uint8(Reason.INCONSISTENT))
+    reason[~(found & sure)] = Reason.NO_MATCH
+    reason[across <= 1e-9 * np.linalg.norm(way.t)] = Reason.NO_EPIPOLAR_PLANE
+    matched = reason == Reason.MATCHED
+    sigma = np.where(matched, sigma, np.nan)
+    return Matches(
+        alpha_2=np.where(matched, angle_between(q, way.t), np.nan),
+        confidence=1 / sigma,
+        sigma_alpha_2=sigma,
+        reason=reason,
+    )
+
+
+def _blank(
+    field: _Field, samples: _Samples, place: NDArray[np.intp], window: NDArray[np.int64], window_px: int
+) -> Mask:
+    """Whether pixels lie where their windows hold less texture than `_TEXTURED` of their mean, beyond doubt.
+
+    A plane that leans on texture farther off, the border of another surface as a rule, is precise and may be wrong.
+    Texture is the sum of g² per squared motion, over two thirds of the window's side; f of it is noise, whose mean over
+    n² pixels has the relative standard deviation sqrt(2)/n.
+    """
+    n = 2 * (window_px // 3) + 1
+    g2, motion = (np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion))
+
+    def density(side: int) -> Array:
+        sums = (ndimage.uniform_filter(a, side, mode="constant") for a in (g2, motion))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.divide(*sums)
+
+    f = field.share.ravel()[window]
+    with np.errstate(invalid="ignore"):
+        expected = f + _TEXTURED * (1 - f) - 2 * f * np.sqrt(2) / n
+        return density(n).ravel()[place] < expected * density(window_px).ravel()[window]
+
+
+def _read(field: _Field, x: Array, sensor: Sensor) -> tuple[NDArray[np.intp], NDArray[np.int64], Array]:
+    """Flat index of the mirror pixel nearest to each direction, the window that it has chosen, and that plane's inverse
+    range in the direction itself; NaN where the direction is not seen or there is no plane.
+    """
+    height, width = field.w.shape
+    pixels, seen = project(sensor, x)
+    column, row = np.moveaxis(np.rint(np.where(seen[..., None], pixels, 0)).astype(np.intp), -1, 0)
+    place = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
+    window = field.chosen.ravel()[place]
+    w = np.sum(field.plane.reshape(-1, 3)[window] * x, axis=-1)
+    return place, window, np.where(seen & (window >= 0), w, np.nan)
+
+
+# -- The standard deviation --------------------------------------------------------------------------------------------
+
+
+def _sigma(
+    field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], way: _Way, settings: SlantedSettings
+) -> Array:
+    """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
+
+    - What adds up in a window is not white; see `_inflation`.
+    - The gradient g holds noise too. It adds to the normal matrix, not to what the normal equations say, so a step goes
+      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f² when taken 1 + f times as
+      far. What is left of the field before, f or f² of it, is smoothed over a window. So the field is the sum of the
+      planes that noise alone would give, smoothed n times and less and less of each; see `_smoothed`.
+    """
+    # Tangents at the middle of the window, as in the kernel.
+    c = way.x.reshape(-1, 3)[window]
+    sideways = np.stack([-c[..., 1], c[..., 0], np.zeros_like(c[..., 0])], axis=-1)
+    cosine = np.linalg.norm(sideways, axis=-1, keepdims=True)
+    e = np.where(cosine > 1e-9, sideways / np.maximum(cosine, 1e-9), [0.0, 1.0, 0.0])
+    one, a, b = (np.sum(x * axis, axis=-1) for axis in (c, e, np.cross(c, e)))
+    c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
+    spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
+    smoothed = polyval(field.share.ravel()[window], _smoothed(settings.iterations, settings.sharp_iterations))
+    # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
+    residual = field.residual.ravel()[window] + 1e-10
+    with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
+        return np.sqrt(spread * residual * smoothed * inflation.ravel()[window])
+
+
+def _smoothed(iterations: int, sharp_iterations: int) -> Array:
+    """Coefficients of the variance, in units of s² C, as a polynomial of f.
+
+    Two planes, one smoothed k times over a window and one l times, correlate as (b_n+2(0)/b_2(0))², n = k + l: planes
+    of neighbouring windows share pixels, which is smoothing too, and b_m is the density of the sum of m evenly
+    distributed numbers, the centred B-spline of degree m - 1.
+    """
+    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f), p = 0 for the last.
+    powers = [1 if k < sharp_iterations else 2 for k in range(iterations)]
+    weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(iterations)]
+    total = np.zeros(2 * sum(powers) - 1)
+    for k, one in enumerate(weights):
+        for m, other in enumerate(weights):
+            product = np.convolve(one, other)
+            total[: len(product)] += product * _centre_of_spline(k + m + 2) ** 2
+    return total
+
+
+def _centre_of_spline(m: int) -> float:
+    """b_m(0) = sum_k (-1)^k C(m, k) max(m/2 - k, 0)^(m-1)/(m-1)!; 1 for m = 2."""
+    total = 0.0
+    for k in range((m + 1) // 2):
+        term = 1.0
+        for j in range(1, m):
+            term *= (m / 2 - k) / j
+        total += (-1) ** k * comb(m, k) * term
+    return total
+
+
+def _inflation(field: _Field, first: _View, samples: _Samples, way: _Way, pool: ThreadPoolExecutor) -> Array:
+    """How much larger the variance is of a window's sums than if residuals were white, `[height, width]`.
+
+    The larger of two. Where pixels of view 2 are larger than those of view 1, by the factor A in area, neighbouring
+    samples share their noise: per sample it counts as A, where the residual shows only the spline's VALUE_NOISE². And
+    what the model leaves out, the finest texture above all, is measured: the sum of g_i r_i g_j r_j over neighbours
+    i, j against that over i = j (Newey and West 1987).
+    """
+    shape = field.w.shape
+    score, area = np.zeros(shape), np.ones(shape)
+    _rows(
+        pool, len(score), _kernels.judge_rows, way.seen, way.x, way.R, way.s, way.camera, first.image, samples.known,
+        samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
+    )  # fmt: skip
+    shown = _kernels.VALUE_NOISE**2
+    shared = (1 + np.maximum(area, shown)) / (1 + shown)
+    around = ndimage.uniform_filter(score, 3, mode="constant") * 9
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured = ndimage.uniform_filter(score * around, _CORRELATED_PX, mode="constant") / ndimage.uniform_filter(
+            score * score, _CORRELATED_PX, mode="constant"
+        )
+    return np.clip(np.fmax(shared, measured), 1.0, 9.0)

@@ -1,0 +1,86 @@
+"""Settings of the window matchers, and what passes from the search to the sub-pixel step."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import Curves, Sampling
+from harness.matching.filter import kernel_reach
+from harness.matching.interface import Limits, Support
+from harness.matching.window.subpixel import Subpixel
+from harness.spec import Positive
+
+
+class WindowMatcher(Limits):
+    """Settings of the window matchers; the paper leaves all of them open but the cost, d_min's and d_max's existence
+    and the parabola over three neighbours a side.
+
+    - `kind`: `window` moves a square along the curve of its middle, as the paper does. `column` lets each column of the
+      window follow its own curve, and interpolates between rows: another definition, and some twenty times as fast.
+    - `cost`: `sad` and `ssd`, the sum of absolute or squared differences of grey levels; `zncc`, 1 less the zero-mean
+      normalised cross-correlation, which a gain and an offset between the views leave as it is; `census`, the number of
+      different bits of census transforms (5 x 5 neighbours), which any growing function of the grey levels leaves as it
+      is. All are of the filtered panoramas. `sad` and `ssd` need the LoG, which takes offsets out. `zncc` and `census`
+      do better without (`filter.log_sigma_px = 0`: raw grey levels): on the paper's box, with noise of 8 grey levels,
+      the median error on walls, after any step but `parabola`, is then a tenth to a fifth smaller, and fewer matches on
+      the floor are gross.
+    - `window_px` 11: large enough for the LoG texture to be told apart, small enough that a window on a wall stays
+      nearly at one disparity. Odd, so that it has a centre.
+    - `sampling`, `pitch_px`: one sample a column, the panorama's own resolution. Finer ones are for `column`, which
+      interpolates between columns; a square at the nearest pixel is the same for neighbouring samples.
+    - `subpixel`: `none`; `parabola`, least squares over `neighbours` samples to each side, the paper's; `parabola3`,
+      through three samples; `v`, two lines of opposite slopes through three, the shape of a minimum of SAD or census;
+      `shimizu-okutomi`, the mean of three-point fits to whole and to half samples, whose errors cancel; `images`, which
+      interpolates images in place of costs: Gauss-Newton steps on the squared differences of the two windows (after
+      gain and offset, if the cost is indifferent to them), view 2 resampled by cubic B-splines.
+    """
+
+    kind: Literal["window", "column"] = "window"
+    cost: Literal["sad", "ssd", "zncc", "census"] = "sad"
+    window_px: Annotated[int, Field(ge=1, le=99)] = 11
+    sampling: Sampling = "phi"
+    pitch_px: Positive = 1.0
+    subpixel: Subpixel = "parabola"
+    neighbours: Annotated[int, Field(ge=1, le=9)] = 3
+
+    @model_validator(mode="after")
+    def _sensible(self) -> "WindowMatcher":
+        if self.window_px % 2 == 0:
+            raise ValueError(f"window_px must be odd, so that the window has a centre; found {self.window_px}")
+        if self.kind == "column":
+            if self.sampling != "phi":
+                raise ValueError(
+                    f'kind = "column" needs sampling = "phi", which goes by columns; found sampling = "{self.sampling}"'
+                )
+            parts = self.samples_per_column
+            if parts < 1 or abs(parts * self.pitch_px - 1) > 1e-6:
+                raise ValueError(
+                    'kind = "column" needs pitch_px = 1/m with a whole m, such as 1, 0.5 or 0.25, so that every sample'
+                    f" falls on a column; found {self.pitch_px:g}"
+                )
+        return self
+
+    def support(self, log_sigma_px: float) -> Support:
+        """The window, and as far around it as the filter's kernel reaches: all that a match is made from."""
+        return Support(max(3, self.window_px + 2 * kernel_reach(log_sigma_px)), "frontal")
+
+    @property
+    def samples_per_column(self) -> int:
+        """Samples from one column to the next, rounded: m for a pitch of 1/m."""
+        return round(1 / self.pitch_px)
+
+
+@dataclass(frozen=True)
+class WholePixelMatches:
+    """The best sample of each curve and the costs around it."""
+
+    curves: Curves
+    k: NDArray[np.int32]
+    costs: Array
+    """`[height, width, 2 reach + 1]`, grey levels (squared with `ssd`; bits with `census`; no unit with `zncc`); NaN
+    where a sample has no whole window."""
+    reason: NDArray[np.uint8]

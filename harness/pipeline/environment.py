@@ -1,0 +1,83 @@
+"""What the numbers may depend on besides an experiment's own settings."""
+
+import hashlib
+import os
+import platform
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import harness
+
+_ROOT = Path(harness.__file__).parent
+_LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "pydantic", "pillow")
+"""Those that the pipeline computes with."""
+
+
+_OPTIONAL = ("opencv-contrib-python-headless",)
+"""Those that only some matchers compute with."""
+
+
+def environment() -> dict[str, Any]:
+    """The program, the machine and the libraries."""
+    return {
+        "omnirange": harness.__version__,
+        "source_sha256": source_hash(),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpu": _cpu_model(),
+        "cpus": len(os.sched_getaffinity(0)),
+        "packages": {
+            name: version for name in (*_LIBRARIES, *_OPTIONAL, "matplotlib") if (version := _version_if_there(name))
+        },
+    }
+
+
+def source_hash() -> str:
+    """SHA-256 of all of the program's source."""
+    return _hash_of("**/*.py", "**/*.j2", "**/*.css")
+
+
+@lru_cache(maxsize=1)
+def code_hash() -> str:
+    """SHA-256 of all that makes a trial's row: the source from the camera to the evaluation, and the libraries.
+
+    Not of the report, the command line, or what runs trials and keeps their rows.
+    """
+    rooms = ("geometry", "camera", "io", "simulation", "matching", "evaluation", "pipeline")
+    versions = [f"{name} {metadata.version(name)}" for name in _LIBRARIES]
+    versions += [f"{name} {each}" for name in _OPTIONAL if (each := _version_if_there(name))]
+    source = _hash_of(*(f"{room}/**/*.py" for room in rooms), "spec.py")
+    return hashlib.sha256("\n".join([source, platform.python_version(), *versions]).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def render_hash() -> str:
+    """SHA-256 of the source that a rendered image depends on."""
+    return _hash_of("geometry/**/*.py", "camera/**/*.py", "io/**/*.py", "simulation/**/*.py", "spec.py")
+
+
+def _version_if_there(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _hash_of(*patterns: str) -> str:
+    """SHA-256 over source files, names and contents, in alphabetical order."""
+    digest = hashlib.sha256()
+    for path in sorted({path for pattern in patterns for path in _ROOT.glob(pattern)}):
+        digest.update(path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _cpu_model() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")

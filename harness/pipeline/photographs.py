@@ -1,0 +1,164 @@
+"""Range from two photographs: any matcher on real images, without a scene and without truth."""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from scipy import ndimage
+
+from harness.camera.sensor import Sensor, project
+from harness.errors import InputError
+from harness.files import make_folder, write
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import alpha_1
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import range_from_angles, sensitivity_to_alpha_2
+from harness.matching.interface import Limits, Matches, Reason
+from harness.matching.pair import Pair
+from harness.matching.registry import match_pair
+from harness.matching.uncertainty import sigma_alpha_2
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of red, green and blue (Rec. 709)."""
+
+WRITTEN = ("range.npy", "range_mm.png", "sigma_m.npy", "alpha_2.npy", "reason.npy", "points.ply")
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A mirror image from a file."""
+
+    file: Path
+    grey: NDArray[np.float32]
+    """`[height, width]`, 0 .. 255."""
+    colour: NDArray[np.uint8]
+    """`[height, width, 3]`."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Range from a pair of photographs; arrays on view 1's panorama."""
+
+    photographs: tuple[Photograph, Photograph]
+    pair: Pair
+    matcher: Limits
+    matches: Matches
+    range_m: Array
+    """From view 1; NaN where `reason` is not `Reason.MATCHED`."""
+    sigma_m: Array
+    """Predicted standard deviation of the range, to first order; NaN where nothing is predicted."""
+    reason: NDArray[np.uint8]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Pixels with a range."""
+        return np.isfinite(self.range_m)
+
+    @property
+    def points_m(self) -> Array:
+        """`[pixels with a range, 3]`, in view 1's frame, z up."""
+        return directions(self.pair.grid)[self.valid] * self.range_m[self.valid][:, None]
+
+    @property
+    def colours(self) -> NDArray[np.uint8]:
+        """`[pixels with a range, 3]`: red, green and blue of view 1's photograph."""
+        pixels, _ = project(self.pair.sensor, directions(self.pair.grid)[self.valid])
+        places = pixels[:, ::-1].T
+        first = self.photographs[0].colour.astype(np.float32)
+        sampled = [ndimage.map_coordinates(first[..., i], places, order=1, mode="nearest") for i in range(3)]
+        return np.clip(np.rint(np.stack(sampled, axis=-1)), 0, 255).astype(np.uint8)
+
+
+def read_photograph(file: Path, sensor: Sensor) -> Photograph:
+    """Read a mirror image of any common format; colour is matched by its luminance, 16 bits are brought to 0 .. 255.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or no image, or has not the sensor's size.
+    """
+    try:
+        with Image.open(file) as image:
+            image.load()
+            wide = image.mode.startswith("I") or image.mode == "F"
+            values = np.asarray(image if wide else image.convert("RGB"), dtype=np.float64)
+    except FileNotFoundError:
+        raise InputError("no such file", file=file) from None
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"cannot be read as an image ({error})", file=file) from error
+    camera = sensor.camera
+    if values.shape[:2] != (camera.height_px, camera.width_px):
+        raise InputError(
+            f"the image is {values.shape[1]}x{values.shape[0]} pixels, the sensor "
+            f"{camera.width_px}x{camera.height_px}; give the sensor that took it with --sensor",
+            file=file,
+        )
+    if wide:
+        if not np.isfinite(values).all() or values.min() < 0 or values.max() > 65535:
+            raise InputError("grey levels must lie within 0 .. 65535", file=file)
+        values = np.repeat((values * (255 / 65535 if values.max() > 255 else 1.0))[..., None], 3, axis=-1)
+    grey = np.asarray(values @ _LUMINANCE, dtype=np.float32)
+    grey.flags.writeable = False
+    return Photograph(file, grey, np.clip(np.rint(values), 0, 255).astype(np.uint8))
+
+
+def estimate(
+    first: Photograph, second: Photograph, sensor: Sensor, motion: Motion, matcher: Limits, grid: Grid | None = None
+) -> Estimate:
+    """Match two photographs and triangulate.
+
+    Raises
+    ------
+    InputError
+        When the matcher cannot be found, or what it returns is no answer.
+    """
+    pair = Pair((first.grey, second.grey), sensor, motion, grid or Grid())
+    matches = match_pair(pair, matcher)
+    a_1 = alpha_1(pair.grid, motion.t_v1)
+    range_m = range_from_angles(a_1, matches.alpha_2, motion.baseline_m)
+    lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, motion.baseline_m))
+    return Estimate(
+        photographs=(first, second),
+        pair=pair,
+        matcher=matcher,
+        matches=matches,
+        range_m=range_m,
+        sigma_m=np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan),
+        reason=np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons),
+    )
+
+
+def write_estimate(found: Estimate, folder: Path) -> None:
+    """Write all that is `WRITTEN`.
+
+    `range_mm.png` has 16 bits: millimetres, 0 where there is no range, 65535 from 65.535 m on. `points.ply` holds the
+    points in view 1's frame with the photograph's colours.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written to.
+    """
+    make_folder(folder)
+    for name, array in (
+        ("range.npy", found.range_m),
+        ("sigma_m.npy", found.sigma_m),
+        ("alpha_2.npy", found.matches.alpha_2),
+        ("reason.npy", found.reason),
+    ):
+        stream = io.BytesIO()
+        np.save(stream, array, allow_pickle=False)
+        write(folder / name, stream.getvalue())
+    millimetres = np.clip(np.rint(1000 * np.where(found.valid, found.range_m, 0.0)), 0, 65535).astype(np.uint16)
+    stream = io.BytesIO()
+    Image.fromarray(millimetres).save(stream, format="PNG")
+    write(folder / "range_mm.png", stream.getvalue())
+    cloud = trimesh.PointCloud(found.points_m, colors=found.colours)  # type: ignore[no-untyped-call]
+    write(folder / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]

@@ -1,0 +1,166 @@
+"""Renders kept on disk between runs, by their contents' identity, within a limit of size.
+
+A file is the SHA-256 of what follows, and a NumPy array. It is written whole or not at all; one that does not answer
+to its checksum is made anew. Any number of processes may share the folder.
+"""
+
+import hashlib
+import io
+import os
+import time
+import uuid
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.errors import InputError
+from harness.pipeline.environment import render_hash
+from harness.spec import Spec
+
+DEFAULT_LIMIT_MB = 2048
+_DIGEST = hashlib.sha256().digest_size
+_STALE_S = 3600
+"""Age after which a half-written file is taken to be left by a process that died."""
+
+
+def cache_folder() -> Path:
+    """`$OMNIRANGE_CACHE`, or `omnirange` in the user's cache folder."""
+    given = os.environ.get("OMNIRANGE_CACHE")
+    if given:
+        return Path(given).expanduser()
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnirange"
+
+
+def limit_bytes() -> int:
+    """`$OMNIRANGE_CACHE_LIMIT_MB` in bytes.
+
+    Raises
+    ------
+    InputError
+        When it is not a number.
+    """
+    text = os.environ.get("OMNIRANGE_CACHE_LIMIT_MB", str(DEFAULT_LIMIT_MB))
+    try:
+        return int(float(text) * 2**20)
+    except (ValueError, OverflowError):
+        raise InputError(f"must be a number of megabytes; found '{text}'", key="OMNIRANGE_CACHE_LIMIT_MB") from None
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What is in the cache."""
+
+    files: int
+    bytes: int
+
+
+class RenderCache:
+    """Images in `folder`/renders. One that cannot be read is made anew; one that cannot be written is not kept.
+
+    Parameters
+    ----------
+    limit
+        Bytes; the images used least recently go when there are more.
+    """
+
+    def __init__(self, folder: Path | None = None, limit: int | None = None) -> None:
+        self.folder = (folder or cache_folder()) / "renders"
+        self.limit = limit_bytes() if limit is None else limit
+        self._room = 0
+        """Bytes that may be written before the folder is looked at again."""
+
+    def get(self, key: Hashable, make: Callable[[], NDArray[np.float32]]) -> NDArray[np.float32]:
+        """The image with this key; a failure to make it is kept nowhere."""
+        path = self.folder / f"{_name(key)}.npy"
+        image = _read(path)
+        if image is None:
+            image = make()
+            self._write(path, image)
+        return image
+
+    def contents(self) -> Contents:
+        """How many images there are, and their size."""
+        sizes = [size for _, _, size in self._files()]
+        return Contents(len(sizes), sum(sizes))
+
+    def clear(self) -> None:
+        """Remove all images."""
+        for _, path, _ in self._files():
+            path.unlink(missing_ok=True)
+
+    def _write(self, path: Path, image: NDArray[np.float32]) -> None:
+        stream = io.BytesIO()
+        np.save(stream, image)
+        data = stream.getvalue()
+        if len(data) > self.limit:
+            return
+        partial = path.with_name(f"{uuid.uuid4().hex}.partial")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            partial.write_bytes(hashlib.sha256(data).digest() + data)
+            partial.replace(path)
+        except OSError:  # a full or read-only disk costs time, not the run
+            _remove(partial)
+            return
+        self._room -= len(data)
+        if self._room < 0:
+            self._evict()
+
+    def _evict(self) -> None:
+        """Make room for a sixteenth of the limit, the least recently used images first."""
+        files = sorted(self._files())
+        total = sum(size for _, _, size in files)
+        for _, path, size in files:
+            if total <= self.limit * 15 / 16:
+                break
+            _remove(path)
+            total -= size
+        # Other processes write too: none takes more than a share of what is left before it looks again.
+        self._room = (self.limit - total) // 8
+
+    def _files(self) -> list[tuple[float, Path, int]]:
+        """When last used, where, and bytes."""
+        found = []
+        for path in self.folder.glob("*"):
+            try:
+                status = path.stat()
+            except OSError:  # another process has just removed it
+                continue
+            if path.suffix == ".npy":
+                found.append((status.st_mtime, path, status.st_size))
+            elif path.suffix == ".partial" and time.time() - status.st_mtime > _STALE_S:
+                _remove(path)
+        return found
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):  # another process has done so, or it is not ours to remove
+        path.unlink()
+
+
+def _read(path: Path) -> NDArray[np.float32] | None:
+    try:
+        data = path.read_bytes()
+        if hashlib.sha256(data[_DIGEST:]).digest() != data[:_DIGEST]:
+            return None
+        os.utime(path)  # for the order of removal
+    except OSError:
+        return None
+    image = np.load(io.BytesIO(data[_DIGEST:]))
+    image.flags.writeable = False
+    return np.asarray(image)
+
+
+def _name(key: Hashable) -> str:
+    return hashlib.sha256(f"{render_hash()} {_words(key)}".encode()).hexdigest()
+
+
+def _words(key: Any) -> str:
+    if isinstance(key, tuple):
+        return f"({', '.join(_words(each) for each in key)})"
+    return key.model_dump_json() if isinstance(key, Spec) else repr(key)

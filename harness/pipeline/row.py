@@ -1,0 +1,70 @@
+"""What is kept of a trial: its figures, cells and histograms, small enough to keep thousands."""
+
+from typing import Any
+
+from harness.evaluation.cells import cells
+from harness.evaluation.metrics import (
+    CORE,
+    error_histograms,
+    fraction_histograms,
+    measure_by_solid_angle,
+    measure_more,
+    measure_regions,
+    share_of_estimates,
+    tally,
+)
+from harness.pipeline.sample import calibration_of, confidence_of, sampled, with_bounds
+from harness.pipeline.trial import Outcome
+
+
+def row_of(outcome: Outcome) -> dict[str, Any]:
+    """Everything about a trial that the report and the law's test need, JSON-able; no arrays of pixels.
+
+    Returns
+    -------
+    dict
+        `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
+        `errors` and `fractions`: histograms for wall and floor; `sample`, `confidence` and `calibration`, where there
+        is something to say: see `sample`.
+    """
+    trial, refined = outcome.trial, outcome.matches.refined
+    errors = tally(outcome.layout, outcome.valid, outcome.errors)
+    regions = measure_regions(errors)
+    beyond = {
+        "sample": sampled(outcome),
+        "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
+        "calibration": calibration_of(outcome),
+    }
+    return {
+        "figures": {
+            **_figures(regions, "visible in both views"),
+            **measure_more(errors),
+            **{f"wall_{k}": v for k, v in _figures(regions, "wall").items()},
+            **{f"floor_{k}": v for k, v in _figures(regions, "floor or ceiling").items()},
+            **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(errors).items()},
+            "refined": None if refined is None else share_of_estimates(errors, refined),
+            **_of_confidence(beyond),
+        },
+        "regions": regions,
+        "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
+        "errors": error_histograms(errors),
+        "fractions": fraction_histograms(errors, outcome.k),
+        **{name: said for name, said in beyond.items() if said is not None},
+    }
+
+
+def _of_confidence(beyond: dict[str, Any]) -> dict[str, float | None]:
+    """What confidence and predicted standard deviations are worth, in a few figures; none where nothing is said."""
+    found: dict[str, float | None] = {}
+    if beyond["confidence"] is not None:
+        found |= {name: beyond["confidence"][name] for name in ("ause_px", "ause_over_random", "auc_1px")}
+    if beyond["calibration"] is not None:
+        within = beyond["calibration"]["within"]
+        found |= {f"within_{k}_sigma": within[k - 1] for k in (1, 2, 3)}
+    return found
+
+
+def _figures(regions: list[dict[str, Any]], part: str) -> dict[str, float | None]:
+    """The core figures of one region; None each where the picture has no such part."""
+    region: dict[str, Any] = next((each for each in regions if each["part"] == part), {})
+    return {name: region.get(name) for name in ("density", *CORE)}

@@ -1,0 +1,111 @@
+"""What is kept of a trial beyond its figures: single pixels, and what confidence is worth."""
+
+from typing import Any
+
+import numpy as np
+
+from harness.evaluation.confidence import calibration, exceeding, roc, sparsification
+from harness.geometry.angles import Array
+from harness.pipeline.trial import Outcome
+
+_EVERY = 5
+"""Of the curve's hundred steps, for a figure."""
+
+BAD_PX = 1.0
+"""What confidence should warn of: an error beyond this."""
+
+
+def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
+    """Errors of every `scoring.sample_px`-th row and column of the domain, in pixels of disparity.
+
+    Returns
+    -------
+    dict
+        `error_px`, None where there is no estimate; `bound_px`, the smallest standard deviation possible at a noise of
+        one grey level, None where there is none, and `sigma_px`, the one predicted: all of the same length, which
+        depends on the geometry alone. None when nothing is asked for.
+    """
+    step = outcome.trial.scoring.sample_px
+    if not step:
+        return None
+    some = (slice(step // 2, None, step), slice(step // 2, None, step))
+    domain = outcome.reference.domain[some]
+    pitch = outcome.trial.panorama.phi_pitch
+    sigma, bound = outcome.matches.sigma_alpha_2, outcome.bound_px
+    nothing = np.full(domain.sum(), np.nan)
+    return {
+        "error_px": _plain(_errors(outcome, outcome.errors.disparity_px)[some][domain]),
+        "bound_px": _plain(nothing if bound is None else bound[some][domain]),
+        "sigma_px": _plain(nothing if sigma is None else sigma[some][domain] / pitch),
+    }
+
+
+def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
+    """Whether the matcher's confidence puts its errors in order, and tells large ones; None without a confidence."""
+    confidence = surest(outcome)
+    if confidence is None or not (outcome.valid & outcome.reference.domain).any():
+        return None
+    error = domain_errors_px(outcome)
+    curve = sparsification(error, confidence)
+    bad, among = exceeding(error, BAD_PX)
+    auc = roc(confidence, bad, among=among).auc
+    return {
+        "removed": curve.removed[::_EVERY].tolist(),
+        "remaining_px": curve.remaining[::_EVERY].tolist(),
+        "oracle_px": curve.oracle[::_EVERY].tolist(),
+        "ause_px": curve.ause,
+        "ause_over_random": curve.ause_over_random,
+        "auc_1px": auc if np.isfinite(auc) else None,
+    }
+
+
+def calibration_of(outcome: Outcome) -> dict[str, Any] | None:
+    """How the predicted standard deviation compares with the errors; None when nothing is predicted."""
+    sigma = outcome.matches.sigma_alpha_2
+    if sigma is None:
+        return None
+    found = calibration(_errors(outcome, outcome.errors.alpha_2), sigma)
+    if not found.pixels:
+        return None
+    return {"within": list(found.within), "spread": found.spread, "bias": found.bias, "predicted": found.predicted}
+
+
+def domain_errors_px(outcome: Outcome) -> Array:
+    """Errors of disparity in the domain; NaN outside it and where there is no range."""
+    return _errors(outcome, outcome.errors.disparity_px)
+
+
+def _errors(outcome: Outcome, errors: Array) -> Array:
+    return np.where(outcome.reference.domain & outcome.valid, errors, np.nan)
+
+
+def with_bounds(outcome: Outcome, cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Cells with `bound_alpha`: the median Cramér-Rao bound of their estimates, radians, at the trial's noise.
+
+    Only where `scoring.bound` asks for it; None in a cell where fewer than half of the estimates have a bound.
+    """
+    sigma_grey = outcome.trial.noise.sigma_grey
+    if not outcome.trial.scoring.bound or outcome.bound_px is None or not sigma_grey:
+        return cells
+    bound = (sigma_grey * outcome.trial.panorama.phi_pitch) * outcome.bound_px.ravel()
+    matched = outcome.valid.ravel()
+    found = {}
+    for part in outcome.layout.cells:
+        mine = bound[part.pixels[matched[part.pixels]]]
+        known = mine[np.isfinite(mine)]
+        enough = known.size and 2 * known.size >= mine.size
+        found[part.surface, part.alpha_bin, part.range_bin] = float(np.median(known)) if enough else None
+    return [each | {"bound_alpha": found[each["surface"], each["alpha_bin"], each["range_bin"]]} for each in cells]
+
+
+def surest(outcome: Outcome) -> Array | None:
+    """The matcher's confidence; the inverse of its predicted standard deviation if that is all it says."""
+    matches = outcome.matches
+    if matches.confidence is not None:
+        return matches.confidence
+    return None if matches.sigma_alpha_2 is None else 1 / matches.sigma_alpha_2
+
+
+def _plain(values: Array) -> list[float | None]:
+    """Five significant digits: what is kept is to be small."""
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]

@@ -1,0 +1,121 @@
+"""A page on the range from two photographs: what was found, how sure it is, and where there is nothing."""
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm
+from numpy.typing import NDArray
+
+from harness.geometry.angles import Array
+from harness.matching.registry import method_of
+from harness.pipeline.photographs import Estimate
+from harness.report import maps, theme
+from harness.report.build import template
+from harness.report.images import extent_of, panorama_axes, unmirrored
+from harness.report.theme import HALF, Picture
+from harness.spec import dump_toml
+
+_NOTHING = "#D4D4D4"
+"""Where there is no estimate."""
+
+
+def build_page(found: Estimate) -> str:
+    """The page, one self-contained HTML file."""
+    predicted = found.sigma_m[np.isfinite(found.sigma_m)]
+    share = found.sigma_m / found.range_m
+    with theme.style():
+        pictures = {
+            "photographs": [_photograph(found, view) for view in range(2)],
+            "panorama": [_panorama(found)],
+            "range": [_map(found, found.range_m, "range (m)", "Range from view 1")],
+            "sigma": [_map(found, found.sigma_m, "standard deviation (m)", "Predicted standard deviation of the range")]
+            if predicted.size
+            else [],
+            "reasons": [maps.reasons_picture(found.reason, found.pair.grid)],
+        }
+    return template("own_pair.html.j2").render(
+        found=found,
+        names=_names(found),
+        pictures=pictures,
+        matcher=" ".join(each for each in method_of(found.matcher) if each not in {"own", "none"}),
+        density=float(found.valid.mean()),
+        median_m=_median(found.range_m),
+        span_m=_span(found.range_m),
+        median_sigma_m=_median(found.sigma_m),
+        median_share=_median(share),
+        own_sigma=found.matches.sigma_alpha_2 is not None,
+        settings=dump_toml(found.matcher),
+        sensor=dump_toml(found.pair.sensor),
+        grid=dump_toml(found.pair.grid),
+        t=[float(each) for each in found.pair.t_v1],
+        turned=not np.allclose(found.pair.motion.R_v2_from_v1, np.eye(3)),
+    )
+
+
+def _names(found: Estimate) -> tuple[str, str]:
+    """The files' names, with their folders where they are alike."""
+    first, second = (each.file for each in found.photographs)
+    if first.name != second.name:
+        return first.name, second.name
+    return f"{first.parent.name}/{first.name}", f"{second.parent.name}/{second.name}"
+
+
+def _median(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else None
+
+
+def _span(values: Array) -> tuple[float, float] | None:
+    """Between these are nine tenths of the values."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    low, high = np.percentile(known, [5, 95])
+    return float(low), float(high)
+
+
+def _photograph(found: Estimate, view: int) -> Picture:
+    colour: NDArray[np.uint8] = found.photographs[view].colour
+    rows, columns = colour.shape[:2]
+    scale = min((HALF - 60) / columns, 350 / rows)
+    w, h = columns * scale, rows * scale
+    fig = theme.figure(HALF, 400)
+    ax = theme.axes(fig, 50 + (HALF - 60 - w) / 2, 6, w, h)
+    fewer = max(1, int(np.ceil(max(rows, columns) / 1024)))  # an aid to see, not data
+    shown = colour[::fewer, ::fewer]
+    grey = bool((shown[..., 0] == shown[..., 1]).all() and (shown[..., 0] == shown[..., 2]).all())
+    extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
+    if grey:
+        ax.imshow(shown[..., 0], cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
+    else:
+        ax.imshow(shown, extent=extent, aspect="auto")
+    ax.set_xlabel("$u$ (px)")
+    ax.set_ylabel("$v$ (px)")
+    name = _names(found)[view]
+    return theme.picture(fig, f"Mirror image of view {view + 1}, {name}.", f"({'ab'[view]}) view {view + 1}: {name}")
+
+
+def _panorama(found: Estimate) -> Picture:
+    grid, view = found.pair.grid, found.pair.panoramas()[0]
+    fig, ax, bar = panorama_axes(grid)
+    values = np.where(view.valid, view.values, np.nan)
+    drawn = ax.imshow(unmirrored(values), cmap="gray", vmin=0, vmax=255, extent=extent_of(grid), aspect="auto")
+    fig.colorbar(drawn, cax=bar, label="grey level")
+    return theme.picture(fig, "Panorama of view 1, azimuth descending from 180 to -180 degrees.")
+
+
+def _map(found: Estimate, values: Array, label: str, title: str) -> Picture:
+    """Positive values over the panorama on a logarithmic scale of colours."""
+    grid = found.pair.grid
+    fig, ax, bar = panorama_axes(grid)
+    ax.patch.set(facecolor=_NOTHING, edgecolor="#A8A8A8", hatch="/////")
+    known = values[np.isfinite(values) & (values > 0)]
+    low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)
+    if not high > low * 1.01:
+        low, high = low / 1.01, high * 1.01
+    steps = colormaps["viridis_r"].resampled(64)
+    drawn = ax.imshow(unmirrored(values), cmap=steps, norm=LogNorm(low, high), extent=extent_of(grid), aspect="auto")
+    fig.colorbar(drawn, cax=bar, label=label, extend="both")
+    bar.minorticks_off()
+    theme.logarithmic(bar, "y", float(low), float(high))
+    alt = f"{title} over the panorama, from {low:.3g} to {high:.3g} metres; hatched where there is none."
+    return theme.picture(fig, alt)

@@ -1,0 +1,104 @@
+"""From the rows of a run to the test of the law, and to the limit that noise sets."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.evaluation.law import test_law
+from harness.evaluation.limit import GROSS_PX, efficiency
+from harness.matching.registry import method_of
+from harness.runs.experiment import Planned, shown
+
+_NOISE = "noise.sigma_grey"
+_NOT_A_CONDITION = ("seed", "view_2.baseline_m", "matching.kind", "matching.subpixel")
+"""What the law is tested across (baseline, seed), or a column of its own. All else that varies is a condition."""
+
+
+def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
+    """The cells of all trials that are done, with the columns of their trials that `law_images` asks for.
+
+    Parameters
+    ----------
+    done
+        Trials and what `row.row_of` made of them.
+    """
+    tables = []
+    for planned, payload in done:
+        trial = planned.trial
+        matcher, subpixel = method_of(trial.matching)
+        common = {
+            "matcher": matcher,
+            "subpixel": subpixel,
+            "seed": trial.seed,
+            "baseline_m": trial.view_2.baseline_m,
+            "condition": shown({key: value for key, value in planned.place.items() if _is_condition(key)}),
+            "quiet": shown({key: value for key, value in planned.place.items() if key != _NOISE}),
+            "sigma_grey": trial.noise.sigma_grey,
+        }
+        tables += [common | cell for cell in payload["cells"]]
+    return pd.DataFrame(tables)
+
+
+def law_of(cells: pd.DataFrame) -> dict[str, Any] | None:
+    """The `law` of `summary.json`; None where the trials do not differ in |t|/d enough to speak of it."""
+    if cells.empty or cells["baseline_m"].nunique() < 3:
+        return None
+    return test_law(cells)
+
+
+def _is_condition(key: str) -> bool:
+    # The size of an object varies the range, which is what the law is about. The scale of a whole scene does not: with
+    # its textures it gives the same image, so every scale keeps an intercept of its own and stretches no axis.
+    is_size = key.startswith("scene.objects.") and key.endswith(".size_m")
+    return key not in _NOT_A_CONDITION and not is_size
+
+
+def limit_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The `limit` of `summary.json`: each method's spread over seeds against the bound, its bias and its predictions.
+
+    Trials count that keep single pixels (`scoring.sample_px`) and differ in nothing but the seed, which draws their
+    noise and not their place. Of conditions without noise there is one trial, and no spread.
+    """
+    groups: dict[tuple[Any, ...], list[tuple[Planned, dict[str, Any]]]] = {}
+    for planned, payload in done:
+        place = planned.trial.placement
+        if "sample" in payload and place.offset_m == 0 and not place.random_yaw:
+            key = (
+                *method_of(planned.trial.matching),
+                shown({key: value for key, value in planned.place.items() if key not in _NOT_A_DRAW}),
+                planned.trial.noise.sigma_grey,
+            )
+            groups.setdefault(key, []).append((planned, payload))
+    return [
+        {"matcher": matcher, "subpixel": subpixel, "condition": condition, "sigma_grey": sigma_grey} | _limit(trials)
+        for (matcher, subpixel, condition, sigma_grey), trials in groups.items()
+    ]
+
+
+_NOT_A_DRAW = ("seed", "noise.sigma_grey", "matching.kind", "matching.subpixel")
+
+
+def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:
+    sigma_grey = trials[0][0].trial.noise.sigma_grey
+    errors = np.array([payload["sample"]["error_px"] for _, payload in trials], dtype=np.float64)
+    unit = np.array(trials[0][1]["sample"]["bound_px"], dtype=np.float64)
+    bound = unit * sigma_grey if sigma_grey and np.isfinite(unit).any() else None
+    found = efficiency(errors, bound) if sigma_grey else None
+    absolute = np.abs(errors[np.isfinite(errors)])
+    calibrated = [payload["calibration"] for _, payload in trials if "calibration" in payload]
+    return {
+        "seeds": len(trials),
+        "median_abs_px": float(np.median(absolute)) if absolute.size else None,
+        "bad_1px": float(np.mean(absolute > 1)) if absolute.size else None,
+        "bad_3px": float(np.mean(absolute > GROSS_PX)) if absolute.size else None,
+        "density": float(np.isfinite(errors).mean()) if errors.size else None,
+        "bound_px": float(np.nanmedian(bound)) if bound is not None else None,
+        "std_px": None if found is None else found.std_px,
+        "bias_px": None if found is None else found.bias_px,
+        "std_over_bound": None if found is None else found.std_over_bound,
+        "std_over_bound_quartiles": None if found is None else found.std_over_bound_quartiles,
+        "rms_over_bound": None if found is None else found.rms_over_bound,
+        "within_sigma": np.mean([each["within"] for each in calibrated], axis=0).tolist() if calibrated else None,
+    }

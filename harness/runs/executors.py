@@ -1,0 +1,152 @@
+"""Where trials are run: in this process, in processes of this machine, or on a Dask cluster."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from multiprocessing import connection
+from typing import Any
+
+from harness.errors import InputError
+
+QUICK_S = 4.0
+"""Work below which more processes cost more than they save: each takes a second to begin."""
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""Environment of a process that does one thing at a time; read when the libraries are imported."""
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """Where batches go, through the interface of `concurrent.futures`."""
+
+    open: Callable[[], AbstractContextManager[Executor]]
+    """May be called again when what it gave is broken."""
+    workers: int
+    slots: int
+    """Batches handed over and not yet returned, at most."""
+    threads: int | None = 1
+    """Of a trial."""
+    elsewhere: bool = False
+    """Whether workers may be on another machine, which has not got this one's files."""
+    name: str = "in this process"
+
+
+def cpus() -> int:
+    """The CPUs that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def workplace(work_s: float, trials: int, workers: int | None = None, dask: str | None = None) -> Workplace:
+    """The right place for this much work.
+
+    Parameters
+    ----------
+    work_s
+        Seconds on one thread, a guess.
+    trials
+        How many there are to run.
+    workers
+        Asked for; None for as many as pay.
+    dask
+        Address of a scheduler.
+
+    Raises
+    ------
+    InputError
+        When Dask is not installed, or there is no scheduler or worker.
+    """
+    if dask is not None:
+        return _on_dask(dask)
+    if workers is None and (work_s < QUICK_S or trials < 2 or cpus() == 1):
+        return Workplace(_in_process, workers=1, slots=1, threads=None)
+    count = min(workers or cpus(), trials)
+    if count == 1:
+        return Workplace(_in_process, workers=1, slots=1)
+    return Workplace(lambda: _in_processes(count), count, slots=count + 1, name=f"in {count} processes")
+
+
+@contextmanager
+def _in_process() -> Iterator[Executor]:
+    yield _Here()
+
+
+class _Here(Executor):
+    """Runs what is submitted at once."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - to be raised where the result is asked for, as by any executor
+            future.set_exception(error)
+        return future
+
+
+@contextmanager
+def _in_processes(count: int) -> Iterator[Executor]:
+    kind = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context: Any = multiprocessing.get_context(kind)
+    if kind == "forkserver":
+        context.set_forkserver_preload(["harness.runs.worker"])  # imported once, for all
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)  # the processes inherit it, and read it as they begin
+    try:
+        with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
+            try:
+                yield pool
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+
+
+def _begin() -> None:
+    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)  # a pool's process would wait for work for ever
+
+
+def _on_dask(address: str) -> Workplace:
+    client: Any
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("needs Dask: pip install 'omnirange[dask]'", key="--dask") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is said by us, once
+    try:
+        client = Client(address, timeout=10, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"no scheduler answers at '{address}'; give its address, such as tcp://127.0.0.1:8786", key="--dask"
+        ) from error
+    threads = sum(client.nthreads().values())
+    if threads == 0:
+        client.close()
+        raise InputError(
+            f"the scheduler at '{address}' has no workers; start some with: dask worker {address} --nthreads 1",
+            key="--dask",
+        )
+
+    @contextmanager
+    def connected() -> Iterator[Executor]:
+        try:
+            yield client.get_executor(pure=False)
+        finally:
+            client.close()
+
+    # More than there are workers for: others may join.
+    return Workplace(connected, threads, slots=max(64, 4 * threads), elsewhere=True, name=f"on Dask at {address}")

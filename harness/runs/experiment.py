@@ -1,0 +1,413 @@
+"""What an experiment is: a base trial, axes along which its settings vary, and lists of explicit cases."""
+
+import itertools
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from harness import shipped
+from harness.camera.sensor import load_sensor
+from harness.errors import InputError
+from harness.matching import registry
+from harness.matching.interface import Limits
+from harness.matching.program import with_absolute_files
+from harness.matching.registry import Matcher
+from harness.pipeline.specification import Trial
+from harness.simulation.scene import load_scene
+from harness.spec import Spec, parse, read_toml
+
+_KIND = "matching.kind"
+
+Settings = dict[str, Any]
+"""Dotted keys of a trial, such as `matching.window_px` or `scene.objects.0.size_m`, and their values."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A trial of an experiment."""
+
+    key: str
+    """`Trial.key`."""
+    place: Settings
+    """The values of all keys that vary, in the order of the columns."""
+    trial: Trial
+
+
+class Experiment(Spec):
+    """A named set of trials: for each of the cases, the full product of the axes over the base trial's settings."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
+    """Letters, digits, `_`, `.` and `-`: it also names the output folder."""
+    description: str = ""
+    trial: Trial
+    axes: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
+    """Dotted keys, and the values that each takes."""
+    cases: list[Annotated[Settings, Field(min_length=1)]] = Field(default_factory=list)
+    """Explicit settings, instead of or beside axes; one case that changes nothing when there are none."""
+
+    @cached_property
+    def planned(self) -> tuple[Planned, ...]:
+        """Every trial, case by case, in the order of the product, the last axis fastest.
+
+        Raises
+        ------
+        InputError
+            When a key is no key of a trial, a value is not valid there, a matcher from elsewhere is not there or does
+            not take its parameters, or two trials are the same. `error.key` is the place in the experiment.
+        """
+        base = self.trial.model_dump(mode="json")
+        columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
+        planned: dict[str, Planned] = {}
+        checked: dict[int, Any] = {}
+        for case, settings in self._settings():
+            table = _changed(base, settings, self, case)
+            try:
+                trial = parse(Trial, self._with_validated(table, base), checked=checked)
+            except InputError as error:
+                key = self._blame(error.key, settings, case) or self.place_of("", case).rstrip(".")
+                raise InputError(error.problem, key=key) from error
+            try:
+                registry.check(trial.matching)
+            except InputError as error:
+                key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
+                raise InputError(error.problem, key=key) from error
+            place = {key: settings[key] if key in settings else value_at(table, key) for key in columns}
+            one = Planned(trial.key, place, trial)
+            if one.key in planned:
+                raise InputError(
+                    f"two trials are the same: {shown(planned[one.key].place)}, and {shown(place)}; remove one",
+                    key="axes" if case is None else f"cases[{case}]",
+                )
+            planned[one.key] = one
+        return tuple(planned.values())
+
+    def _with_validated(self, table: Settings, base: Settings) -> Settings:
+        """A trial's table with the base trial's own parts for those that are unchanged: they need no second check."""
+        return {
+            name: getattr(self.trial, name) if name in base and part is base[name] else part
+            for name, part in table.items()
+        }
+
+    def trials(self) -> list[tuple[Settings, Trial]]:
+        """Every trial with its place on the axes; see `planned`."""
+        return [(each.place, each.trial) for each in self.planned]
+
+    def _settings(self) -> Iterator[tuple[int | None, Settings]]:
+        """The number of the case, if there are any, and what changes in the base trial."""
+        for number, case in enumerate(self.cases or [{}]):
+            for values in itertools.product(*self.axes.values()):
+                yield number if self.cases else None, case | dict(zip(self.axes, values, strict=True))
+
+    def _blame(self, place: str | None, settings: Settings, case: int | None) -> str | None:
+        """The axis or the key of a case that a complaint about a place of the trial is due to, if it is due to one."""
+        path = (place or "").replace("[", ".").replace("]", "").split(".")
+        for key in settings:
+            keys = key.split(".")
+            shorter = min(len(keys), len(path))
+            if keys[:shorter] == path[:shorter]:
+                return self.place_of(key, case)
+        return None
+
+    def place_of(self, key: str, case: int | None) -> str:
+        """Where in the experiment a key is given."""
+        return f"axes.{key}" if key in self.axes or case is None else f"cases[{case}].{key}"
+
+
+def shown(place: Settings) -> str:
+    """A place on the axes in words."""
+    return ", ".join(f"{key} = {text_of(value)}" for key, value in place.items()) or "the base trial"
+
+
+def text_of(value: Any) -> str:
+    """A value as a table shows it: nothing for none, text as it is, all else so that it reads back exactly."""
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+# --- Reading ------------------------------------------------------------------------------------------------------
+
+
+def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[str] = ()) -> Experiment:
+    """Read an experiment by shipped name or path.
+
+    `trial.scene` may be a table, a shipped name or a path; `trial.sensor` a table or a path. Paths are relative to the
+    experiment's file, and absolute in what is returned.
+
+    Parameters
+    ----------
+    sets
+        `key=value`: settings of the base trial; an axis over the same key goes. With `matching.kind`, so do axes over
+        settings that this matcher has not got.
+    axes
+        `key=a,b,c`: further axes, or other values of one that is there. Values are as in TOML, or plain words. With an
+        axis over `matching.kind`, the experiment's own axes go that one of those matchers does not know.
+
+    Raises
+    ------
+    InputError
+        Names the file or the option, the key and what would be right.
+    """
+    file = shipped.find("experiments", name_or_path)
+    table = read_toml(file)
+    if isinstance(table.get("trial"), dict):
+        table["trial"] = _read_in(table["trial"], file.parent, file, "trial")
+        table["trial"] = {key: _of_matcher(key, value, file.parent) for key, value in table["trial"].items()}
+    experiment = _with_absolute_paths(parse(Experiment, table, file=file), file.parent, file)
+    changed = _with_axes(_with_sets(experiment, sets), axes)
+    try:
+        _ = changed.planned
+    except InputError as error:
+        given = {f"axes.{each.partition('=')[0]}" for each in axes}
+        if error.key in given:
+            raise InputError(error.problem, file="--axis", key=error.key.removeprefix("axes.")) from error
+        for key in (each.partition("=")[0].strip() for each in sets):
+            if f"{error.key}.".startswith(f"trial.{key}."):
+                raise InputError(error.problem, file="--set", key=key) from error
+        raise InputError(error.problem, file=file, key=error.key) from error
+    return changed
+
+
+class _Matching(Spec):
+    matching: Matcher
+
+
+def load_matcher(kind_or_path: str, sets: Sequence[str] = (), parameters: Mapping[str, Any] | None = None) -> Limits:
+    """The settings of one matcher: by its `kind` alone, or from the table `matching` of a TOML file.
+
+    Parameters
+    ----------
+    kind_or_path
+        A path ends in `.toml`; the file may be an experiment, whose base trial's matcher is meant.
+    sets
+        `matching.key=value`: settings.
+    parameters
+        More of what only the matcher understands, see `Parametrised`.
+
+    Raises
+    ------
+    InputError
+        When there is no such matcher, or it does not take its settings.
+    """
+    file = None
+    table: dict[str, Any] = {"matching": {"kind": kind_or_path}}
+    if kind_or_path.endswith(".toml"):
+        file = Path(kind_or_path)
+        read = read_toml(file)
+        trial = read.get("trial", read)
+        if not (isinstance(trial, dict) and isinstance(trial.get("matching"), dict)):
+            raise InputError("has no table [matching], nor [trial.matching]", file=file)
+        table = {"matching": _absolute("", trial["matching"], file.parent, file)}
+    settings = {
+        key: _absolute(key, value, Path(), "--set") for key, value in (read_value("--set", each) for each in sets)
+    }
+    table = changed(table, settings, file="--set")
+    if parameters:
+        table["matching"]["parameters"] = {**table["matching"].get("parameters", {}), **parameters}
+    matcher = parse(_Matching, table, file=file).matching
+    try:
+        registry.check(matcher)
+    except InputError as error:
+        raise InputError(error.problem, file=file, key=f"matching.{error.key}") from error
+    return matcher
+
+
+def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:
+    settings = dict(read_value("--set", each) for each in sets)
+    for number, case in enumerate(experiment.cases):
+        for key in settings.keys() & case.keys():
+            raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--set", key=key)
+    if not settings:
+        return experiment
+    settings = {key: _absolute(key, value, Path(), "--set") for key, value in settings.items()}
+    trial = parse(Trial, changed(experiment.trial.model_dump(mode="json"), settings, file="--set"), file="--set")
+    axes = {key: values for key, values in experiment.axes.items() if key not in settings}
+    if _KIND in settings:  # what another matcher does not know cannot be varied
+        axes = {key: values for key, values in axes.items() if _is_known(key, settings[_KIND])}
+    return experiment.model_copy(update={"trial": trial, "axes": axes})
+
+
+def _with_axes(experiment: Experiment, axes: Sequence[str]) -> Experiment:
+    given = {key: _values(text) for key, text in (_split("--axis", each) for each in axes)}
+    for key, values in given.items():
+        if not values:
+            raise InputError("give at least one value", file="--axis", key=key)
+        for number, case in enumerate(experiment.cases):
+            if key in case:
+                raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--axis", key=key)
+    absolute = {key: [_absolute(key, value, Path(), "--axis") for value in values] for key, values in given.items()}
+    merged = experiment.axes | absolute
+    if _KIND in given:  # an axis of the experiment that one of these matchers does not know cannot be varied
+        merged = {
+            key: values
+            for key, values in merged.items()
+            if key in given or all(_is_known(key, kind) for kind in given[_KIND])
+        }
+    return experiment.model_copy(update={"axes": merged})
+
+
+def read_value(option: str, text: str) -> tuple[str, Any]:
+    """The key and the value of `key=value` on the command line.
+
+    Raises
+    ------
+    InputError
+        When it is not written so; names the option.
+    """
+    key, value = _split(option, text)
+    return key, _value(value)
+
+
+def _is_known(key: str, kind: Any) -> bool:
+    first, *rest = key.split(".")
+    return first != "matching" or not rest or registry.knows(kind, rest[0])
+
+
+def _split(option: str, text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise InputError(f"must be written key=value; found '{text}'", key=option)
+    return key.strip(), value.strip()
+
+
+def _value(text: str) -> Any:
+    """A value of the command line: TOML, or else the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _values(text: str) -> list[Any]:
+    try:
+        return list(tomllib.loads(f"values = [{text}]")["values"])
+    except tomllib.TOMLDecodeError:
+        return [_value(each.strip()) for each in text.split(",") if each.strip()]
+
+
+def _with_absolute_paths(experiment: Experiment, folder: Path, file: Path) -> Experiment:
+    for number, case in enumerate(experiment.cases):
+        for key in case.keys() & experiment.axes.keys():
+            raise InputError(
+                "this key is an axis too; give it in one of the two", file=file, key=f"cases[{number}].{key}"
+            )
+    axes = {
+        key: [_absolute(key, value, folder, file, f"axes.{key}") for value in values]
+        for key, values in experiment.axes.items()
+    }
+    cases = [
+        {key: _absolute(key, value, folder, file, f"cases[{number}].{key}") for key, value in case.items()}
+        for number, case in enumerate(experiment.cases)
+    ]
+    return experiment.model_copy(update={"axes": axes, "cases": cases})
+
+
+def _absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
+    """A value that names a file by a relative path, with its absolute path; any other as it is."""
+    last = key.rpartition(".")[2]
+    if last == "command" and isinstance(value, list):
+        return with_absolute_files(value, folder)
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else ((key, each) for each in value)
+        parts = [(name, _absolute(name, each, folder, file, where)) for name, each in items]
+        return dict(parts) if isinstance(value, dict) else [each for _, each in parts]
+    if not isinstance(value, str):
+        return value
+    if key == "scene":
+        path = _scene_file(value, folder, file, where or key)
+        return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
+    if key == "sensor" or last == "file" or last.endswith("_file"):
+        return str((folder / Path(value).expanduser()).resolve())
+    return value
+
+
+def _of_matcher(key: str, value: Any, folder: Path) -> Any:
+    """A key of a trial's table: the files that a matcher's settings name made absolute, all else as it is."""
+    return _absolute("", value, folder, folder) if key == "matching" and isinstance(value, dict) else value
+
+
+def _scene_file(name_or_path: str, folder: Path, file: str | Path, key: str) -> Path:
+    try:
+        return shipped.find("scenes", name_or_path, relative_to=folder)
+    except InputError as error:
+        raise InputError(f"'{error.file}': {error.problem}", file=file, key=key) from error
+
+
+# --- Changing one place of a table --------------------------------------------------------------------------------
+
+
+def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
+    """A trial's table with some of its places changed, those further in last; scene and sensor files are read in.
+
+    Raises
+    ------
+    InputError
+        When a key leads through a value that has no keys, or past the end of a list.
+    """
+    for place in sorted(settings, key=lambda each: (each.count("."), each != _KIND)):
+        where = f"{key}.{place}" if key else place
+        if place == _KIND and isinstance(table.get("matching"), Mapping):
+            # Before what else is said of the matcher: another kind has other keys.
+            table = {**table, "matching": registry.carried_over(table["matching"], settings[place])}
+        table = _with(table, place.split("."), settings[place], file, where)
+        if place in {"scene", "sensor"}:
+            table = _read_in(table, Path(), file, key)
+    return table
+
+
+def _changed(base: Settings, settings: Settings, experiment: Experiment, case: int | None) -> Any:
+    try:
+        return changed(base, settings)
+    except InputError as error:
+        if error.file is not None:  # a scene's or sensor's own file is at fault
+            raise
+        raise InputError(error.problem, key=experiment.place_of(error.key or "", case)) from error
+
+
+def value_at(table: Any, key: str) -> Any:
+    """The value at a dotted key, None when there is none."""
+    for part in key.split("."):
+        try:
+            table = table[int(part)] if isinstance(table, list | tuple) else table.get(part)
+        except (AttributeError, IndexError, ValueError):
+            return None
+    return table
+
+
+def _with(table: Any, keys: list[str], value: Any, file: str | Path | None, where: str) -> Any:
+    first, *rest = keys
+    if isinstance(table, list | tuple):
+        if not (first.isdecimal() and int(first) < len(table)):
+            raise InputError(f"'{first}' is no item of a list of {len(table)}; the first is 0", file=file, key=where)
+        i = int(first)
+        return [*table[:i], _with(table[i], rest, value, file, where) if rest else value, *table[i + 1 :]]
+    if table is not None and not isinstance(table, Mapping):
+        raise InputError(f"there is no key '{first}' in {text_of(table)}, which is a plain value", file=file, key=where)
+    table = table or {}
+    return {**table, first: _with(table.get(first), rest, value, file, where) if rest else value}
+
+
+def _read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, key: str) -> dict[str, Any]:
+    """The table of a trial with the scene and sensor files that it names read in."""
+    resolved = dict(trial)
+    where = f"{key}." if key else ""
+    scene, sensor = resolved.get("scene"), resolved.get("sensor")
+    if isinstance(scene, str):
+        path = _scene_file(scene, folder, file or "", f"{where}scene")
+        resolved["scene"] = _scene_table(str(path.resolve()))
+    elif isinstance(scene, dict):
+        resolved["scene"] = _absolute("", scene, folder, file or "")
+    if isinstance(sensor, str):
+        resolved["sensor"] = load_sensor(folder / Path(sensor).expanduser()).model_dump(mode="json")
+    return resolved
+
+
+@lru_cache(maxsize=64)
+def _scene_table(path: str) -> Mapping[str, Any]:
+    return load_scene(path).model_dump(mode="json")

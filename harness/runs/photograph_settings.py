@@ -1,0 +1,44 @@
+"""The settings of a matcher from a command line that has no experiment."""
+
+from collections.abc import Sequence
+
+from harness.errors import InputError
+from harness.geometry.panorama import Grid
+from harness.matching.registry import Matcher
+from harness.matching.window.settings import WindowMatcher
+from harness.runs.experiment import read_value
+from harness.spec import Spec, parse
+
+DEFAULT_KIND = "slanted"
+
+
+class OwnSettings(Spec):
+    """What is left to choose where images, sensor and poses are given."""
+
+    matching: Matcher = WindowMatcher()
+    panorama: Grid = Grid()
+
+
+def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
+    """Read `--matcher` and `--set`.
+
+    Raises
+    ------
+    InputError
+        Names the option and the key, and what would be right.
+    """
+    table: dict[str, dict[str, object]] = {"matching": {"kind": kind or DEFAULT_KIND}, "panorama": {}}
+    for each in sets:
+        key, value = read_value("--set", each)
+        room, _, name = key.partition(".")
+        if room not in table or not name:
+            room, name = "matching", key
+        place = table[room]
+        *above, last = name.split(".")
+        for part in above:
+            inside = place.setdefault(part, {})
+            if not isinstance(inside, dict):
+                raise InputError(f"there is no key '{last}' in a plain value", file="--set", key=key)
+            place = inside
+        place[last] = value
+    return parse(OwnSettings, table, file="--matcher, --set")

@@ -1,0 +1,90 @@
+"""The order in which trials are run, so that what they share is made once, and how long that may take."""
+
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass
+
+from harness.pipeline.specification import Trial
+from harness.pipeline.stage_cache import sharing_keys
+from harness.runs.experiment import Planned
+from harness.simulation.fingerprint import fingerprint
+
+BATCH_S = 1.0
+"""Work that a worker is handed at a time: long beside the handing over, short beside what a kill may cost."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Trials in an order in which those that share the most stand together."""
+
+    trials: tuple[Planned, ...]
+    seconds: tuple[float, ...]
+    """Of each trial after the one before it, on one thread; a rough guess, from the sizes of images."""
+    new_geometry: tuple[bool, ...]
+    """Whether a trial has other renders than the one before it."""
+
+    @property
+    def total_s(self) -> float:
+        """All of them, on one thread."""
+        return sum(self.seconds)
+
+    @property
+    def renders(self) -> int:
+        """Distinct images to render."""
+        return len({key for each in self.trials for key in _render_keys(each.trial)})
+
+    def batches(self, batch_s: float = BATCH_S) -> list[tuple[Planned, ...]]:
+        """The trials in runs of about `batch_s` seconds, in order; single ones when it is 0.
+
+        Trials of one geometry stay together up to three times as long: each worker that gets some must render it.
+        """
+        batches: list[list[Planned]] = []
+        filled = 0.0
+        for trial, cost, is_new in zip(self.trials, self.seconds, self.new_geometry, strict=True):
+            if not batches or filled + cost > (batch_s if is_new else 3 * batch_s):
+                batches.append([])
+                filled = 0.0
+            batches[-1].append(trial)
+            filled += cost
+        return [tuple(batch) for batch in batches]
+
+
+def plan(trials: Sequence[Planned]) -> Plan:
+    """Order trials by what they share, in the order of the pipeline; else as they come."""
+    keys = [sharing_keys(each.trial) for each in trials]
+    ranks: list[dict[Hashable, int]] = []
+    for stage in keys[0] if keys else ():
+        first: dict[Hashable, int] = {}
+        for key in keys:
+            first.setdefault(key[stage], len(first))
+        ranks.append(first)
+    places = [
+        tuple(rank[key] for rank, key in zip(ranks, each.values(), strict=True)) for each in keys
+    ]  # trials that share a stage share its rank
+    order = sorted(range(len(trials)), key=lambda i: (places[i], i))
+    done: dict[str, Hashable] = {}
+    seconds, new_geometry = [], []
+    for i in order:
+        new = {stage for stage, key in keys[i].items() if done.get(stage) != key}
+        seconds.append(_seconds(trials[i].trial, new))
+        new_geometry.append("render" in new)
+        done = keys[i]
+    return Plan(tuple(trials[i] for i in order), tuple(seconds), tuple(new_geometry))
+
+
+def _seconds(trial: Trial, new: Iterable[str]) -> float:
+    """A guess at a trial's time, given the stages that it does not share with the one before: one thread of 2024."""
+    camera = trial.sensor.camera
+    image = 2 * camera.width_px * camera.height_px / 1e6
+    panorama = trial.panorama.width_px * trial.panorama.height_px / 1e6
+    samples_a_curve = trial.panorama.width_px / 720 / getattr(trial.matching, "pitch_px", 1.0)
+    stages = {
+        "render": image * (0.08 + 0.006 * trial.render.samples) + panorama * 0.75,
+        "noise": image * 0.02,
+        "filter": panorama * 0.3,
+        "match": panorama * samples_a_curve * 1.0,
+    }
+    return 0.6 * panorama + sum(stages[stage] for stage in new)
+
+
+def _render_keys(trial: Trial) -> list[Hashable]:
+    return [(fingerprint(trial.scene), trial.sensor, pose, trial.render) for pose in trial.poses]

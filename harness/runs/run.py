@@ -1,0 +1,367 @@
+"""Run an experiment: rows of all trials in one file, the base trial in detail, and what is written for people."""
+
+import contextlib
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from harness.errors import InputError
+from harness.evaluation.metrics import Measures, measure
+from harness.files import write
+from harness.matching.registry import method_of
+from harness.matching.window.settings import WindowMatcher
+from harness.pipeline.environment import environment, source_hash
+from harness.pipeline.specification import Trial
+from harness.pipeline.trial import Outcome
+from harness.runs import executors, worker
+from harness.runs.analysis import cell_table, law_of, limit_of
+from harness.runs.experiment import Experiment, Planned, Settings, shown, text_of, value_at
+from harness.runs.plan import Plan, plan
+from harness.runs.store import Finished, Foreign, Store
+from harness.runs.sweep import run_sweep
+from harness.simulation.fingerprint import fingerprint
+from harness.spec import dump_toml
+
+SCHEMA = 1
+METHODS = {"none": "pixel", "parabola": "subpixel"}
+"""What `summary.json` and the report call the paper's two methods."""
+
+MOST_DETAILS = 6
+"""How many methods are looked at in detail: their maps and profiles still fit a page."""
+
+DATABASE = "run.sqlite"
+WRITTEN = (
+    "experiment.toml",
+    "environment.json",
+    "trials.csv",
+    "timings.csv",
+    "summary.json",
+    "report.html",
+)
+"""The files made from the rows; `failures.csv` too, when a trial failed."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A finished trial of an experiment."""
+
+    planned: Planned
+    finished: Finished
+
+    @property
+    def place(self) -> Settings:
+        """Where it lies on the axes."""
+        return self.planned.place
+
+    @property
+    def state(self) -> str:
+        """`done` or `failed`."""
+        return self.finished.state
+
+    @cached_property
+    def payload(self) -> dict[str, Any]:
+        """What `row.row_of` made; empty when the trial failed."""
+        return json.loads(self.finished.payload)
+
+
+@dataclass(frozen=True)
+class Result:
+    """An experiment and what came of it."""
+
+    experiment: Experiment
+    rows: list[Row]
+    """Of all trials that are finished, in the experiment's order."""
+    cells: pd.DataFrame
+    """The cells of all trials that are done, see `analysis.cell_table`."""
+    details: list[Outcome]
+    """The base trial, with up to two of the sub-pixel methods on the axes."""
+    summary: dict[str, Any]
+    environment: dict[str, Any]
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """The same as `details`."""
+        return self.details
+
+    @property
+    def places(self) -> list[Settings]:
+        """Where the details lie on the axes."""
+        columns = columns_of(self.experiment)
+        tables = [outcome.trial.model_dump(mode="json") for outcome in self.details]
+        return [{key: value_at(table, key) for key in columns} for table in tables]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far a run has come."""
+
+    plan: Plan
+    """Of the trials that are still to be run; those that failed among them."""
+    total: int
+    done: int
+    failed: int
+    foreign: Foreign
+
+
+def open_run(experiment: Experiment, folder: Path) -> Store:
+    """Open the run of an experiment in a folder, or begin it.
+
+    Raises
+    ------
+    InputError
+        When the folder holds another experiment's run, or its file cannot be used.
+    """
+    store = Store(folder / DATABASE)
+    name = store.fact("name")
+    if name not in (None, experiment.name):
+        raise InputError(
+            f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
+            file=folder,
+        )
+    store.set_fact("name", experiment.name)
+    store.set_fact("experiment", experiment.model_dump(mode="json"))
+    return store
+
+
+def standing(experiment: Experiment, store: Store) -> Standing:
+    """How far a run has come, and what is left to do."""
+    states = store.states(each.key for each in experiment.planned)
+    left = [each for each in experiment.planned if states.get(each.key) != "done"]
+    scenes = {fingerprint(each.trial.scene) for each in experiment.planned}
+    return Standing(
+        plan=plan(left),
+        total=len(experiment.planned),
+        done=len(experiment.planned) - len(left),
+        failed=sum(state == "failed" for state in states.values()),
+        foreign=store.foreign((each.key for each in experiment.planned), scenes),
+    )
+
+
+def sweep(
+    left: Plan, store: Store, place: executors.Workplace, observe: Callable[[Sequence[Finished]], None] = lambda _: None
+) -> None:
+    """Run what is left to do; see `sweep.run_sweep`."""
+    # One worker takes single trials: there is nobody else to keep busy, and a kill costs one trial.
+    longest = 0.0 if place.workers == 1 and not place.elsewhere else left.total_s / (12 * place.workers)
+    run_sweep(left.batches(min(longest, 1.0)), store, place, observe)
+
+
+def result_of(experiment: Experiment, store: Store) -> Result:
+    """All that is known of a run; the details are computed.
+
+    Raises
+    ------
+    InputError
+        When no trial is done.
+    """
+    finished = store.finished(each.key for each in experiment.planned)
+    rows = [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+    done = [row for row in rows if row.state == "done"]
+    if not done:
+        raise InputError("no trial is done with the program as it is now, so there is nothing to report")
+    details = _details(experiment, done[0].planned.trial)
+    summary = _summary(experiment, details) | {
+        "trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)},
+    }
+    cells = cell_table((row.planned, row.payload) for row in done)
+    limit = limit_of((row.planned, row.payload) for row in done)
+    if limit:
+        summary["limit"] = limit
+    law = law_of(cells)
+    if law is not None:
+        summary["law"] = law
+    scenes = sorted({fingerprint(each.trial.scene) for each in experiment.planned})
+    return Result(experiment, rows, cells, details, summary, environment() | {"scene_sha256": " ".join(scenes)})
+
+
+def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:
+    """Run all trials that are not done, in a folder or in memory, without a word.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be used, or no trial could be carried out; the first one's message.
+    """
+    with open_run(experiment, folder) if folder else Store() as store:
+        left = standing(experiment, store).plan
+        sweep(left, store, executors.workplace(left.total_s, len(left.trials), workers))
+        finished = store.finished(each.key for each in experiment.planned).values()
+        if all(row.state == "failed" for row in finished):
+            raise InputError(next(iter(finished)).message)
+        return result_of(experiment, store)
+
+
+# --- What is written ----------------------------------------------------------------------------------------------
+
+
+def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
+    """Write what needs no report: `experiment.toml`, `trials.csv`, `timings.csv`; `failures.csv` if any trial failed.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written to.
+    """
+    finished = store.finished(each.key for each in experiment.planned)
+    rows = [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+    write(folder / "experiment.toml", dump_toml(experiment))
+    write(folder / "trials.csv", _trials(experiment, rows))
+    write(folder / "timings.csv", _timings(rows))
+    failures = folder / "failures.csv"
+    if any(row.state == "failed" for row in rows):
+        write(failures, _failures(experiment, rows))
+    else:
+        failures.unlink(missing_ok=True)
+
+
+def write_result(result: Result, report: str, store: Store, folder: Path) -> None:
+    """Write `environment.json`, `summary.json` and `report.html`, and keep in the store that they belong to its rows.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written to.
+    """
+    write(folder / "environment.json", _json(result.environment))
+    write(folder / "summary.json", _json(result.summary))
+    write(folder / "report.html", report)
+    store.set_fact("reported", _digest(result.experiment, store))
+
+
+def is_reported(experiment: Experiment, store: Store, folder: Path) -> bool:
+    """Whether all that would be written from the rows is there already."""
+    written = all((folder / name).is_file() for name in WRITTEN)
+    return written and store.fact("reported") == _digest(experiment, store)
+
+
+def columns_of(experiment: Experiment) -> list[str]:
+    """The keys that vary, in the order of the columns."""
+    return list(experiment.planned[0].place)
+
+
+def _digest(experiment: Experiment, store: Store) -> str:
+    """What the files are made from. Rows follow from their keys, the code and whether they are done."""
+    states = store.states(each.key for each in experiment.planned)
+    parts = [source_hash(), dump_toml(experiment), json.dumps(states, sort_keys=True)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _trials(experiment: Experiment, rows: list[Row]) -> str:
+    figures = [row.payload.get("figures", {}) if row.state == "done" else {} for row in rows]
+    names = list(dict.fromkeys(name for each in figures for name in each))
+    return _csv(
+        ["key", "state", *columns_of(experiment), *names],
+        (
+            [row.planned.key, row.state, *row.place.values(), *(each.get(name) for name in names)]
+            for row, each in zip(rows, figures, strict=True)
+        ),
+    )
+
+
+def _timings(rows: list[Row]) -> str:
+    seconds = [json.loads(row.finished.seconds) for row in rows]
+    stages = list(dict.fromkeys(stage for each in seconds for stage in each))
+    return _csv(
+        ["key", *(f"{stage}_s" for stage in stages)],
+        (
+            [row.planned.key, *(each.get(stage) for stage in stages)]
+            for row, each in zip(rows, seconds, strict=True)
+            if row.state == "done"
+        ),
+    )
+
+
+def _failures(experiment: Experiment, rows: list[Row]) -> str:
+    return _csv(
+        ["key", *columns_of(experiment), "message", "traceback"],
+        (
+            [row.planned.key, *row.place.values(), row.finished.message, row.finished.traceback]
+            for row in rows
+            if row.state == "failed"
+        ),
+    )
+
+
+def _csv(heading: list[str], lines: Iterable[list[Any]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(heading)
+    writer.writerows([text_of(value) for value in line] for line in lines)
+    return stream.getvalue()
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+# --- The base trial in detail -------------------------------------------------------------------------------------
+
+
+def compare(outcomes: dict[str, Outcome], *, wall_only: bool) -> dict[str, Measures]:
+    """Figures of several methods on the same pixels: those for which all of them have an estimate."""
+    anyone = next(iter(outcomes.values()))
+    domain = anyone.reference.domain & anyone.reference.wall if wall_only else anyone.reference.domain
+    valid = np.logical_and.reduce([outcome.valid for outcome in outcomes.values()])
+    return {name: measure(domain, valid, outcome.errors) for name, outcome in outcomes.items()}
+
+
+def by_method(outcomes: list[Outcome]) -> dict[str, Outcome]:
+    """The first outcome of each method, by the name that `summary.json` has for it.
+
+    `pixel` and `subpixel` when the paper's two methods are all there are; otherwise the matcher and its sub-pixel step.
+    """
+    methods = {method_of(outcome.trial.matching): outcome for outcome in reversed(outcomes)}
+    methods = {method: methods[method] for method in dict.fromkeys(method_of(each.trial.matching) for each in outcomes)}
+    windows = all(isinstance(outcome.trial.matching, WindowMatcher) for outcome in outcomes)
+    kinds, steps = {kind for kind, _ in methods}, {step for _, step in methods}
+    if windows and len(kinds) == 1 and steps <= METHODS.keys():
+        return {METHODS[step]: outcome for (_, step), outcome in methods.items()}
+    return {kind if step == "own" else f"{kind} {step}": outcome for (kind, step), outcome in methods.items()}
+
+
+def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
+    """The base trial by every method on the axes, the first few of them.
+
+    A method that fails is left out. A base trial that none can carry out gives way to the first trial that was done.
+    """
+    methods: dict[tuple[str, str], Trial] = {}
+    for each in experiment.planned:
+        methods.setdefault(method_of(each.trial.matching), each.trial)
+    chosen = list(methods.values())[:MOST_DETAILS]
+    for base in (experiment.trial, first_done):
+        outcomes = []
+        for trial in chosen:
+            with contextlib.suppress(Exception):  # its rows say why; the others are shown all the same
+                outcomes.append(worker.run_here(_with_method(base, trial)))
+        if outcomes:
+            return outcomes
+    raise InputError(f"the first trial that was done cannot be carried out again: {shown(experiment.planned[0].place)}")
+
+
+def _with_method(base: Trial, other: Trial) -> Trial:
+    """The base trial, matched as another one is; with its own settings as far as they say the same."""
+    matching = other.matching
+    if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
+        mixed = base.matching.model_dump() | {"kind": matching.kind, "subpixel": matching.subpixel}
+        with contextlib.suppress(ValueError):  # pydantic's: what this kind does not take; its own settings then
+            matching = WindowMatcher.model_validate(mixed)
+    return base.model_copy(update={"matching": matching})
+
+
+def _summary(experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
+    named = by_method(outcomes)
+    return {
+        "schema": SCHEMA,
+        "experiment": experiment.name,
+        "comparison": compare(named, wall_only=False),
+        "comparison_wall": compare(named, wall_only=True),
+    }

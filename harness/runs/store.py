@@ -1,0 +1,197 @@
+"""The file that holds a run: one SQLite database, safe against a kill at any moment.
+
+A trial is one row, written in one transaction when it is finished. Rows are told apart by the trial's key and the
+code that made them: those of other code are never read, and never overwritten.
+"""
+
+import json
+import sqlite3
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from harness.errors import InputError
+from harness.pipeline.environment import code_hash
+
+_APPLICATION, _SCHEMA = 0x6F6D6E69, 1
+"""SQLite's `application_id` of our files ("omni"), and the `user_version`, that of the tables below."""
+
+_TABLES = """
+CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE trials (
+    key TEXT NOT NULL,
+    code TEXT NOT NULL,
+    scene TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('done', 'failed')),
+    payload TEXT NOT NULL,
+    seconds TEXT NOT NULL,
+    message TEXT NOT NULL,
+    traceback TEXT NOT NULL,
+    PRIMARY KEY (key, code)
+);
+"""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What is kept of a trial."""
+
+    key: str
+    scene: str
+    """`fingerprint` of its scene."""
+    state: Literal["done", "failed"]
+    payload: str = "{}"
+    """JSON of `row.row_of`; of a failed trial `{}`."""
+    seconds: str = "{}"
+    """JSON: wall time of each stage."""
+    message: str = ""
+    """Of a failed trial: one line."""
+    traceback: str = ""
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether it failed because something given to the program is wrong, rather than the program."""
+        lines = self.traceback.strip().splitlines()
+        return bool(lines) and lines[-1].startswith(f"{InputError.__module__}.{InputError.__name__}")
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """The flat figures, by name."""
+        return json.loads(self.payload).get("figures", {})
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """Rows in the file that this run does not use."""
+
+    other_code: int
+    other_scene: int
+    other_settings: int
+
+
+class Store:
+    """An open run, held by this process alone until it is closed.
+
+    Parameters
+    ----------
+    path
+        The file, made if it is not there; None for one in memory.
+
+    Raises
+    ------
+    InputError
+        When the file is no run of this program, is damaged, or is held by another process.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path = path
+        self._code = code_hash()
+        try:
+            self._connection = sqlite3.connect(path or ":memory:", timeout=0, isolation_level=None)
+            self._open()
+        except sqlite3.Error as error:
+            raise self._explained(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._connection.close()
+
+    def _open(self) -> None:
+        # The lock is kept until the connection closes, and falls with the process, however it ends.
+        self._do("PRAGMA locking_mode = EXCLUSIVE")
+        self._do("PRAGMA synchronous = FULL")
+        self._do("BEGIN EXCLUSIVE")
+        application, tables = self._number("PRAGMA application_id"), self._number("SELECT count(*) FROM sqlite_master")
+        if not application and not tables:
+            for statement in _TABLES.split(";"):
+                self._do(statement)
+            self._do(f"PRAGMA application_id = {_APPLICATION}")
+            self._do(f"PRAGMA user_version = {_SCHEMA}")
+        elif application != _APPLICATION:
+            raise InputError("is not a run of omnirange; give another folder, or move this file away", file=self._path)
+        elif self._number("PRAGMA user_version") != _SCHEMA:
+            raise InputError("was written by another version of omnirange; give another folder", file=self._path)
+        elif self._do("PRAGMA quick_check").fetchone()[0] != "ok":
+            raise sqlite3.DatabaseError("quick_check")
+        self._do("COMMIT")
+
+    def finished(self, keys: Iterable[str]) -> dict[str, Finished]:
+        """The rows that today's code made of these trials, by key."""
+        wanted = set(keys)
+        rows = self._do(
+            "SELECT key, scene, state, payload, seconds, message, traceback FROM trials WHERE code = ?", self._code
+        )
+        return {row[0]: Finished(*row) for row in rows if row[0] in wanted}
+
+    def states(self, keys: Iterable[str]) -> dict[str, str]:
+        """The states alone, which is quicker."""
+        wanted = set(keys)
+        rows = self._do("SELECT key, state FROM trials WHERE code = ?", self._code)
+        return {key: state for key, state in rows if key in wanted}
+
+    def foreign(self, keys: Iterable[str], scenes: Iterable[str]) -> Foreign:
+        """How many rows are of other code than today's, or of none of these trials."""
+        wanted, known = set(keys), set(scenes)
+        rows = self._do("SELECT key, code, scene FROM trials").fetchall()
+        strange = [scene for key, code, scene in rows if code == self._code and key not in wanted]
+        other_scene = sum(scene not in known for scene in strange)
+        return Foreign(sum(row[1] != self._code for row in rows), other_scene, len(strange) - other_scene)
+
+    def add(self, rows: Iterable[Finished]) -> None:
+        """Write finished trials: all of them or, if the process dies, none. One that is done stays as it is."""
+        self._do("BEGIN IMMEDIATE")
+        try:
+            self._connection.executemany(
+                "INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?, ?, ?) "
+                "ON CONFLICT DO UPDATE SET state = excluded.state, payload = excluded.payload, "
+                "seconds = excluded.seconds, message = excluded.message, traceback = excluded.traceback "
+                "WHERE trials.state = 'failed'",
+                [
+                    (row.key, self._code, row.scene, row.state, row.payload, row.seconds, row.message, row.traceback)
+                    for row in rows
+                ],
+            )
+            self._do("COMMIT")
+        except sqlite3.Error as error:
+            raise self._explained(error) from error
+        finally:
+            if self._connection.in_transaction:
+                self._connection.rollback()
+
+    def fact(self, name: str) -> Any:
+        """Something else that the run knows, None if it does not."""
+        row = self._do("SELECT value FROM facts WHERE name = ?", name).fetchone()
+        return None if row is None else json.loads(row[0])
+
+    def set_fact(self, name: str, value: Any) -> None:
+        """Keep something JSON-able beside the rows."""
+        self._do("INSERT OR REPLACE INTO facts VALUES (?, ?)", name, json.dumps(value))
+
+    def _do(self, statement: str, *values: Any) -> sqlite3.Cursor:
+        try:
+            return self._connection.execute(statement, values)
+        except sqlite3.Error as error:
+            raise self._explained(error) from error
+
+    def _number(self, statement: str) -> int:
+        return int(self._do(statement).fetchone()[0])
+
+    def _explained(self, error: sqlite3.Error) -> Exception:
+        code = getattr(error, "sqlite_errorcode", None)
+        if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            text = "another omnirange is at work in this folder; wait for it to end, or give another folder with --out"
+        elif code == sqlite3.SQLITE_FULL:
+            text = "the disk is full; what is finished is kept, make room and run the same command again"
+        elif code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
+            text = f"cannot be opened for writing ({error})"
+        else:
+            text = (
+                f"is not a run of omnirange, or is damaged ({error}); move it away, or give another folder with --out"
+            )
+        return InputError(text, file=self._path)

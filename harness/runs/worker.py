@@ -1,0 +1,126 @@
+"""What a worker does, in this process, in another, or on another machine: a batch of trials in, their rows out."""
+
+import hashlib
+import json
+import threading
+import traceback
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from harness.errors import InputError
+from harness.pipeline.environment import code_hash
+from harness.pipeline.render_cache import RenderCache, cache_folder
+from harness.pipeline.row import row_of
+from harness.pipeline.specification import Trial
+from harness.pipeline.stage_cache import Kept
+from harness.pipeline.trial import Outcome, run_trial
+from harness.runs.experiment import Planned
+from harness.runs.store import Finished
+from harness.simulation.fingerprint import fingerprint
+from harness.simulation.mesh_file import companions
+from harness.simulation.scene import assets
+
+_CODE = code_hash()
+"""Of the modules as they are loaded: taken now, as the files may be changed under a long run."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Trials to run one after the other, in a form that travels."""
+
+    code: str
+    """`code_hash` of who asks."""
+    trials: tuple[tuple[str, str, dict[str, Any]], ...]
+    """Of each its key, its scene's fingerprint and its table."""
+    threads: int | None = 1
+    """Of one trial; all available CPUs when None. No row depends on it."""
+    files: dict[str, bytes] = field(default_factory=dict)
+    """The contents of the scenes' files by path, for a worker that has not got them."""
+
+
+def pack(trials: Sequence[Planned], *, threads: int | None = 1, with_files: bool = False) -> Batch:
+    """Make a batch.
+
+    Parameters
+    ----------
+    with_files
+        Whether the worker may be on another machine.
+    """
+    scenes = {each.trial.scene for each in trials} if with_files else ()
+    for path in (path for scene in scenes for path in assets(scene)):
+        if companions(path):
+            raise InputError("is made of several files, which do not travel to workers; save it as GLB", file=path)
+    return Batch(
+        code=code_hash(),
+        trials=tuple((each.key, fingerprint(each.trial.scene), each.trial.model_dump(mode="json")) for each in trials),
+        threads=threads,
+        files={str(path): path.read_bytes() for scene in scenes for path in assets(scene)},
+    )
+
+
+def work(batch: Batch) -> list[Finished]:
+    """Run a batch. A trial that fails is a row like any other, and the next one is run.
+
+    Raises
+    ------
+    InputError
+        When the code here is not that of who asks: its rows would not be theirs.
+    """
+    if batch.code != _CODE:
+        raise InputError("a worker has another version of omnirange or of its libraries; install the same everywhere")
+    here = {path: str(_laid_down(path, content)) for path, content in batch.files.items()}
+    return [_finish(key, scene, _replaced(table, here), batch.threads) for key, scene, table in batch.trials]
+
+
+def run_here(trial: Trial, *, threads: int | None = None) -> Outcome:
+    """Run a trial with all that this thread has kept from those before."""
+    if not hasattr(_local, "kept"):
+        _local.kept = Kept(beneath={"render": RenderCache()})
+    return run_trial(trial, _local.kept, threads=threads)
+
+
+def forget() -> None:
+    """Let go of what this thread has kept."""
+    _local.__dict__.clear()
+
+
+_local = threading.local()
+
+
+def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None) -> Finished:
+    try:
+        outcome = run_here(_asked_for(key, table), threads=threads)
+        payload = json.dumps(row_of(outcome), allow_nan=False)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is this trial's alone, and kept
+        message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        return Finished(key, scene, "failed", message=" ".join(message.split()), traceback=traceback.format_exc())
+    return Finished(key, scene, "done", payload=payload, seconds=json.dumps(outcome.seconds))
+
+
+def _asked_for(key: str, table: dict[str, Any]) -> Trial:
+    trial = Trial.model_validate(table)
+    if trial.key != key:  # a matcher's files, here or since the run began
+        raise InputError("this worker has another version of the matcher's files than the run was begun with")
+    return trial
+
+
+def _laid_down(path: str, content: bytes) -> Path:
+    """A file with this content in the cache; its ending says how it is to be read."""
+    copy = cache_folder() / "files" / f"{hashlib.sha256(content).hexdigest()}{Path(path).suffix}"
+    if not (copy.is_file() and copy.read_bytes() == content):
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        partial = copy.with_name(f"{uuid.uuid4().hex}.partial")
+        partial.write_bytes(content)
+        partial.replace(copy)
+    return copy
+
+
+def _replaced(value: Any, words: dict[str, str]) -> Any:
+    if isinstance(value, dict):
+        return {key: _replaced(each, words) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_replaced(each, words) for each in value]
+    return words.get(value, value) if isinstance(value, str) else value

@@ -1,0 +1,468 @@
+"""What any matcher has to do, tried out on small scenes and said in plain words.
+
+A check is passed, broken, or not reached, when what it needs is broken already. `omnirange check` and the pytest
+fixture `omnirange_check` are the two ways in.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness import shipped
+from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.errors import InputError
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import exact_alpha_2, points
+from harness.matching.interface import Fault, Limits, Matches, faults
+from harness.matching.pair import Pair, sharing
+from harness.matching.registry import answer
+from harness.pipeline.specification import SecondView, Trial
+from harness.pipeline.trial import run_trial
+from harness.simulation.scene import load_scene
+
+Mask = NDArray[np.bool_]
+
+ROWS = 160
+"""Of the mirror image, a square: turning it by 90° is exact. A third of the paper's resolution, so that it is quick."""
+GRID = Grid(width_px=240, height_px=66)
+OTHER_GRIDS = (Grid(width_px=96, height_px=30), Grid(width_px=300, height_px=40, z_max=0.2, z_min=-0.6))
+
+TOLERANCE_PX = 0.1
+"""How far beyond a limit an angle may lie, in columns: rounding, and a sub-pixel step from the last candidate."""
+NEAR_PX = 2.0
+"""A disparity larger than this, in columns, is a thing that is not there, when both views are one image: matchers are
+right to a fraction of a column where the texture is the same."""
+ONE_IMAGE_SHARE = 0.25
+"""Of matches that may still have one: candidates of whole columns need not hold infinity itself."""
+BLANK_SHARE = 0.1
+"""Of pixels on which something may be claimed where there is nothing to go by."""
+SEAM_SHARE = 0.02
+"""Of pixels that may change when the rig is turned by a quarter: ties that rounding decides."""
+DENSITY = 0.02
+"""Of the easy scene's pixels that have to be matched, so that there is something to judge. Small images are hard on
+matchers that want a wide border."""
+BETTER = 0.8
+"""Of the error of the best single range: what a matcher may have at most."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Something that a matcher has to do."""
+
+    name: str
+    title: str
+    run: Callable[["Subject"], str]
+    """Says what was seen; raises `Broken`, `NotReached` or the matcher's own `InputError`."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came of a check."""
+
+    check: Check
+    passed: bool | None
+    """None when it was not reached."""
+    text: str
+
+
+class Broken(Exception):  # noqa: N818 - a verdict, not a failure of this program
+    """The matcher does not do what the check asks."""
+
+
+class NotReached(Exception):  # noqa: N818
+    """Something that the check builds on is broken."""
+
+
+def conformity(matcher: Limits) -> Iterator[Finding]:
+    """All checks, one after the other."""
+    subject = Subject(matcher)
+    for check in CHECKS:
+        yield examine(subject, check)
+
+
+def examine(subject: "Subject", check: Check) -> Finding:
+    """Carry out one check."""
+    try:
+        return Finding(check, passed=True, text=check.run(subject))
+    except NotReached as reason:
+        return Finding(check, passed=None, text=f"not looked at: {reason}")
+    except (Broken, InputError) as broken:
+        return Finding(check, passed=False, text=str(broken))
+
+
+@dataclass
+class Subject:
+    """A matcher on trial; what it has answered is kept."""
+
+    matcher: Limits
+    _answers: dict[str, Any] = field(default_factory=dict)
+
+    def raw(self, name: str) -> Any:
+        """What it returned for one of the pairs by name, unchecked."""
+        if name not in self._answers:
+            try:
+                self._answers[name] = answer(fresh(PAIRS[name]()), self.matcher)
+            except InputError as error:
+                self._answers[name] = error
+        if isinstance(self._answers[name], InputError):
+            raise self._answers[name]
+        return self._answers[name]
+
+    def faults(self, name: str) -> list[Fault]:
+        """What is wrong with that."""
+        return list(faults(self.raw(name), PAIRS[name]().grid))
+
+    def matches(self, name: str) -> Matches:
+        """The same as `Matches`."""
+        if name != "easy":
+            self._sound("easy")
+        return self._sound(name)
+
+    def _sound(self, name: str) -> Matches:
+        try:
+            wrong = self.faults(name)
+        except InputError as error:
+            if name == "easy":
+                raise NotReached("it gives no answer") from error
+            raise
+        if wrong and name == "easy":
+            raise NotReached("its answer is not sound")
+        if wrong:
+            raise Broken(wrong[0].text)
+        return as_given(self.raw(name))
+
+    def now(self, pair: Pair, **limits: float) -> Matches:
+        """Its answer to any pair, made anew, with other limits."""
+        self.matches("easy")
+        matcher = self.matcher.model_copy(update=limits)
+        given = answer(pair, matcher)
+        for fault in faults(given, pair.grid):
+            raise Broken(fault.text)
+        return as_given(given)
+
+
+def as_given(raw: Any) -> Matches:
+    """A sound answer as `Matches`."""
+    if isinstance(raw, Matches):
+        return raw
+    return Matches(*raw) if isinstance(raw, tuple) else Matches(raw)
+
+
+# --- The pairs ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """A pair and its truth."""
+
+    pair: Pair
+    alpha_2: Array
+    """True angles, radians."""
+    domain: Mask
+    """Pixels that both views see, away from the epipoles."""
+
+
+TURNED = SecondView(yaw_deg=40.0, pitch_deg=4.0, roll_deg=-3.0)
+
+
+@lru_cache(maxsize=8)
+def scenery(view_2: SecondView = SecondView(), grid: Grid = GRID) -> Scenery:  # noqa: B008 - frozen
+    """The paper's box, without noise."""
+    focal_px = 614.12 * ROWS / 480
+    middle = (ROWS - 1) / 2
+    camera = Camera(width_px=ROWS, height_px=ROWS, focal_px=focal_px, cx_px=middle, cy_px=middle)
+    scene = load_scene(str(shipped.find("scenes", "box")))
+    trial = Trial(scene=scene, sensor=Sensor(camera=camera), panorama=grid, view_2=view_2)
+    outcome = run_trial(trial)
+    return Scenery(outcome.pair, outcome.reference.alpha_2, outcome.reference.domain)
+
+
+def fresh(pair: Pair, *, threads: int | None = None) -> Pair:
+    """The same pair of which nothing is known yet, in memory of its own."""
+    first, second = (image.copy() for image in pair.images)
+    return replace(pair, images=(first, second), threads=threads, keys=(object(), object()), share=sharing())
+
+
+def quarter_turn(pair: Pair) -> Pair:
+    """What the same rig sees after it was turned by 90°, to the last bit: phi grows by 90° everywhere."""
+    first, second = (np.ascontiguousarray(np.rot90(image, -1)) for image in pair.images)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    R, t = pair.motion.R_v2_from_v1, pair.motion.t_v1
+    return replace(fresh(pair), images=(first, second), motion=Motion(turn @ R @ turn.T, turn @ t))
+
+
+def _one_image() -> Pair:
+    pair = scenery().pair
+    return replace(fresh(pair), images=(pair.images[0], pair.images[0]))
+
+
+def _blank() -> Pair:
+    pair = scenery().pair
+    grey = np.where(pixel_directions(pair.sensor)[1], np.float32(128), np.float32(0))
+    return replace(fresh(pair), images=(grey, grey))
+
+
+PAIRS: dict[str, Callable[[], Pair]] = {
+    "easy": lambda: scenery().pair,
+    "turned": lambda: scenery(TURNED).pair,
+    "up": lambda: scenery(SecondView(elevation_deg=90.0)).pair,
+    "slanted": lambda: scenery(SecondView(azimuth_deg=130.0, elevation_deg=25.0)).pair,
+    "grid 1": lambda: scenery(grid=OTHER_GRIDS[0]).pair,
+    "grid 2": lambda: scenery(grid=OTHER_GRIDS[1]).pair,
+    "quarter": lambda: quarter_turn(scenery().pair),
+    "blank": _blank,
+}
+
+
+# --- The checks ---------------------------------------------------------------------------------------------------
+
+
+def _runs(subject: Subject) -> str:
+    for fault in subject.faults("easy"):
+        if fault.rule == "form":
+            raise Broken(fault.text)
+    given = as_given(subject.raw("easy"))
+    more = [name for name in ("confidence", "sigma_alpha_2", "reason") if getattr(given, name) is not None]
+    return f"alpha_2{''.join(f', {name}' for name in more)}"
+
+
+def _keeps(rule: str, good: str) -> Callable[[Subject], str]:
+    """A check that an answer has no fault of one kind."""
+
+    def check(subject: Subject) -> str:
+        try:
+            found = subject.faults("easy")
+        except InputError as error:
+            raise NotReached("it gives no answer") from error
+        for fault in found:
+            if fault.rule == rule:
+                raise Broken(fault.text)
+        before = ("form",) if rule in {"shape", "dtype"} else ("form", "shape", "dtype")
+        if any(fault.rule in before for fault in found):
+            raise NotReached("its answer is no array of the right shape and type")
+        return good
+
+    return check
+
+
+def _repeats(subject: Subject) -> str:
+    before = subject.matches("easy")
+    _same(before, subject.now(fresh(scenery().pair)), "asked again, it")
+    return "two calls agree to the last bit"
+
+
+def _remembers_nothing(subject: Subject) -> str:
+    before = subject.matches("easy")
+    subject.now(fresh(PAIRS["turned"]()))
+    _same(before, subject.now(fresh(scenery().pair)), "after another pair, it")
+    return "the same to the last bit"
+
+
+def _threads(subject: Subject) -> str:
+    one, two = (subject.now(fresh(scenery().pair, threads=count)) for count in (1, 2))
+    _same(one, two, "with 2 threads in place of 1, it")
+    return "the same to the last bit"
+
+
+def _same(one: Matches, other: Matches, what: str) -> None:
+    for name in ("alpha_2", "confidence", "sigma_alpha_2", "reason"):
+        a, b = getattr(one, name), getattr(other, name)
+        if (a is None) != (b is None):
+            raise Broken(f"{what} gives {name} once, and once not")
+        if a is not None and not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+            differ = np.count_nonzero((a != b) & ~(np.isnan(a) & np.isnan(b)))
+            raise Broken(f"{what} gives another {name} at {differ} of {a.size} pixels")
+
+
+def _leaves_inputs(subject: Subject) -> str:
+    subject.matches("easy")
+    pair = fresh(scenery().pair)
+    before = {name: array.tobytes() for name, array in _inputs(pair)}
+    subject.now(pair)
+    for name, array in _inputs(pair):
+        if array.tobytes() != before[name]:
+            raise Broken(f"it has changed {name}, which other matchers are given too; change a copy")
+    return "images, panoramas and motion are as they were"
+
+
+def _inputs(pair: Pair) -> Iterator[tuple[str, NDArray[Any]]]:
+    for view in (0, 1):
+        yield f"image {view + 1}", pair.images[view]
+        yield f"panorama {view + 1}", pair.panoramas()[view].values
+        yield f"the mask of panorama {view + 1}", pair.panoramas()[view].valid
+        yield f"filtered panorama {view + 1}", pair.filtered()[view].values
+    yield "the rotation", pair.motion.R_v2_from_v1
+    yield "the translation", pair.t_v1
+    yield "the directions", pair.directions
+
+
+def _grids(subject: Subject) -> str:
+    for name in ("grid 1", "grid 2"):
+        grid = PAIRS[name]().grid
+        try:
+            subject.matches(name)
+        except (Broken, InputError) as error:
+            raise Broken(f"on a panorama of {grid.height_px} rows and {grid.width_px} columns: {error}") from error
+    return "three grids, three shapes"
+
+
+def _baselines(subject: Subject) -> str:
+    for name, words in (("up", "straight up"), ("slanted", "to the side and up")):
+        try:
+            subject.matches(name)
+        except (Broken, InputError) as error:
+            raise Broken(f"with the second view {words}: {error}") from error
+    return "also straight up"
+
+
+def _limits(subject: Subject) -> str:
+    pair = scenery().pair
+    for near, far in ((subject.matcher.d_min_m, subject.matcher.d_max_m), (2.0, 3.0)):
+        matches = subject.now(fresh(pair), d_min_m=near, d_max_m=far)
+        least, most = (_alpha_2_at(pair, d) for d in (far, near))
+        slack = TOLERANCE_PX * pair.grid.phi_pitch
+        outside = (matches.alpha_2 < least - slack) | (matches.alpha_2 > most + slack)
+        if outside.any():
+            row, column = np.argwhere(outside)[0]
+            side = "beyond d_max_m" if matches.alpha_2[row, column] < least[row, column] else "nearer than d_min_m"
+            raise Broken(
+                f"asked for {near:g} to {far:g} m, {np.count_nonzero(outside)} of its ranges lie outside: "
+                f"at [{row}, {column}] it is {side}"
+            )
+    return "no range outside, also within 2 to 3 m"
+
+
+def _alpha_2_at(pair: Pair, range_m: float) -> Array:
+    """alpha_2 of a thing that is as far away everywhere."""
+    return pair.alpha_1 if np.isinf(range_m) else exact_alpha_2(points(pair.directions, range_m), pair.t_v1)
+
+
+def _seam(subject: Subject) -> str:
+    pair = scenery().pair
+    before, after = subject.matches("easy").alpha_2, subject.matches("quarter").alpha_2
+    after = np.roll(after, -pair.grid.width_px // 4, axis=1)
+    apart = np.abs(after - before) > TOLERANCE_PX * pair.grid.phi_pitch
+    apart |= np.isnan(after) != np.isnan(before)
+    share = float(apart.mean())
+    if share > SEAM_SHARE:
+        columns = apart.mean(axis=0)
+        worst = np.degrees(pair.grid.phi[int(np.argmax(columns))])
+        raise Broken(
+            f"with the whole rig turned by 90 deg, {share:.1%} of pixels get another answer (at most "
+            f"{SEAM_SHARE:.0%} may), most of them around phi = {worst:.0f} deg; the first and the last column of a "
+            "panorama are neighbours"
+        )
+    return f"the rig turned by 90 deg: {1 - share:.1%} of pixels get the same answer"
+
+
+def _one_image_twice(subject: Subject) -> str:
+    pair = _one_image()
+    matches = subject.now(pair, d_max_m=1000.0)
+    sure = _judged(pair) & ~np.isnan(matches.alpha_2)
+    if matches.confidence is not None and sure.any():
+        sure &= matches.confidence >= np.median(matches.confidence[sure])
+    if not sure.any():
+        return "no matches"
+    near = np.abs(matches.alpha_2 - pair.alpha_1)[sure] > NEAR_PX * pair.grid.phi_pitch
+    text = (
+        f"of its {'surer half of ' if matches.confidence is not None else ''}matches, {near.mean():.1%} have a "
+        f"disparity above {NEAR_PX:g} columns where there is none"
+    )
+    if near.mean() > ONE_IMAGE_SHARE:
+        raise Broken(f"{text} (at most {ONE_IMAGE_SHARE:.0%} may, with d_max_m = 1000)")
+    return text
+
+
+def _blank_images(subject: Subject) -> str:
+    pair = _blank()
+    matches, easy = subject.matches("blank"), subject.matches("easy")
+    judged = _judged(pair)
+    matched = judged & ~np.isnan(matches.alpha_2)
+    harmless = matches.alpha_2 <= _alpha_2_at(pair, subject.matcher.d_max_m) + NEAR_PX * pair.grid.phi_pitch
+    if matches.confidence is not None and easy.confidence is not None and np.isfinite(easy.confidence).any():
+        harmless |= matches.confidence <= np.nanquantile(easy.confidence, BLANK_SHARE)
+    share = float((matched & ~harmless).sum() / judged.sum())
+    text = f"on {share:.1%} of pixels it claims a thing nearer than d_max_m"
+    if share > BLANK_SHARE:
+        unsure = (
+            f"and is surer of it than of the least sure {BLANK_SHARE:.0%} of an easy scene"
+            if matches.confidence is not None
+            else "and gives no confidence that would say otherwise"
+        )
+        raise Broken(
+            f"on images of one grey {text} (at most {BLANK_SHARE:.0%} may), {unsure}; "
+            "say NaN, a low confidence, or the farthest range"
+        )
+    return text
+
+
+def _judged(pair: Pair) -> Mask:
+    """Pixels away from the epipoles and from what the sensor does not see."""
+    return pair.filtered()[0].valid & pair.filtered()[1].valid & (np.sin(pair.alpha_1) >= 0.5)
+
+
+def _easy_scene(subject: Subject) -> str:
+    return _better_than_a_guess(subject, "easy", scenery())
+
+
+def _turned_view(subject: Subject) -> str:
+    return _better_than_a_guess(subject, "turned", scenery(TURNED))
+
+
+def _better_than_a_guess(subject: Subject, name: str, there: Scenery) -> str:
+    pair, alpha_2 = there.pair, subject.matches(name).alpha_2
+    scored = there.domain & ~np.isnan(alpha_2)
+    density = scored.sum() / there.domain.sum()
+    if density < DENSITY:
+        raise Broken(f"it matches {density:.1%} of the pixels; at least {DENSITY:.0%} are asked for")
+    guess = min(
+        float(np.median(np.abs(_alpha_2_at(pair, d) - there.alpha_2)[there.domain])) for d in np.geomspace(0.5, 20, 40)
+    )
+    error = float(np.median(np.abs(alpha_2 - there.alpha_2)[scored]))
+    in_px = f"median error {error / pair.grid.phi_pitch:.2f} columns; one range for all pixels, the best, has "
+    in_px += f"{guess / pair.grid.phi_pitch:.2f}; {density:.0%} of pixels matched"
+    if error > BETTER * guess:
+        raise Broken(in_px + _likely_slip(alpha_2, there, scored, guess / 2))
+    return in_px
+
+
+def _likely_slip(alpha_2: Array, there: Scenery, scored: Mask, small: float) -> str:
+    """What the answer looks like, when it is something else than alpha_2."""
+    truth, alpha_1 = there.alpha_2, there.pair.alpha_1
+    slips = (
+        ("the disparity alpha_2 - alpha_1", truth - alpha_1),
+        ("the angle to -t, pi - alpha_2", np.pi - truth),
+        ("alpha_1, that is infinity everywhere", alpha_1),
+    )
+    for words, other in slips:
+        if float(np.median(np.abs(alpha_2 - other)[scored])) < small:
+            return f"; it looks like {words}"
+    return ""
+
+
+CHECKS: tuple[Check, ...] = (
+    Check("answers", "gives an answer", _runs),
+    Check("shape", "one value for each pixel of view 1's panorama", _keeps("shape", f"{GRID.shape}")),
+    Check("dtype", "real numbers", _keeps("dtype", "every array")),
+    Check("angles", "angles within 0 .. pi, standard deviations above zero", _keeps("angles", "everywhere")),
+    Check("missing", "NaN where there is no match, and only there", _keeps("missing", "everywhere")),
+    Check("repeats", "the same answer when asked again", _repeats),
+    Check("memory", "the same answer after another pair", _remembers_nothing),
+    Check("threads", "the same answer with any number of threads", _threads),
+    Check("inputs", "leaves what it is given as it is", _leaves_inputs),
+    Check("grids", "follows the panorama's grid", _grids),
+    Check("baselines", "takes any baseline", _baselines),
+    Check("limits", "keeps to d_min_m and d_max_m", _limits),
+    Check("seam", "knows no first or last column", _seam),
+    Check("one-image", "one image as both views: nothing is near", _one_image_twice),
+    Check("blank", "images without texture: nothing is claimed", _blank_images),
+    Check("easy", "an easy scene: better than one guess for all", _easy_scene),
+    Check("turned", "the second view turned: still better", _turned_view),
+)
+"""In the order in which they are carried out."""
