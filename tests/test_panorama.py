@@ -5,10 +5,10 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from harness.camera import _sampling_kernels as _kernels
 from harness.camera.lens import Lens
 from harness.camera.sensor import Camera, Sensor, pixel_directions
 from harness.camera.unwrap import unwrap
-from harness.geometry import _triangulation_kernels as _kernels
 from harness.geometry.panorama import Grid, cylinder
 
 SENSOR = Sensor()
