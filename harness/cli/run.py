@@ -82,13 +82,13 @@ def run(options: Namespace) -> int:
 
 
 def _dry_run(experiment: "Experiment") -> int:
-    from harness.runs.executors import cpus
+    from harness.machine import available_cpus
     from harness.runs.plan import plan
 
     whole = plan(experiment.planned)
-    seconds = whole.total_s / cpus()
+    seconds = whole.total_s / available_cpus()
     print(
         f"{experiment.name}: {len(whole.trials)} trials, {whole.renders} distinct renders, "
-        f"about {duration(seconds)} on {cpus()} CPUs (a guess from the sizes of images)"
+        f"about {duration(seconds)} on {available_cpus()} CPUs (a guess from the sizes of images)"
     )
     return OK

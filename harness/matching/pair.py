@@ -4,7 +4,6 @@ Panoramas and filtered panoramas are made when they are first asked for, and sha
 same.
 """
 
-import os
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,6 +18,7 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, Panorama, directions
 from harness.geometry.pose import Motion
+from harness.machine import available_cpus
 from harness.matching.filter import laplacian_of_gaussian
 
 T = TypeVar("T")
@@ -87,7 +87,7 @@ class Pair:
     @property
     def available_threads(self) -> int:
         """`threads`, or the number of CPUs."""
-        return self.threads or len(os.sched_getaffinity(0))
+        return self.threads or available_cpus()
 
     def panoramas(self, interpolation: Interpolation | None = None) -> tuple[Panorama, Panorama]:
         """Both views on the grid, **both in v1's orientation**: what is left between them is a pure translation."""

@@ -21,6 +21,7 @@ import tomli_w
 from numpy.typing import NDArray
 from pydantic import Field, JsonValue, field_validator
 
+from harness import machine
 from harness.errors import InputError
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Pose
@@ -226,7 +227,7 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
                     f"was not done after timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
                 ) from None
             finally:
-                _kill(process)
+                machine.kill(process)
     if code < 0:
         raise InputError(f"was ended by {_signal(-code)}{_last_words(log)}", file=name)
     if code:
@@ -236,6 +237,9 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
 @contextlib.contextmanager
 def _dying_with_us(process: subprocess.Popen[bytes]) -> Iterator[None]:
     """See to it that a program ends when this process is killed, and nobody is left to watch its time."""
+    if not machine.has_process_groups():
+        yield
+        return
     watch = f"read nothing; kill -s KILL -- -{process.pid}"  # a pipe ends with the process that holds its other end
     with subprocess.Popen(  # noqa: S603 - a command of our own
         ["/bin/sh", "-c", watch], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
@@ -244,12 +248,6 @@ def _dying_with_us(process: subprocess.Popen[bytes]) -> Iterator[None]:
             yield
         finally:
             watcher.kill()
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # the second is what macOS says of a zombie
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 def _signal(number: int) -> str:

@@ -1,7 +1,6 @@
 """What the numbers may depend on besides an experiment's own settings."""
 
 import hashlib
-import os
 import platform
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import harness
+from harness.machine import available_cpus, cpu_model
 
 _ROOT = Path(harness.__file__).parent
 _LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "pydantic", "pillow")
@@ -28,8 +28,8 @@ def environment() -> dict[str, Any]:
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "cpu": _cpu_model(),
-        "cpus": len(os.sched_getaffinity(0)),
+        "cpu": cpu_model(),
+        "cpus": available_cpus(),
         "packages": {
             name: version for name in (*_LIBRARIES, *_OPTIONAL, "matplotlib") if (version := _version_if_there(name))
         },
@@ -73,11 +73,3 @@ def _hash_of(*patterns: str) -> str:
     for path in sorted({path for pattern in patterns for path in _ROOT.glob(pattern)}):
         digest.update(path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
-
-
-def _cpu_model() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or "unknown"
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")

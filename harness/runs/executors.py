@@ -13,6 +13,7 @@ from multiprocessing import connection
 from typing import Any
 
 from harness.errors import InputError
+from harness.machine import available_cpus
 
 QUICK_S = 4.0
 """Work below which more processes cost more than they save: each takes a second to begin."""
@@ -37,11 +38,6 @@ class Workplace:
     name: str = "in this process"
 
 
-def cpus() -> int:
-    """The CPUs that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def workplace(work_s: float, trials: int, workers: int | None = None, dask: str | None = None) -> Workplace:
     """The right place for this much work.
 
@@ -63,9 +59,9 @@ def workplace(work_s: float, trials: int, workers: int | None = None, dask: str 
     """
     if dask is not None:
         return _on_dask(dask)
-    if workers is None and (work_s < QUICK_S or trials < 2 or cpus() == 1):
+    if workers is None and (work_s < QUICK_S or trials < 2 or available_cpus() == 1):
         return Workplace(_in_process, workers=1, slots=1, threads=None)
-    count = min(workers or cpus(), trials)
+    count = min(workers or available_cpus(), trials)
     if count == 1:
         return Workplace(_in_process, workers=1, slots=1)
     return Workplace(lambda: _in_processes(count), count, slots=count + 1, name=f"in {count} processes")

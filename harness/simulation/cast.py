@@ -4,7 +4,6 @@ Embree finds the triangle in float32; the point is then computed, and the triang
 of float32 is which surface a ray within about 1e-7 of an occluder's outline meets.
 """
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from harness.errors import InputError
 from harness.geometry.angles import Array
+from harness.machine import available_cpus
 from harness.simulation._rendering_kernels import verify_hits
 from harness.simulation.geometry import Geometry, Ints
 
@@ -106,13 +106,6 @@ def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, tri
             f"in direction ({d[0]:.4f}, {d[1]:.4f}, {d[2]:.4f}): close the scene or set closed = false",
             file=geometry.name,
         )
-
-
-def available_cpus() -> int:
-    """CPUs that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int | None) -> None:

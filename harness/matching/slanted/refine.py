@@ -20,7 +20,6 @@ wrong or missing. At last view 2 is fitted to view 1 in the same way; where it c
 The standard deviation is that of least squares, from the window's own residual, with three corrections; see `_sigma`.
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from harness.camera.unified import to_unified, unified_lens
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
+from harness.machine import available_cpus
 from harness.matching.interface import Limits, Matches, Reason
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.spec import Positive
@@ -146,7 +146,7 @@ def refine_slanted(
         raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
     there, back = _way(sensor, motion), _way(sensor, _reversed(motion))
     first, second = (_view(image, there.seen) for image in images)
-    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(threads or available_cpus()) as pool:
         start = _start(start_alpha_2, there, grid)
         forth = _fit(first, second, there, start, settings, settings.iterations, grid.phi_pitch, pool)
         start = _carried_over(forth, there)

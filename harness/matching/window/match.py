@@ -3,14 +3,13 @@
 How windows are laid and compared is `square`'s or `column`'s business, chosen by the matcher's `kind`.
 """
 
-import os
-
 import numpy as np
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import epipolar_curves
 from harness.geometry.panorama import Panorama
+from harness.machine import available_cpus
 from harness.matching.interface import Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.window import _kernels
@@ -80,7 +79,7 @@ def match_whole_pixels(
         sampling=matcher.sampling,
         pitch_px=matcher.pitch_px,
     )
-    return _KINDS[matcher.kind].search(first, second, curves, matcher, threads or len(os.sched_getaffinity(0)))
+    return _KINDS[matcher.kind].search(first, second, curves, matcher, threads or available_cpus())
 
 
 def match(
@@ -112,7 +111,7 @@ def match(
     elif images is None:
         raise ValueError(f"the sub-pixel step {matcher.subpixel} needs the panoramas")
     else:
-        offset, refined = _refine_on_images(whole, matcher, images, threads or len(os.sched_getaffinity(0)))
+        offset, refined = _refine_on_images(whole, matcher, images, threads or available_cpus())
     shape = whole.k.shape
     k, alpha_2, confidence = np.empty(shape), np.empty(shape), np.empty(shape)
     _kernels.matches(

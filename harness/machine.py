@@ -1,0 +1,44 @@
+"""What the operating system offers; asked for here alone, so that no other file needs to know the differences."""
+
+import os
+import platform
+import signal
+import subprocess
+from pathlib import Path
+
+
+def available_cpus() -> int:
+    """CPUs that this process may use: those it is bound to where the system binds processes, else all."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def cpu_model() -> str:
+    """The processor's name; `unknown` where the system does not say."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(named, "") or platform.processor() or "unknown"
+
+
+def has_process_groups() -> bool:
+    """Whether a program can be ended together with all that it has started (not on Windows)."""
+    return hasattr(os, "killpg") and hasattr(signal, "SIGKILL")
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """End a program at once, with its process group where there are such, and wait for its end.
+
+    On Windows the program alone is ended: what it has started goes on.
+    """
+    try:
+        if has_process_groups():
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+    except (ProcessLookupError, PermissionError):  # the second is what macOS and Windows say of one that has ended
+        pass
+    process.wait()

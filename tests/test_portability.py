@@ -1,0 +1,67 @@
+"""The program on systems that lack what Linux has: the names that differ are taken away."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from harness import machine
+
+ELSEWHERE = """
+import io, multiprocessing, os, signal, sys
+
+for module, names in {
+    os: ("sched_getaffinity", "sched_setaffinity", "killpg", "getpgid", "setpgid", "setsid", "fork", "forkpty",
+         "getuid", "geteuid", "getpwuid", "O_NOFOLLOW", "O_DIRECTORY", "mkfifo", "nice", "statvfs"),
+    signal: ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "alarm", "pthread_kill", "pthread_sigmask"),
+}.items():
+    for name in names:
+        module.__dict__.pop(name, None)
+multiprocessing.get_all_start_methods = lambda: ["spawn"]
+sys.modules["fcntl"] = sys.modules["pwd"] = sys.modules["grp"] = sys.modules["resource"] = None
+plain_open = io.open
+def open_without_proc(file, *arguments, **options):
+    if str(file).startswith("/proc/"):
+        raise FileNotFoundError(2, "No such file or directory", str(file))
+    return plain_open(file, *arguments, **options)
+io.open = open_without_proc
+
+if __name__ == "__main__":
+    from harness.cli import main
+
+    sys.exit(main(sys.argv[1:]))
+"""
+"""A worker that is spawned carries out all but the last lines too, so that it lacks the same names."""
+
+
+@pytest.mark.slow
+def test_a_sweep_needs_nothing_that_only_linux_has(tmp_path: Path) -> None:
+    script = tmp_path / "elsewhere.py"
+    script.write_text(ELSEWHERE, encoding="utf-8")
+    command = [sys.executable, str(script), "run", "smoke", "--workers", "2", "--out", str(tmp_path / "out")]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "32 of 32 trials run" in ran.stdout
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_cpus_are_counted_where_processes_are_not_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert machine.available_cpus() >= 1
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    assert machine.available_cpus() == 3
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert machine.available_cpus() == 1
+
+
+@pytest.mark.parametrize("missing", [(), ((os, "killpg"),)])
+def test_a_program_is_ended_with_and_without_process_groups(missing, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, name in missing:
+        monkeypatch.delattr(module, name, raising=False)
+    waiting = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
+    with subprocess.Popen(waiting, start_new_session=True) as process:
+        machine.kill(process)
+        assert process.returncode
+        machine.kill(process)  # one that has ended is no error
