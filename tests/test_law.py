@@ -4,9 +4,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from harness.evaluation.law import test_law as law_test
 from harness.evaluation.law import verdict
 from harness.evaluation.law_geometry import BASELINE_M, check_geometry, second_order_bias
-from harness.evaluation.law_images import best_baselines, fit_laws, noise_limited, residuals, sigma_alpha_slopes
+from harness.evaluation.law_images import (
+    best_baselines,
+    fit_law_and_bound,
+    fit_laws,
+    noise_limited,
+    residuals,
+    sigma_alpha_slopes,
+)
 from harness.geometry.triangulation import triangulate
 
 BASELINES = 2.0 ** np.arange(-3, 0.5, 0.5)
@@ -185,3 +193,57 @@ def test_cells_limited_by_noise_follow_the_law_where_systematic_errors_hide_it()
     assert abs(the(fit_laws(bent))["slope"] - 1) > 0.2
     # At most half of the error is systematic: up to 12 % of a cell's, over a factor of ten in the law.
     assert the(fit_laws(limited))["slope"] == pytest.approx(1, abs=0.06)
+
+
+def bounded(power=0.6, **options):
+    """Cells whose angle's error follows their texture's bound only in part, the bound going with the range."""
+    cells = made_up(**options)
+    rng = np.random.default_rng(9)
+    bound = 1e-3 * cells["range_m"] ** 0.5 * np.exp(0.3 * rng.normal(size=len(cells)))
+    return cells.assign(bound_alpha=bound, spread_m=cells["spread_m"] * (bound / 1e-3) ** power)
+
+
+def test_law_and_bound_have_the_coefficients_that_were_built_in():
+    fit = fit_law_and_bound(bounded())[0]
+    # As for the slope on the law alone, and 0.1/(0.3 sqrt 2000) of scatter for the bound's.
+    assert fit["law"] == pytest.approx(1, abs=0.02)
+    assert fit["bound"] == pytest.approx(0.6, abs=0.03)
+    assert fit["law_ci95"][0] < 1 < fit["law_ci95"][1]
+    assert fit["bound_ci95"][1] < 0.7
+    # The product alone hides it: the slope on law times bound is between the two.
+    product = bounded().assign(law_bound=lambda c: c["law_exact"] * c["bound_alpha"])
+    assert 0.6 < the(fit_laws(product, ["bound"]), "bound")["slope"] < 1
+
+
+def test_coefficients_are_those_of_least_squares_with_an_intercept_for_each_condition():
+    cells = bounded(seeds=3)
+    y = np.log(cells["spread_m"] / cells["range_m"])
+    columns = [np.log(cells["law_exact"] / cells["range_m"]), np.log(cells["bound_alpha"])]
+    columns += [cells["condition"] == condition for condition in cells["condition"].unique()]
+    design = np.column_stack(columns).astype(float)
+    expected = np.linalg.lstsq(design, y, rcond=None)[0]
+    fit = fit_law_and_bound(cells)[0]
+    # Normal equations lose the square of the condition number, about 1e2, of sixteen digits.
+    assert (fit["law"], fit["bound"]) == pytest.approx(tuple(expected[:2]), rel=1e-9)
+    alone = np.linalg.lstsq(np.delete(design, 1, axis=1), y, rcond=None)[0]
+    assert the(fit_laws(cells))["slope"] == pytest.approx(alone[0], rel=1e-9)
+
+
+def test_a_bound_that_is_the_law_itself_cannot_be_told_from_it():
+    cells = made_up()
+    fit = fit_law_and_bound(cells.assign(bound_alpha=cells["law_exact"] / cells["range_m"]))[0]
+    assert (fit["law"], fit["bound"], fit["law_ci95"]) == (None, None, None)
+
+
+def test_each_noise_has_slopes_of_its_own():
+    cells = made_up()
+    noisy = cells["condition"] == "noisy"
+    share = (cells["law_exact"] / cells["range_m"]) ** -0.5
+    cells = cells.assign(
+        sigma_grey=np.where(noisy, 8.0, 0.0),
+        quiet="",
+        spread_m=np.where(noisy, cells["spread_m"] * share, cells["spread_m"]),
+    )
+    fits = law_test(cells.assign(quiet=np.arange(len(cells)).astype(str)))["by_noise"]
+    assert [fit["sigma_grey"] for fit in fits] == [0.0, 8.0]
+    assert [fit["slope"] for fit in fits] == [pytest.approx(1, abs=0.03), pytest.approx(0.5, abs=0.03)]

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from harness.evaluation.limit import efficiency
+from harness.evaluation.limit import efficiency, within_without_bias
 from harness.report import limit as drawn
 from harness.report import steps, theme
 from harness.report.sweep import Axis, Sweep, Way
@@ -54,6 +54,24 @@ def test_pixels_without_a_bound_or_with_few_draws_do_not_count():
     assert efficiency(np.full((10, 100), np.nan), bound) is None
 
 
+def test_a_share_within_sigma_is_freed_of_each_pixels_bias():
+    rng = np.random.default_rng(4)
+    bias = 0.05 * rng.standard_normal(5_000)
+    errors = draws(8, bias.size, 0.05) + bias
+    errors[:3, ::7] = np.nan
+    one, two, three = within_without_bias(errors, np.full(errors.shape, 0.05))
+    # 40,000 errors: standard errors of 0.25, 0.1 and 0.03 %. What is left of a draw after its mean is normal again.
+    assert (one, two, three) == (
+        pytest.approx(0.6827, abs=0.01),
+        pytest.approx(0.9545, abs=0.004),
+        pytest.approx(0.9973, abs=0.0015),
+    )
+    left_in = np.mean(np.abs(errors[np.isfinite(errors)]) <= 0.05)
+    assert left_in < 0.55  # with the bias: sigma is too small by sqrt 2
+    assert within_without_bias(errors[:2], errors[:2]) is None
+    assert within_without_bias(np.full((5, 9), np.nan), np.ones((5, 9))) is None
+
+
 # The report's figures of it -------------------------------------------------------------------------------------------
 
 
@@ -67,6 +85,7 @@ def entry(sigma_grey, seeds, std):
         "matcher": "slanted", "subpixel": "own", "condition": "the base trial", "sigma_grey": sigma_grey,
         "seeds": seeds, "bound_px": 0.01 * sigma_grey, "std_px": std, "std_over_bound": std and 1.0,
         "std_over_bound_quartiles": std and (0.9, 1.1), "within_sigma": None,
+        "within_sigma_without_bias": None,
     }  # fmt: skip
 
 

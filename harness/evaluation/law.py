@@ -5,7 +5,13 @@ from typing import Any
 import pandas as pd
 
 from harness.evaluation.law_geometry import check_geometry
-from harness.evaluation.law_images import best_baselines, fit_laws, noise_limited, sigma_alpha_slopes
+from harness.evaluation.law_images import (
+    best_baselines,
+    fit_law_and_bound,
+    fit_laws,
+    noise_limited,
+    sigma_alpha_slopes,
+)
 
 GROSS = 0.1
 """Where more than this share of the estimates is off by over a pixel, errors are mismatches, not small errors."""
@@ -24,20 +30,42 @@ def test_law(cells: pd.DataFrame) -> dict[str, Any]:
     return {
         "geometry": check_geometry().summary(),
         "images": images,
+        "by_noise": _fit_by_noise(cells) if len(cells) else [],
         "noise_limited": _fit_limited(limited) if len(limited) else [],
+        "law_and_bound": fit_law_and_bound(_bounded(limited)) if len(limited) else [],
         "sigma_alpha": sigma_alpha_slopes(cells) if len(cells) else [],
         "best_baseline": best_baselines(cells) if len(cells) else [],
         "verdict": verdict(images, cells),
     }
 
 
+def _fit_by_noise(cells: pd.DataFrame) -> list[dict[str, Any]]:
+    """Fits of the exact law at each noise by itself, with `sigma_grey`; none where the noise does not vary.
+
+    Rounding to whole samples is an error constant in angle by construction. Where slopes do not depend on the noise, it
+    is that error which follows the law, not the noise's.
+    """
+    if cells["sigma_grey"].nunique() < 2:
+        return []
+    return [
+        {"sigma_grey": float(sigma_grey), **{name: value for name, value in fit.items() if name != "by_alpha_1"}}
+        for sigma_grey, part in cells.groupby("sigma_grey", sort=True)
+        for fit in fit_laws(part, ["exact"])
+    ]
+
+
 def _fit_limited(limited: pd.DataFrame) -> list[dict[str, Any]]:
     """Fits on both laws; and on the exact law with the bound of each cell in the place of a constant, where known."""
-    found = fit_laws(limited)
-    if "bound_alpha" in limited:
-        bounded = limited[limited["bound_alpha"].notna()]
-        found += fit_laws(bounded.assign(law_bound=bounded["law_exact"] * bounded["bound_alpha"]), ["bound"])
-    return found
+    bounded = _bounded(limited)
+    fits = fit_laws(limited)
+    if len(bounded):
+        fits += fit_laws(bounded.assign(law_bound=bounded["law_exact"] * bounded["bound_alpha"]), ["bound"])
+    return fits
+
+
+def _bounded(cells: pd.DataFrame) -> pd.DataFrame:
+    """Those cells whose Cramér-Rao bound is known."""
+    return cells[cells["bound_alpha"].notna()] if "bound_alpha" in cells else cells.iloc[:0]
 
 
 test_law.__test__ = False  # type: ignore[attr-defined]  # a test of physics, not one for pytest to collect

@@ -66,6 +66,38 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
     return found
 
 
+def fit_law_and_bound(cells: pd.DataFrame) -> list[dict[str, Any]]:
+    """Both at once: coefficients of `log(law/d)` and of `log(bound)` in one regression of `log(spread/d)`.
+
+    A slope of 1 on their product (`fit_laws` with `bound`) may hide that one makes up for the other. Here each has a
+    coefficient of its own: 1 for the law if range answers to the angle as calculus says, and 1 for the bound if the
+    angle's error follows the texture as the bound does; 0 if it takes no notice.
+
+    Parameters
+    ----------
+    cells
+        With the column `bound_alpha`, the median Cramér-Rao bound of alpha_2 in the cell, radians.
+
+    Returns
+    -------
+    list
+        Of `matcher`, `subpixel`, `surface`, `law`, `law_ci95`, `bound`, `bound_ci95`, `r2`, `cells`.
+    """
+    fits = []
+    for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
+        x = pd.DataFrame({"law": np.log(part["law_exact"] / part["range_m"]), "bound": np.log(part["bound_alpha"])})
+        fit = _within_conditions(x, np.log(part["spread_m"] / part["range_m"]), part)
+        row: dict[str, Any] = {"matcher": matcher, "subpixel": subpixel, "surface": surface}
+        row |= {"law": None, "law_ci95": None, "bound": None, "bound_ci95": None, "r2": None, "cells": len(part)}
+        if fit is not None:
+            coefficients, row["r2"] = fit
+            for column, name in enumerate(x):
+                row[name] = float(coefficients[0, column])
+                row[f"{name}_ci95"] = _interval(coefficients[1:, column], part)
+        fits.append(row)
+    return fits
+
+
 def noise_limited(cells: pd.DataFrame) -> pd.DataFrame:
     """Cells in which noise makes most of the error: the same cell without noise has at most half of it.
 
@@ -159,30 +191,57 @@ def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:
     return table.columns.to_numpy(dtype=np.float64), draws[0], draws[1:]
 
 
-def _slope(x: pd.Series, y: pd.Series, part: pd.DataFrame) -> dict[str, Any]:
-    """Least squares with an intercept for each condition; interval by bootstrap over seeds."""
-    none = {"slope": None, "slope_ci95": None, "r2": None}
-    if len(x) < 3:
-        return none
-    terms = pd.DataFrame({"n": 1.0, "x": x, "y": y, "xx": x * x, "xy": x * y, "yy": y * y})
-    sums = terms.groupby([part["seed"], part["condition"]]).sum()
-    seeds = sums.index.unique(level=0)
-    conditions = sums.index.unique(level=1)
+def _slope(x: "pd.Series[float]", y: "pd.Series[float]", part: pd.DataFrame) -> dict[str, Any]:
+    """The least-squares slope of y on x with an intercept for each condition, its interval, and R²."""
+    fit = _within_conditions(pd.DataFrame({"x": x}), y, part)
+    if fit is None:
+        return {"slope": None, "slope_ci95": None, "r2": None}
+    slopes, r2 = fit
+    return {"slope": float(slopes[0, 0]), "slope_ci95": _interval(slopes[1:, 0], part), "r2": r2}
+
+
+def _within_conditions(x: pd.DataFrame, y: "pd.Series[float]", part: pd.DataFrame) -> tuple[Array, float | None] | None:
+    """Least squares of y on all columns of x, with an intercept for each condition.
+
+    Returns
+    -------
+    coefficients, r2
+        `[1 + draws, columns]`: of all seeds, and of the seeds drawn with replacement (NaN where they do not determine
+        them); and R² within conditions. None with fewer than three cells, or where columns of x do not vary or are
+        combinations of each other.
+    """
+    if len(y) < 3:
+        return None
+    values = np.column_stack([np.ones(len(y)), x.to_numpy(dtype=np.float64), y.to_numpy(dtype=np.float64)])
+    # Sums of products are all that least squares needs; those of a drawn set of seeds are weighted sums of them.
+    products = (values[:, :, None] * values[:, None, :]).reshape(len(y), -1)
+    sums = pd.DataFrame(products).groupby([part["seed"].to_numpy(), part["condition"].to_numpy()]).sum()
+    seeds, conditions = (sums.index.unique(level=level) for level in (0, 1))
     full = sums.reindex(pd.MultiIndex.from_product([seeds, conditions]), fill_value=0.0)
-    stacked = full.to_numpy().reshape(len(seeds), len(conditions), terms.shape[1])
-    n, sx, sy, sxx, sxy, syy = np.moveaxis(np.tensordot(_resampled(len(seeds)), stacked, axes=1), -1, 0)
+    size = values.shape[1]
+    stacked = full.to_numpy().reshape(len(seeds), len(conditions), size, size)
+    drawn = np.tensordot(_resampled(len(seeds)), stacked, axes=1)
+    number, first = drawn[..., :1, :1], drawn[..., :1, 1:]
     with np.errstate(invalid="ignore", divide="ignore"):
-        within_xx = np.nansum(sxx - sx * sx / n, axis=1)
-        within_xy = np.nansum(sxy - sx * sy / n, axis=1)
-        within_yy = np.nansum(syy - sy * sy / n, axis=1)
-        slopes = within_xy / within_xx
+        scatter = np.nansum(drawn[..., 1:, 1:] - np.swapaxes(first, -1, -2) * first / number, axis=1)
+    xx, xy, yy = scatter[:, :-1, :-1], scatter[:, :-1, -1], scatter[:, -1, -1]
     # Rounding leaves a trace where there is no spread of x at all.
-    if not within_xx[0] > 1e-9 * len(x):
-        return none
-    draws = slopes[1:][np.isfinite(slopes[1:])]
-    interval = [float(q) for q in np.quantile(draws, [0.025, 0.975])] if len(seeds) > 1 and draws.size else None
-    r2 = float(within_xy[0] ** 2 / (within_xx[0] * within_yy[0])) if within_yy[0] > 0 else None
-    return {"slope": float(slopes[0]), "slope_ci95": interval, "r2": r2}
+    least = np.linalg.eigvalsh(xx)[:, 0]
+    if not least[0] > 1e-9 * len(y):
+        return None
+    determined = least > 1e-9 * len(y)
+    coefficients = np.full(xy.shape, np.nan)
+    coefficients[determined] = np.linalg.solve(xx[determined], xy[determined][..., None])[..., 0]
+    r2 = float(coefficients[0] @ xy[0] / yy[0]) if yy[0] > 0 else None
+    return coefficients, r2
+
+
+def _interval(draws: Array, part: pd.DataFrame) -> list[float] | None:
+    """The central 95 % of bootstrap draws; None with a single seed, which tells nothing of its spread."""
+    draws = draws[np.isfinite(draws)]
+    if part["seed"].nunique() < 2 or not draws.size:
+        return None
+    return [float(q) for q in np.quantile(draws, [0.025, 0.975])]
 
 
 def _resampled(seeds: int) -> Array:

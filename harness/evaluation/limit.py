@@ -92,3 +92,39 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
         std_over_bound_quartiles=quartiles,
         rms_over_bound=rms,
     )
+
+
+def within_without_bias(errors_px: Array, sigma_px: Array) -> tuple[float, float, float] | None:
+    """Share of errors within 1, 2 and 3 predicted standard deviations once each pixel's own bias is taken off.
+
+    A predicted standard deviation speaks of noise. Beside the share with the bias left in (`confidence.calibration`)
+    this one tells whether a share that looks right is right for the right reason: a sigma that is too large can hide a
+    bias.
+
+    Parameters
+    ----------
+    errors_px, sigma_px
+        `[draws, pixels]`: errors and predicted standard deviations under independent draws of the noise, NaN where
+        there is no estimate.
+
+    Returns
+    -------
+    tuple or None
+        None with fewer than 3 draws, or when no pixel has enough of them (see `efficiency`).
+    """
+    draws = errors_px.shape[0]
+    if draws < 3:
+        return None
+    with np.errstate(invalid="ignore"):
+        fine = (np.abs(errors_px) <= GROSS_PX) & (sigma_px > 0) & np.isfinite(sigma_px)
+    count = fine.sum(axis=0)
+    use = count >= max(3, int(np.ceil(MIN_DRAWS * draws)))
+    if not use.any():
+        return None
+    there, n = fine[:, use], count[use]
+    errors = np.where(there, errors_px[:, use], 0.0)
+    mean = errors.sum(axis=0) / n
+    # The mean of n draws follows them: what is left of each has (n - 1)/n of its variance.
+    scaled = (errors - mean) / (np.where(there, sigma_px[:, use], 1.0) * np.sqrt((n - 1) / n))
+    one, two, three = (float((np.abs(scaled[there]) <= k).mean()) for k in (1, 2, 3))
+    return one, two, three

@@ -152,12 +152,15 @@ def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
         Heading("Bound", "px"),
         Heading("Spread / bound"),
         Heading("Within 1σ", "%"),
+        Heading("Within 2σ", "%"),
+        Heading("Within 1σ, bias off", "%"),
     ]
     ways = {(way.matcher, way.subpixel): way for way in sweep.ways}
     rows: list[list[Cell]] = []
     for entry in entries:
         way = ways[entry["matcher"], entry["subpixel"]]
-        within = entry["within_sigma"]
+        within = entry["within_sigma"] or (None, None)
+        without_bias = entry["within_sigma_without_bias"] or (None,)
         rows.append(
             [
                 words(way.label, way.colour),
@@ -171,7 +174,9 @@ def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
                 number(entry["bias_px"], ".3f"),
                 number(entry["bound_px"], ".4f"),
                 number(entry["std_over_bound"], ".2f"),
-                number(within[0] if within else None, ".1f", 100),
+                number(within[0], ".1f", 100),
+                number(within[1], ".1f", 100),
+                number(without_bias[0], ".1f", 100),
             ]
         )
     return Table(headings, rows)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from harness.evaluation.law import test_law
-from harness.evaluation.limit import GROSS_PX, efficiency
+from harness.evaluation.limit import GROSS_PX, efficiency, within_without_bias
 from harness.matching.registry import method_of
 from harness.runs.experiment import Planned, shown
 
@@ -86,6 +86,8 @@ def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:
     unit = np.array(trials[0][1]["sample"]["bound_px"], dtype=np.float64)
     bound = unit * sigma_grey if sigma_grey and np.isfinite(unit).any() else None
     found = efficiency(errors, bound) if sigma_grey else None
+    sigma = np.array([payload["sample"]["sigma_px"] for _, payload in trials], dtype=np.float64)
+    without_bias = within_without_bias(errors, sigma) if sigma_grey else None
     absolute = np.abs(errors[np.isfinite(errors)])
     calibrated = [payload["calibration"] for _, payload in trials if "calibration" in payload]
     return {
@@ -101,4 +103,5 @@ def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:
         "std_over_bound_quartiles": None if found is None else found.std_over_bound_quartiles,
         "rms_over_bound": None if found is None else found.rms_over_bound,
         "within_sigma": np.mean([each["within"] for each in calibrated], axis=0).tolist() if calibrated else None,
+        "within_sigma_without_bias": None if without_bias is None else list(without_bias),
     }

@@ -22,14 +22,15 @@ from harness.report.words import figure
 _DENSE = LinearSegmentedColormap.from_list("cells", ["#FFFFFF", "#D5DEE8", "#7A8DA3", "#2F4158"])
 
 
-def images(sweep: Sweep, fits: list[Fit], limited: list[Fit]) -> Part:
+def images(sweep: Sweep, law: dict[str, Any]) -> Part:
     """Regressions of the relative error on both laws.
 
     Parameters
     ----------
-    limited
-        The fits over cells that noise limits, see `law_images.noise_limited`.
+    law
+        The summary's `law`.
     """
+    fits: list[Fit] = law["images"]
     pictures: list[Picture] = []
     binned: list[list[Any]] = []
     for way in sweep.ways:
@@ -63,7 +64,9 @@ def images(sweep: Sweep, fits: list[Fit], limited: list[Fit]) -> Part:
         },
         {
             "slopes": slopes.slope_table(sweep, fits),
-            "limited": slopes.slope_table(sweep, limited),
+            "limited": slopes.slope_table(sweep, law["noise_limited"]),
+            "by_noise": slopes.noise_table(sweep, law["by_noise"]),
+            "coefficients": slopes.coefficient_table(sweep, law["law_and_bound"]),
             "conditions": slopes.condition_table(sweep),
         },
         {

@@ -23,7 +23,7 @@ def sections_of(sweep: Sweep, law: dict[str, Any], column_deg: float) -> dict[st
     return {
         "findings": findings(sweep, law),
         "geometry": geometry(),
-        "images": images(sweep, law["images"], law["noise_limited"]),
+        "images": images(sweep, law),
         "decomposition": decomposition(sweep, law, column_deg),
         "best_baseline": best_baseline(sweep, law),
     }

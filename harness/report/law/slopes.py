@@ -116,3 +116,64 @@ def condition_table(sweep: Sweep) -> Table:
                     if is_of(fit, way, surface) and fit["law"] == "exact"
                 ]
     return Table(headings, rows)
+
+
+def noise_table(sweep: Sweep, fits: list[Fit]) -> Table:
+    """Slopes on the exact law at each noise by itself."""
+    headings = [
+        Heading("Surface", text=True),
+        Heading("Method", text=True),
+        Heading("Noise", "grey"),
+        Heading("Slope"),
+        Heading("95 % low"),
+        Heading("95 % high"),
+        Heading("R²"),
+        Heading("Cells"),
+    ]
+    rows = [
+        [
+            words(SURFACES[surface]),
+            words(way.label, way.colour),
+            number(fit["sigma_grey"], "g"),
+            *_slope_cells(fit),
+            count(fit["cells"]),
+        ]
+        for surface in sweep.surfaces
+        for way in sweep.ways
+        for fit in fits
+        if is_of(fit, way, surface)
+    ]
+    return Table(headings, rows)
+
+
+def coefficient_table(sweep: Sweep, fits: list[Fit]) -> Table:
+    """The coefficients of the law and of the bound, each by itself; see `law_images.fit_law_and_bound`."""
+    headings = [
+        Heading("Surface", text=True),
+        Heading("Method", text=True),
+        Heading("Law"),
+        Heading("95 % low"),
+        Heading("95 % high"),
+        Heading("Bound"),
+        Heading("95 % low"),
+        Heading("95 % high"),
+        Heading("R²"),
+        Heading("Cells"),
+    ]
+    rows = []
+    for surface in sweep.surfaces:
+        for way in sweep.ways:
+            for fit in fits:
+                if is_of(fit, way, surface):
+                    law, bound = (fit[f"{name}_ci95"] or (None, None) for name in ("law", "bound"))
+                    values = (fit["law"], *law, fit["bound"], *bound)
+                    rows.append(
+                        [
+                            words(SURFACES[surface]),
+                            words(way.label, way.colour),
+                            *(number(value, ".3f") for value in values),
+                            number(fit["r2"], ".2f"),
+                            count(fit["cells"]),
+                        ]
+                    )
+    return Table(headings, rows)
