@@ -25,7 +25,9 @@ Place = tuple[int | str, ...]
 class Spec(BaseModel):
     """Base of all specifications. Unknown keys are refused; no instance can be changed."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=False, allow_inf_nan=True, use_attribute_docstrings=True
+    )
 
 
 S = TypeVar("S", bound=Spec)

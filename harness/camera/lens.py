@@ -10,13 +10,18 @@ from harness.spec import Finite, Spec
 
 
 class Lens(Spec):
-    """Radial (k1, k2, k3) and tangential (p1, p2) coefficients, in OpenCV's order and meaning; all 0 for a pinhole."""
+    """Radial and tangential coefficients in OpenCV's order and meaning; all 0 for a pinhole."""
 
     k1: Finite = 0.0
+    """Radial distortion, coefficient of r², no unit."""
     k2: Finite = 0.0
+    """Radial distortion, coefficient of r⁴, no unit."""
     p1: Finite = 0.0
+    """Tangential distortion, first coefficient, no unit."""
     p2: Finite = 0.0
+    """Tangential distortion, second coefficient, no unit."""
     k3: Finite = 0.0
+    """Radial distortion, coefficient of r⁶, no unit."""
 
     @property
     def is_pinhole(self) -> bool:

@@ -22,7 +22,9 @@ class Mirror(Spec):
     """
 
     a_m: Positive = 0.0281
+    """Semi-axis of the hyperboloid along the optical axis, metres."""
     b_m: Positive = 0.0234
+    """Semi-axis of the hyperboloid across the optical axis, metres."""
 
     @model_validator(mode="after")
     def _hyperboloid_in_reach(self) -> "Mirror":

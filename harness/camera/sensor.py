@@ -24,17 +24,20 @@ Pixels = Annotated[int, Field(ge=8, le=16384)]
 
 
 class Camera(Spec):
-    """The perspective camera behind the mirror: 640x480 as in the paper; +20° of elevation at 238 px from the centre.
-
-    `focal_px` is along u, `aspect` the focal length along v divided by it.
-    """
+    """The perspective camera behind the mirror: 640x480 as in the paper, +20° of elevation 238 px from the centre."""
 
     width_px: Pixels = 640
+    """Width of the image, pixels."""
     height_px: Pixels = 480
+    """Height of the image, pixels."""
     focal_px: Positive = 614.12
+    """Focal length along u, pixels."""
     aspect: Positive = 1.0
+    """Focal length along v divided by that along u, no unit."""
     cx_px: Finite = 319.5
+    """Principal point along u, pixels; the centre of the first pixel is 0."""
     cy_px: Finite = 239.5
+    """Principal point along v, pixels; the centre of the first pixel is 0."""
 
     @model_validator(mode="after")
     def _looks_at_its_mirror(self) -> "Camera":
@@ -46,14 +49,13 @@ class Camera(Spec):
 
 
 class FieldOfView(Spec):
-    """The cone of directions that the sensor sees.
-
-    Above `elevation_max_deg` the mirror ends: +20° puts its rim 238 px from the centre, just inside 480 rows. Below
-    `elevation_min_deg` the camera sees itself: one of 20 mm radius at F1, 73 mm below F0, hides what is under -75°.
-    """
+    """The cone of directions that the sensor sees."""
 
     elevation_min_deg: Finite = -75.0
+    """Lowest elevation seen, degrees. Below it the camera sees itself: one of 20 mm radius at F1, 73 mm below F0,
+    hides what is under -75°."""
     elevation_max_deg: Finite = 20.0
+    """Elevation at which the mirror ends, degrees: +20° puts its rim 238 px from the centre, just inside 480 rows."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "FieldOfView":
@@ -66,9 +68,13 @@ class Sensor(Spec):
     """A single-viewpoint catadioptric sensor. The defaults are those of the shipped experiments."""
 
     mirror: Mirror = Mirror()
+    """The hyperboloid mirror."""
     camera: Camera = Camera()
+    """The perspective camera that looks up at it."""
     lens: Lens = Lens()
+    """The distortion of the camera's lens."""
     field: FieldOfView = FieldOfView()
+    """The cone of directions that the sensor sees."""
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":

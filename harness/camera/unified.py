@@ -23,13 +23,18 @@ from harness.spec import Finite, Positive, Spec
 
 
 class Unified(Spec):
-    """Parameters of the unified model. `gamma_u_px`, `gamma_v_px` are what OpenCV calls K[0, 0] and K[1, 1]."""
+    """Parameters of the unified model."""
 
     xi: Positive
+    """Distance of the projection's centre from the sphere's, no unit."""
     gamma_u_px: Positive
+    """Generalised focal length along u, pixels: OpenCV's K[0, 0]."""
     gamma_v_px: Positive
+    """Generalised focal length along v, pixels: OpenCV's K[1, 1]."""
     cx_px: Finite
+    """Principal point along u, pixels."""
     cy_px: Finite
+    """Principal point along v, pixels."""
 
 
 def to_unified(sensor: Sensor) -> Unified:

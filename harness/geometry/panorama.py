@@ -15,15 +15,19 @@ from harness.spec import Finite, Spec
 class Grid(Spec):
     """The cylinder's pixels, `[row = z, column = phi]`.
 
-    720x200 as in the paper, which leaves the z range open. By default the pixels are square at the horizon
-    ((z_max - z_min)/200 = 2 pi/720) and the top row, 18.6°, is the highest whose cubic taps all lie inside the
-    default sensor's rim at 20°.
+    720x200 as in the paper, which leaves the z range open. By default the pixels are square at the horizon:
+    (z_max - z_min)/200 = 2 pi/720.
     """
 
     width_px: Annotated[int, Field(ge=16, le=16384)] = 720
+    """Columns around the cylinder; one column is one pixel of disparity, 2 pi/width_px radians."""
     height_px: Annotated[int, Field(ge=3, le=16384)] = 200
+    """Rows from z_max down to z_min."""
     z_max: Finite = 0.34
+    """Upper edge of the panorama on the unit cylinder, no unit: the tangent of the elevation. The default's top
+    row, 18.6°, is the highest whose cubic taps all lie inside the default sensor's rim at 20°."""
     z_min: Finite = -1.4053
+    """Lower edge of the panorama on the unit cylinder, no unit: the tangent of the elevation."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Grid":

@@ -14,9 +14,13 @@ class Pose(Spec):
     """A view in the world: right-handed, z up. The rotation is yaw about z, then pitch about y, then roll about x."""
 
     position_m: Vector3 = (0.0, 0.0, 0.0)
+    """Position (x, y, z) of the viewpoint in the world, metres."""
     yaw_deg: Finite = 0.0
+    """Rotation about z, degrees, counter-clockwise seen from above; applied last."""
     pitch_deg: Finite = 0.0
+    """Rotation about y, degrees; positive turns x down."""
     roll_deg: Finite = 0.0
+    """Rotation about x, degrees; applied first."""
 
     @property
     def R_world_from_view(self) -> Array:

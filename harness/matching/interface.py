@@ -30,15 +30,14 @@ class Support:
 
 
 class Limits(Spec):
-    """What is common to the settings of all matchers: the ranges from viewpoint 1 that are searched.
-
-    - `d_min_m` 1: the floor is nearest at the bottom row, 1.22 m away under a sensor 1 m high.
-    - `d_max_m` 10: more than twice the farthest point of the paper's box (4.5 m), so that the limit hides no error,
-      yet finite, so that every matched pixel has a range.
-    """
+    """What is common to the settings of all matchers: the ranges from viewpoint 1 that are searched."""
 
     d_min_m: Positive = 1.0
+    """Shortest range searched, metres from viewpoint 1. The floor is nearest at the bottom row, 1.22 m away under a
+    sensor 1 m high."""
     d_max_m: Annotated[float, Field(gt=0)] = 10.0
+    """Longest range searched, metres from viewpoint 1. 10 is more than twice the farthest point of the paper's box
+    (4.5 m), so that the limit hides no error, yet finite, so that every matched pixel has a range."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "Limits":
@@ -73,6 +72,7 @@ class Parametrised(Limits):
     """Limits, and parameters that only the matcher understands."""
 
     parameters: Annotated[dict[str, JsonValue], Field(default_factory=dict)]
+    """What only the matcher itself understands: a table, handed on as it is."""
 
     def __hash__(self) -> int:
         return hash(json.dumps(self.model_dump(mode="json"), sort_keys=True))

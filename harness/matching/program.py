@@ -75,16 +75,15 @@ turned into v1's by R_world_from_view.
 
 
 class Program(Parametrised):
-    """A matcher that is a command.
-
-    - `command`: the program and its arguments. `{input}` and `{output}` stand for the folders that it reads and writes,
-      `{name}` for the parameter of that name. A relative path to a file is relative to the experiment's file.
-    - `timeout_s` 600: after that long it is killed, with all that it has started.
-    """
+    """A matcher that is a command."""
 
     kind: Literal["program"] = "program"
+    """A program in any language."""
     command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
+    """The program and its arguments. `{input}` and `{output}` stand for the folders that it reads and writes,
+    `{name}` for the parameter of that name. A relative path to a file is relative to the experiment's file."""
     timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 600.0
+    """Seconds after which it is killed, with all that it has started."""
 
     @field_validator("command")
     @classmethod

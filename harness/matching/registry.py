@@ -41,6 +41,7 @@ class Plugin(Parametrised):
     """
 
     kind: str
+    """`package.module:function`, or the name of an installed entry point of the group `omnirange.matchers`."""
 
     @field_validator("kind")
     @classmethod

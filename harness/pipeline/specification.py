@@ -27,11 +27,17 @@ class SecondView(Spec):
     """
 
     baseline_m: Positive = 0.5
+    """Distance between the viewpoints, metres."""
     azimuth_deg: Finite = 0.0
+    """Direction of the baseline in the world: azimuth from x towards y, degrees."""
     elevation_deg: Finite = 0.0
+    """Direction of the baseline in the world: elevation above the horizontal, degrees."""
     yaw_deg: Finite = 0.0
+    """Rotation of the second view about z, degrees."""
     pitch_deg: Finite = 0.0
+    """Rotation of the second view about y, degrees."""
     roll_deg: Finite = 0.0
+    """Rotation of the second view about x, degrees."""
 
     def pose(self, view_1: Pose) -> Pose:
         """Where the second view stands, given the first."""
@@ -50,9 +56,10 @@ class SecondView(Spec):
 
 
 class Rendering(Spec):
-    """How a pixel is made: the mean of `samples` rays on a square grid inside it."""
+    """How a pixel is made: the mean of rays on a square grid inside it."""
 
     samples: Annotated[int, Field(ge=1, le=1024)] = 16
+    """Rays in each pixel, a square number."""
 
     @model_validator(mode="after")
     def _square(self) -> "Rendering":
@@ -65,73 +72,88 @@ class Noise(Spec):
     """White Gaussian noise on the mirror images, in grey levels of 0 .. 255."""
 
     sigma_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
+    """Standard deviation of the noise, grey levels of 0 .. 255."""
 
 
 class Exposure(Spec):
     """How the second camera differs from the first one in its answer to light: `gain * grey + offset`."""
 
     gain: Positive = 1.0
+    """Factor on the second view's grey levels, no unit."""
     offset_grey: Finite = 0.0
+    """Added to the second view's grey levels after the gain, grey levels of 0 .. 255."""
 
 
 class Placement(Spec):
-    """What the seed draws of where the rig stands, so that a trial is not about one lucky place.
-
-    `offset_m`: both views are moved alike by up to this much along x, y and z, evenly. `random_yaw`: both views are
-    turned alike by any angle; the baseline keeps its direction in the world, and so takes any in the panorama.
-    """
+    """What the seed draws of where the rig stands, so that a trial is not about one lucky viewpoint."""
 
     offset_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    """Both views are moved alike by up to this much along each of x, y and z, uniformly, metres."""
     random_yaw: bool = False
+    """Whether both views are turned alike by a random angle; the baseline keeps its direction in the world, and so
+    takes any in the panorama."""
 
 
 class Unwrapping(Spec):
     """How the mirror image becomes a panorama."""
 
     interpolation: Interpolation = "bilinear"
+    """How grey levels between the mirror image's pixels are found."""
 
 
 class Filter(Spec):
-    """The Laplacian of Gaussian; 0 for none.
-
-    At 1 px the noise of the unwrapping's interpolation makes the sub-pixel error on walls a fifth larger than at 1.5.
-    """
+    """The Laplacian of Gaussian that panoramas are filtered with before matching."""
 
     log_sigma_px: Annotated[float, Field(ge=0, le=50)] = 1.5
+    """Standard deviation of the Gaussian, panorama pixels; 0 for no filter. At 1 px the noise of the unwrapping's
+    interpolation makes the sub-pixel error on walls a fifth larger than at 1.5."""
 
 
 class Scoring(Spec):
-    """What is kept of a trial beyond its figures.
-
-    - `sample_px`: the errors of every so many rows and columns, for what needs pixels of several trials at once, such
-      as the spread over seeds; 0 for none.
-    - `bound`: the Cramér-Rao bound of the matcher's own window in every cell of surface, direction and range.
-    - `confidence`: how well the matcher's confidence puts its errors in order, which takes as long as all figures.
-    """
+    """What is kept of a trial beyond its figures."""
 
     sample_px: Annotated[int, Field(ge=0, le=256)] = 0
+    """Keep the errors of every so many rows and columns, panorama pixels, for what needs pixels of several trials
+    at once, such as the spread over seeds; 0 for none."""
     bound: bool = False
+    """Whether the Cramér-Rao bound of the matcher's own window is computed for every cell of surface, direction and
+    range."""
     confidence: bool = False
+    """Whether it is measured how well the matcher's confidence puts its errors in order, which takes as long as all
+    figures."""
 
 
 class Trial(Spec):
     """One run of the pipeline, from a scene to an error."""
 
     scene: Scene
+    """The world: a table, a shipped scene's name, or the path of a TOML file."""
     sensor: Sensor = Sensor()
+    """The sensor of both views: a table, or the path of a TOML file."""
     view_1: Pose = Pose(position_m=(0.0, 0.0, 1.0))
+    """The first view's pose in the world."""
     view_2: SecondView = SecondView()
+    """The second view, from the first one."""
     placement: Placement = Placement()
+    """What the seed changes of both views' poses."""
     render: Rendering = Rendering()
+    """How images are rendered."""
     exposure_2: Exposure = Exposure()
+    """How the second image differs from the first in exposure."""
     noise: Noise = Noise()
+    """Noise on the mirror images."""
     panorama: Grid = Grid()
+    """The panorama on which ranges are estimated."""
     unwrap: Unwrapping = Unwrapping()
+    """How the mirror images become panoramas."""
     filter: Filter = Filter()
+    """The filter before matching."""
     matching: Matcher = WindowMatcher()
+    """The matcher and its settings."""
     scoring: Scoring = Scoring()
+    """What is kept of the trial beyond its figures."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Of all that is random: placement and noise."""
+    """Seed of all that is random: placement and noise."""
 
     @property
     def key(self) -> str:

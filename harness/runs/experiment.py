@@ -43,13 +43,15 @@ class Experiment(Spec):
     """A named set of trials: for each of the cases, the full product of the axes over the base trial's settings."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
-    """Letters, digits, `_`, `.` and `-`: it also names the output folder."""
+    """The experiment's name: letters, digits, `_`, `.` and `-`. It also names the output folder."""
     description: str = ""
+    """What the experiment is for, for people."""
     trial: Trial
+    """The base trial."""
     axes: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
-    """Dotted keys, and the values that each takes."""
+    """Dotted keys of a trial, and the values that each takes: all combinations are run."""
     cases: list[Annotated[Settings, Field(min_length=1)]] = Field(default_factory=list)
-    """Explicit settings, instead of or beside axes; one case that changes nothing when there are none."""
+    """Explicit settings, instead of or beside axes; without any, one case that changes nothing."""
 
     @cached_property
     def planned(self) -> tuple[Planned, ...]:
@@ -176,6 +178,7 @@ def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[
 
 class _Matching(Spec):
     matching: Matcher
+    """The matcher and its settings."""
 
 
 def load_matcher(kind_or_path: str, sets: Sequence[str] = (), parameters: Mapping[str, Any] | None = None) -> Limits:

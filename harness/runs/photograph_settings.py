@@ -16,7 +16,9 @@ class OwnSettings(Spec):
     """What is left to choose where images, sensor and poses are given."""
 
     matching: Matcher = WindowMatcher()
+    """The matcher and its settings."""
     panorama: Grid = Grid()
+    """The panorama on which ranges are estimated."""
 
 
 def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:

@@ -27,10 +27,15 @@ class _Placed(Spec):
     """
 
     name: str = ""
+    """A name for messages and exports."""
     position_m: Point = (0.0, 0.0, 0.0)
+    """Origin of the object's frame in the world, metres."""
     yaw_deg: Finite = 0.0
+    """Rotation about z, degrees."""
     pitch_deg: Finite = 0.0
+    """Rotation about y, degrees."""
     roll_deg: Finite = 0.0
+    """Rotation about x, degrees."""
 
     @property
     def pose(self) -> Pose:
@@ -46,21 +51,31 @@ class _Placed(Spec):
 class Box(_Placed):
     """A cuboid; `position_m` is the middle of its bottom.
 
-    A solid thing, which no view may be inside, unless `inward`: then it is a room, seen from within.
     A side's texture is the first given of: its own (`x_min` ... `top`), `sides` for the four upright ones, `texture`.
     """
 
     kind: Literal["box"]
+    """A cuboid."""
     size_m: tuple[Positive, Positive, Positive]
+    """Extent along x, y and z, metres."""
     inward: bool = False
+    """Whether the box is a room, seen from within; otherwise it is solid, and no view may be inside."""
     texture: Texture | None = None
+    """Texture of all sides that have none of their own."""
     sides: Texture | None = None
+    """Texture of the four upright sides."""
     x_min: Texture | None = None
+    """Texture of the side at the smallest x."""
     x_max: Texture | None = None
+    """Texture of the side at the largest x."""
     y_min: Texture | None = None
+    """Texture of the side at the smallest y."""
     y_max: Texture | None = None
+    """Texture of the side at the largest y."""
     bottom: Texture | None = None
+    """Texture of the bottom."""
     top: Texture | None = None
+    """Texture of the top."""
 
     def texture_of(self, side: str) -> Texture | None:
         """The texture of one of `BOX_SIDES`."""
@@ -80,41 +95,51 @@ class Plane(_Placed):
     """A rectangle in its own x-y plane about `position_m`, seen from both sides."""
 
     kind: Literal["plane"]
+    """A rectangle."""
     size_m: tuple[Positive, Positive]
+    """Extent along x and y of the plane's own frame, metres."""
     texture: Texture
+    """Texture of both sides."""
 
 
 class Mesh(_Placed):
     """Triangles of a GLB, OBJ or PLY file with its own UV texture.
 
-    glTF has y up and is turned so that z is; other formats are taken as z up. A `texture` replaces the file's and is
-    laid on by projection along the axis nearest to each triangle's normal, in the mesh's own frame and size: it
-    needs no UV. A watertight mesh is a solid thing, which no view may be inside, unless `inward`.
+    glTF has y up and is turned so that z is; other formats are taken as z up.
     """
 
     kind: Literal["mesh"]
+    """A mesh from a file."""
     file: str
+    """Path of the GLB, OBJ or PLY file, relative to the scene's file."""
     scale: Positive = 1.0
+    """Factor on the mesh's size, no unit."""
     inward: bool = False
+    """Whether a watertight mesh may be seen from within; otherwise it is solid, and no view may be inside."""
     texture: Texture | None = None
+    """Replaces the file's texture; laid on by projection along the axis nearest to each triangle's normal, in the
+    mesh's own frame and size, so that it needs no UV."""
 
 
 SceneObject = Annotated[Box | Plane | Mesh, Field(discriminator="kind")]
 
 
 class Scene(Spec):
-    """A world to look at.
-
-    In a `closed` scene every ray hits something, and one that escapes is an error; an open scene shows
-    `background_grey` there. `scale` enlarges everything about the origin, textures too.
-    """
+    """A world to look at."""
 
     name: str
+    """The scene's name."""
     description: str = ""
+    """What the scene is, for people."""
     closed: bool = True
+    """Whether every ray hits something: one that escapes is then an error. An open scene shows the background
+    there."""
     background_grey: Grey = 0.0
+    """Grey level, 0 .. 255, of rays that hit nothing in an open scene."""
     scale: Positive = 1.0
+    """Enlarges everything about the origin, textures too; no unit."""
     objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
+    """The objects: boxes, planes and meshes."""
 
 
 def load_scene(name_or_path: str) -> Scene:

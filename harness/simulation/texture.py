@@ -21,11 +21,14 @@ Grey = Annotated[float, Field(ge=0, le=255)]
 
 
 class ImageTexture(Spec):
-    """An image file, `tile_m` wide; its height follows from its shape."""
+    """An image file as a tile."""
 
     kind: Literal["image"]
+    """A texture from an image file."""
     file: str
+    """Path of the image, relative to the scene's file."""
     tile_m: Positive
+    """Width of one tile on the surface, metres; its height follows from the image's shape."""
 
     def texels(self) -> Texels:
         """Grey `[height, width]`, row 0 at the top."""
@@ -33,11 +36,14 @@ class ImageTexture(Spec):
 
 
 class BundledTexture(Spec):
-    """One of the photographs that come with scikit-image (public domain, 512 x 512), `tile_m` wide."""
+    """One of the photographs that come with scikit-image (public domain, 512 x 512)."""
 
     kind: Literal["bundled"]
+    """A texture that comes with scikit-image."""
     name: Literal["brick", "grass", "gravel"]
+    """Which photograph."""
     tile_m: Positive
+    """Width of one tile on the surface, metres."""
 
     def texels(self) -> Texels:
         """Grey `[height, width]`, row 0 at the top."""
@@ -47,19 +53,24 @@ class BundledTexture(Spec):
 
 
 class NoiseTexture(Spec):
-    """Seeded noise whose spectrum is flat between two wavelengths and zero elsewhere; it tiles without a seam.
-
-    `contrast` is the standard deviation in grey levels before the few values outside 0 .. 255 are cut off.
-    """
+    """Seeded noise whose spectrum is flat between two wavelengths and zero elsewhere; it tiles without a seam."""
 
     kind: Literal["noise"]
+    """A texture of band-limited noise."""
     seed: Annotated[int, Field(ge=0)]
+    """Seed of the noise."""
     tile_m: Positive
+    """Width and height of one tile on the surface, metres."""
     shortest_m: Positive
+    """Shortest wavelength, metres; at least two texels."""
     longest_m: Positive
+    """Longest wavelength, metres; at most the tile."""
     mean: Grey = 128.0
+    """Mean grey level, 0 .. 255."""
     contrast: Annotated[float, Field(gt=0, le=128)] = 40.0
+    """Standard deviation in grey levels, before the few values outside 0 .. 255 are cut off."""
     size_px: Annotated[int, Field(ge=8, le=4096)] = 512
+    """Texels along each side of the tile."""
 
     @model_validator(mode="after")
     def _band_fits(self) -> "NoiseTexture":
@@ -85,7 +96,9 @@ class GreyTexture(Spec):
     """One grey everywhere: a surface on which nothing can be matched."""
 
     kind: Literal["grey"]
+    """One grey everywhere."""
     value: Grey
+    """The grey level, 0 .. 255."""
 
     @property
     def tile_m(self) -> float:

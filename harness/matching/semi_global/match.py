@@ -58,36 +58,40 @@ _PER_GREY = 16
 class SemiGlobal(Limits):
     """Settings of semi-global matching. One set for all scenes; measured on box, corridor and room, without noise and
     with 10 grey levels of it.
-
-    - `pitch_px` 1: with half of it, and half of P1, the median error on the box is 0.08 px instead of 0.11; but at
-      noise 10 half as many pixels again are off by more than 1 px, and the time nearly doubles.
-    - `blur`: (1 2 1)/4 along rows and columns before the census. Without it, such pixels are 0.1 % instead of 0.3 % on
-      the box, and 14 % instead of 10 % in the corridor at noise 10.
-    - `box_px` 5: 3 is better at the room's edges and worse in noise, 7 the other way round.
-    - `p1_bits`, `p2_bits`: what a step and a jump from one pixel to the next cost, in differing bits of 24. Half of
-      these and half as much again are a little worse nearly everywhere.
-    - `edge_grey`: P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, Hirschmüller's idea; 0 leaves P2 as it
-      is, since it gains nothing at the room's edges, and more pixels go astray in noise.
-    - `paths`: 4 directions, along rows and columns, or 8 with the diagonals, which take half as long again, and gain
-      less in noise than they lose in the room.
-    - `subpixel`: `v`, two lines of opposite slopes through the best sum and its neighbours; `parabola`, through the
-      same three, with a median error of 0.13 px; or `none`.
-    - `consistency_px`: a pixel whose place in view 2 is a better match of another pixel, with a parallax that differs
-      by more than this, is `Reason.INCONSISTENT`; 0 keeps all. At 2 nearly half of the room's wrong pixels are lost,
-      and hardly any right ones of box and corridor; at 1 several times as many are, on slanted surfaces.
     """
 
     kind: Literal["sgm"] = "sgm"
+    """Semi-global matching."""
     sampling: Literal["alpha"] = "alpha"
+    """Labels are steps of alpha_2."""
     pitch_px: Positive = 1.0
+    """Distance of the labels, panorama pixels. With half of it, and half of P1, the median error on the box is 0.08
+    px instead of 0.11; but at noise 10 half as many pixels again are off by more than 1 px, and the time nearly
+    doubles."""
     blur: bool = True
+    """Whether images are smoothed by (1 2 1)/4 along rows and columns before the census. Without it, the pixels off
+    by more than 1 px are 0.1 % instead of 0.3 % on the box, and 14 % instead of 10 % in the corridor at noise 10."""
     box_px: Annotated[int, Field(ge=1, le=15)] = 5
+    """Side of the box over which matching costs are averaged, pixels; odd. 3 is better at the room's edges and
+    worse in noise, 7 the other way round."""
     p1_bits: Annotated[float, Field(ge=0)] = 8.0
+    """Cost of a step of one label from one pixel to the next, differing bits of 24. Half as much and half as much
+    again are a little worse nearly everywhere."""
     p2_bits: Annotated[float, Field(ge=0)] = 64.0
+    """Cost of a larger jump from one pixel to the next, differing bits of 24; at least `p1_bits`."""
     edge_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
+    """P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, grey levels; Hirschmüller's idea. 0 leaves P2 as
+    it is, since it gains nothing at the room's edges, and more pixels go astray in noise."""
     paths: Literal[4, 8] = 4
+    """Directions of the paths: 4, along rows and columns, or 8 with the diagonals, which take half as long again,
+    and gain less in noise than they lose in the room."""
     subpixel: Literal["none", "parabola", "v"] = "v"
+    """The sub-pixel step: `v`, two lines of opposite slopes through the best sum and its neighbours; `parabola`,
+    through the same three, with a median error of 0.13 px; or `none`."""
     consistency_px: Annotated[float, Field(ge=0)] = 2.0
+    """A pixel whose match in view 2 is a better match of another pixel, with a parallax that differs by more than
+    this many panorama pixels, is `INCONSISTENT`; 0 keeps all. At 2 nearly half of the room's wrong pixels are lost,
+    and hardly any right ones of box and corridor; at 1 several times as many are, on slanted surfaces."""
 
     @model_validator(mode="after")
     def _sensible(self) -> "SemiGlobal":

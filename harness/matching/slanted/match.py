@@ -13,6 +13,7 @@ class Slanted(SlantedSettings):
     """Slanted windows, started from semi-global matching with its own settings but for the limits."""
 
     kind: Literal["slanted"] = "slanted"
+    """Slanted windows, by least squares on the mirror images."""
 
     def support(self, log_sigma_px: float) -> Support:  # noqa: ARG002 - the mirror images themselves are matched
         """The window; the start, and planes taken from beside it, are not counted."""

@@ -77,23 +77,21 @@ _CORRELATED_PX = 33
 
 
 class SlantedSettings(Limits):
-    """Settings of the slanted windows.
-
-    - `window_px` 17: width of the square window, in pixels of the mirror image. Odd.
-    - `patch_px` 5: of the surroundings by which a pixel chooses between planes. Odd.
-    - `iterations` 8: Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`).
-      The last `sharp_iterations` 2 look at patches; those before choose by windows alone, at a fraction of the cost,
-      and go farther, so that less is left of the start.
-    - `consistency_px` 1: how far view 2's own answer may lead elsewhere, in columns of the panorama.
-    - `max_sigma_px` 1: the largest standard deviation that is an answer, in columns of the panorama.
-    """
+    """Settings of the slanted windows."""
 
     window_px: Annotated[int, Field(ge=5, le=99)] = 17
+    """Side of the square window, pixels of the mirror image; odd."""
     patch_px: Annotated[int, Field(ge=1, le=31)] = 5
+    """Side of the surroundings by which a pixel chooses between planes, pixels of the mirror image; odd."""
     iterations: Annotated[int, Field(ge=1, le=50)] = 8
+    """Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`)."""
     sharp_iterations: Annotated[int, Field(ge=1, le=50)] = 2
+    """How many of the last steps look at patches; those before choose by windows alone, at a fraction of the cost,
+    and go farther, so that less is left of the start."""
     consistency_px: Positive = 1.0
+    """How far view 2's own answer may lead elsewhere, panorama pixels."""
     max_sigma_px: Positive = 1.0
+    """Largest predicted standard deviation that counts as an answer, panorama pixels."""
 
     @model_validator(mode="after")
     def _have_a_centre(self) -> "SlantedSettings":

@@ -18,34 +18,38 @@ from harness.spec import Positive
 class WindowMatcher(Limits):
     """Settings of the window matchers; the paper leaves all of them open but the cost, d_min's and d_max's existence
     and the parabola over three neighbours a side.
-
-    - `kind`: `window` moves a square along the curve of its middle, as the paper does. `column` lets each column of the
-      window follow its own curve, and interpolates between rows: another definition, and some twenty times as fast.
-    - `cost`: `sad` and `ssd`, the sum of absolute or squared differences of grey levels; `zncc`, 1 less the zero-mean
-      normalised cross-correlation, which a gain and an offset between the views leave as it is; `census`, the number of
-      different bits of census transforms (5 x 5 neighbours), which any growing function of the grey levels leaves as it
-      is. All are of the filtered panoramas. `sad` and `ssd` need the LoG, which takes offsets out. `zncc` and `census`
-      do better without (`filter.log_sigma_px = 0`: raw grey levels): on the paper's box, with noise of 8 grey levels,
-      the median error on walls, after any step but `parabola`, is then a tenth to a fifth smaller, and fewer matches on
-      the floor are gross.
-    - `window_px` 11: large enough for the LoG texture to be told apart, small enough that a window on a wall stays
-      nearly at one disparity. Odd, so that it has a centre.
-    - `sampling`, `pitch_px`: one sample a column, the panorama's own resolution. Finer ones are for `column`, which
-      interpolates between columns; a square at the nearest pixel is the same for neighbouring samples.
-    - `subpixel`: `none`; `parabola`, least squares over `neighbours` samples to each side, the paper's; `parabola3`,
-      through three samples; `v`, two lines of opposite slopes through three, the shape of a minimum of SAD or census;
-      `shimizu-okutomi`, the mean of three-point fits to whole and to half samples, whose errors cancel; `images`, which
-      interpolates images in place of costs: Gauss-Newton steps on the squared differences of the two windows (after
-      gain and offset, if the cost is indifferent to them), view 2 resampled by cubic B-splines.
     """
 
     kind: Literal["window", "column"] = "window"
+    """`window` moves a square along the curve of its middle, as the paper does. `column` lets each column of the
+    window follow its own curve, and interpolates between rows: another definition, and some twenty times as fast."""
     cost: Literal["sad", "ssd", "zncc", "census"] = "sad"
+    """How windows are compared, on the filtered panoramas. `sad` and `ssd`: the sum of absolute or squared
+    differences of grey levels, which need the filter to take offsets out. `zncc`: 1 less the zero-mean normalised
+    cross-correlation, which a gain and an offset between the views leave as it is. `census`: the number of
+    different bits of census transforms (5 x 5 neighbours), which any growing function of the grey levels leaves as
+    it is. `zncc` and `census` do better without the filter (`filter.log_sigma_px = 0`): on the paper's box, with
+    noise of 8 grey levels, the median error on walls, after any step but `parabola`, is then a tenth to a fifth
+    smaller, and fewer matches on the floor are gross."""
     window_px: Annotated[int, Field(ge=1, le=99)] = 11
+    """Side of the window, panorama pixels; odd, so that it has a centre. 11 is large enough for the filtered
+    texture to be told apart, and small enough that a window on a wall stays nearly at one disparity."""
     sampling: Sampling = "phi"
+    """Whether the samples along an epipolar curve are equally spaced in phi, by columns, or in alpha_2. `column`
+    needs `phi`."""
     pitch_px: Positive = 1.0
+    """Distance of the samples along an epipolar curve, panorama pixels; 1 is the panorama's own resolution. Finer
+    ones are for `column`, which interpolates between columns; a square at the nearest pixel is the same for
+    neighbouring samples."""
     subpixel: Subpixel = "parabola"
+    """The sub-pixel step. `none`; `parabola`, least squares over `neighbours` samples to each side, the paper's;
+    `parabola3`, through three samples; `v`, two lines of opposite slopes through three, the shape of a minimum of
+    SAD or census; `shimizu-okutomi`, the mean of three-point fits to whole and to half samples, whose errors
+    cancel; `images`, which interpolates images in place of costs: Gauss-Newton steps on the squared differences of
+    the two windows (after gain and offset, if the cost is indifferent to them), view 2 resampled by cubic
+    B-splines."""
     neighbours: Annotated[int, Field(ge=1, le=9)] = 3
+    """Samples to each side that the sub-pixel step `parabola` is fitted to."""
 
     @model_validator(mode="after")
     def _sensible(self) -> "WindowMatcher":
