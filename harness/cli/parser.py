@@ -5,13 +5,13 @@ import traceback
 from collections.abc import Sequence
 
 from harness import __version__
-from harness.cli import cache, check, compare, render, report, run
+from harness.cli import cache, check, compare, render, report, run, settings
 from harness.cli import photographs as own_pair
 from harness.cli.exits import INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
 from harness.errors import InputError
 
-_COMMANDS = (run, report, compare, cache, render, own_pair, check)
+_COMMANDS = (run, report, compare, cache, render, own_pair, check, settings)
 """In the order in which `--help` lists them."""
 
 

@@ -131,7 +131,7 @@ class Trial(Spec):
     sensor: Sensor = Sensor()
     """The sensor of both views: a table, or the path of a TOML file."""
     view_1: Pose = Pose(position_m=(0.0, 0.0, 1.0))
-    """The first view's pose in the world."""
+    """The first view's pose in the world; 1 m above the origin when there is no such table."""
     view_2: SecondView = SecondView()
     """The second view, from the first one."""
     placement: Placement = Placement()
