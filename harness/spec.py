@@ -7,11 +7,12 @@ import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from harness.display import brief, shortened
 from harness.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -21,13 +22,46 @@ Vector3 = tuple[Finite, Finite, Finite]
 Place = tuple[int | str, ...]
 """Keys and list indices that lead to a value."""
 
+_PYDANTIC = frozenset(dir(BaseModel)) - frozenset(dir(object))
+"""Names that belong to pydantic: there, but not shown."""
 
-class Spec(BaseModel):
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
+
+
+class _SpecType(ModelMetaclass):
+    def __dir__(cls) -> list[str]:  # noqa: N805 - an instance of a metaclass is a class
+        """The keys and what the class adds to them: none of pydantic's own methods."""
+        return [*(name for name in super().__dir__() if name not in _PYDANTIC), *getattr(cls, "model_fields", ())]
+
+
+class Spec(BaseModel, metaclass=_SpecType):
     """Base of all specifications. Unknown keys are refused; no instance can be changed."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=False, allow_inf_nan=True, use_attribute_docstrings=True
     )
+
+    def __repr__(self) -> str:
+        """The class and what differs from its defaults, in one line."""
+        parts = {name: getattr(self, name) for name in type(self).model_fields}
+        given = {
+            name: value
+            for name, value in parts.items()
+            if value != type(self).model_fields[name].get_default(call_default_factory=True)
+        }
+        return (
+            f"{type(self).__name__}({shortened(', '.join(f'{name}={brief(value)}' for name, value in given.items()))})"
+        )
+
+    __str__ = __repr__
+
+    def __dir__(self) -> list[str]:
+        """The keys and what the class adds to them: none of pydantic's own methods, which are there all the same."""
+        return [name for name in super().__dir__() if name not in _PYDANTIC]
 
 
 S = TypeVar("S", bound=Spec)

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, unproject
+from harness.display import OneLine
 from harness.evaluation import _bound_kernels
 from harness.geometry.angles import Array, angle_between
 from harness.geometry.panorama import Grid, directions
@@ -54,8 +55,8 @@ _STEP_PX = 1e-3
 """Of the central differences of rays: a share of 1e-10 is lost to rounding, and less to the third derivative."""
 
 
-@dataclass(frozen=True)
-class Bound:
+@dataclass(frozen=True, repr=False)
+class Bound(OneLine):
     """The smallest standard deviation that an unbiased matcher of this window can have; read-only, `[height, width]`.
 
     NaN outside `pixels`; infinite where the texture is so weak that the range would be uncertain by more than itself:

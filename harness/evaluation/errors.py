@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.display import OneLine
 from harness.evaluation import _grouping_kernels as _kernels
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves
@@ -17,8 +18,8 @@ _WALL = 0.5
 """A surface is a wall when its normal is more than 60° from the vertical."""
 
 
-@dataclass(frozen=True)
-class Reference:
+@dataclass(frozen=True, repr=False)
+class Reference(OneLine):
     """The truth in the matcher's terms, on view 1's panorama `[height, width]`."""
 
     domain: NDArray[np.bool_]
@@ -37,8 +38,8 @@ class Reference:
     """Half the distance in alpha_2 between neighbouring samples of the pixel's curve at the true match, radians."""
 
 
-@dataclass(frozen=True)
-class Errors:
+@dataclass(frozen=True, repr=False)
+class Errors(OneLine):
     """Estimate minus truth on view 1's panorama; NaN where there is no estimate or no truth."""
 
     alpha_2: Array

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.display import OneLine
 from harness.evaluation.errors import Reference
 from harness.evaluation.groups import Groups, Sorted, bins, grouped, members, sorted_parts
 from harness.geometry.angles import Array
@@ -53,8 +54,8 @@ class CellPixels:
     pixels: NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class Layout:
+@dataclass(frozen=True, repr=False)
+class Layout(OneLine):
     """All that scoring needs of the truth but the truth itself, ready for many trials of one geometry.
 
     Arrays `[n]` are of the pixels of `groups`.

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from harness.display import OneLine
 from harness.geometry.angles import Array, angle_between, normalise, wrap_angle
 from harness.geometry.panorama import Grid, cylinder
 
@@ -25,8 +26,8 @@ _ON_AXIS = 1e-9
 """Below this sine two directions are taken to be one: their plane is not defined to single precision."""
 
 
-@dataclass(frozen=True, eq=False)
-class Curves:
+@dataclass(frozen=True, eq=False, repr=False)
+class Curves(OneLine):
     """The epipolar curve of every pixel of a panorama, ready to be sampled. Its arrays are read-only.
 
     Compared by identity, so that what is derived from curves can be kept by them.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from harness.display import OneLine
 from harness.geometry.angles import Array, cylinder_point, normalise
 from harness.spec import Finite, Spec
 
@@ -77,8 +78,8 @@ def directions(grid: Grid) -> Array:
     return unit
 
 
-@dataclass(frozen=True)
-class Panorama:
+@dataclass(frozen=True, repr=False)
+class Panorama(OneLine):
     """An image on the cylinder."""
 
     grid: Grid

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.spec import Finite, Spec, Vector3
 
@@ -29,8 +30,8 @@ class Pose(Spec):
         return np.asarray(Rotation.from_euler("ZYX", angles, degrees=True).as_matrix())
 
 
-@dataclass(frozen=True)
-class Motion:
+@dataclass(frozen=True, repr=False)
+class Motion(OneLine):
     """From view 1 to view 2: `p_v2 = R_v2_from_v1 @ (p_v1 - t_v1)`.
 
     The paper's eq. 1, `R p + t`, contradicts its own eqs. 2 and 5-8, which need t as the position of viewpoint 2 seen

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, JsonValue, model_validator
 
+from harness.display import OneLine
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, epipolar_curves
@@ -98,8 +99,8 @@ class Reason(IntEnum):
     """The match from view 2 back to view 1 leads elsewhere: most likely a point that view 2 does not see."""
 
 
-@dataclass(frozen=True)
-class Matches:
+@dataclass(frozen=True, repr=False)
+class Matches(OneLine):
     """What a matcher found, on view 1's panorama; every array `[height, width]`.
 
     Only `alpha_2` is asked for. What else a matcher knows makes more of the report.

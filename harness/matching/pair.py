@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation, unwrap
+from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, Panorama, directions
@@ -40,8 +41,8 @@ def sharing() -> Share:
     return share
 
 
-@dataclass(frozen=True, eq=False)
-class Pair:
+@dataclass(frozen=True, eq=False, repr=False)
+class Pair(OneLine):
     """Two views of one scene; all arrays are read-only."""
 
     images: tuple[NDArray[np.float32], NDArray[np.float32]]

@@ -11,6 +11,7 @@ from PIL import Image, UnidentifiedImageError
 from scipy import ndimage
 
 from harness.camera.sensor import Sensor, project
+from harness.display import OneLine
 from harness.errors import InputError
 from harness.files import make_folder, write
 from harness.geometry.angles import Array
@@ -29,8 +30,8 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 WRITTEN = ("range.npy", "range_mm.png", "sigma_m.npy", "alpha_2.npy", "reason.npy", "points.ply")
 
 
-@dataclass(frozen=True)
-class Photograph:
+@dataclass(frozen=True, repr=False)
+class Photograph(OneLine):
     """A mirror image from a file."""
 
     file: Path
@@ -40,8 +41,8 @@ class Photograph:
     """`[height, width, 3]`."""
 
 
-@dataclass(frozen=True)
-class Estimate:
+@dataclass(frozen=True, repr=False)
+class Estimate(OneLine):
     """Range from a pair of photographs; arrays on view 1's panorama."""
 
     photographs: tuple[Photograph, Photograph]

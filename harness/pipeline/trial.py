@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.sensor import in_field
+from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.bound import cramer_rao
 from harness.evaluation.errors import Errors, Reference, errors, reference
@@ -40,8 +41,8 @@ Observer = Callable[[str], None]
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Outcome:
+@dataclass(frozen=True, repr=False)
+class Outcome(OneLine):
     """All that a trial made. Arrays are on view 1's panorama unless they are said to be images."""
 
     trial: Trial

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pydantic import Field
 
 from harness import shipped
 from harness.camera.sensor import load_sensor
+from harness.display import shortened
 from harness.errors import InputError
 from harness.matching import registry
 from harness.matching.interface import Limits
@@ -52,6 +54,16 @@ class Experiment(Spec):
     """Dotted keys of a trial, and the values that each takes: all combinations are run."""
     cases: list[Annotated[Settings, Field(min_length=1)]] = Field(default_factory=list)
     """Explicit settings, instead of or beside axes; without any, one case that changes nothing."""
+
+    def __repr__(self) -> str:
+        """The name, how many trials there are, and what varies."""
+        count = math.prod(map(len, self.axes.values())) * max(1, len(self.cases))
+        varied = [f"{key} ({len(values)})" for key, values in self.axes.items()]
+        varied += [f"{len(self.cases)} cases"] if self.cases else []
+        trials = f"{count} trial{'s' if count != 1 else ''}"
+        return f"Experiment({self.name!r}, {shortened(': '.join([trials, ', '.join(varied)]).rstrip(': '))})"
+
+    __str__ = __repr__
 
     @cached_property
     def planned(self) -> tuple[Planned, ...]:

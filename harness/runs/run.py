@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
 from harness.files import write
@@ -73,8 +74,8 @@ class Row:
         return json.loads(self.finished.payload)
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(OneLine):
     """An experiment and what came of it."""
 
     experiment: Experiment

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from harness.camera.lens import fold_radius
 from harness.camera.sensor import Sensor
+from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
 from harness.simulation._rendering_kernels import describe_surfaces, in_view, look_from, mark_jumps
@@ -27,8 +28,8 @@ OCCLUSION_TOLERANCE = 1e-6
 1e-12; the rest keeps things that touch, such as a foot on the floor, from hiding each other's points."""
 
 
-@dataclass(frozen=True)
-class Truth:
+@dataclass(frozen=True, repr=False)
+class Truth(OneLine):
     """Ground truth of an array of directions `[rows, columns]` from viewpoint 1; read-only.
 
     Masks are False where there is no range.
