@@ -13,7 +13,7 @@ from sweeps import omnirange, write_small
 from harness.errors import InputError
 from harness.geometry.pose import Pose
 from harness.pipeline.render_cache import RenderCache, cache_folder, limit_bytes
-from harness.pipeline.stage_cache import Kept
+from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
 from harness.runs.experiment import load_experiment
 
@@ -155,9 +155,9 @@ def test_place_and_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_trial_does_not_know_of_it(tmp_path: Path) -> None:
     trial = load_experiment(str(write_small(tmp_path / "small.toml"))).trial
-    plain = run_trial(trial, Kept())
+    plain = run_trial(trial, StageCache())
     for _ in range(2):  # filling it, and filled
-        cached = run_trial(trial, Kept(beneath={"render": RenderCache(tmp_path, 10**7)}))
+        cached = run_trial(trial, StageCache(backing={"render": RenderCache(tmp_path, 10**7)}))
         assert all(a.tobytes() == b.tobytes() for a, b in zip(plain.images, cached.images, strict=True))
         assert plain.range_m.tobytes() == cached.range_m.tobytes()
 

@@ -9,7 +9,8 @@ from harness.geometry.epipolar import epipolar_curves, point_at
 from harness.geometry.panorama import Grid, Panorama
 from harness.matching.window.column import PER_GREY, costs_of_half_samples
 from harness.matching.window.match import Reason, WindowMatcher, costs_along_curve, match, match_whole_pixels
-from harness.pipeline.trial import Kept, run_trial
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.trial import run_trial
 
 GRID = Grid(width_px=60, height_px=24, z_max=0.5, z_min=-2.0)
 
@@ -308,12 +309,12 @@ def outcomes(paper, kept, **settings):
 
 @pytest.mark.parametrize("pitch_px", [1.0, 0.5])
 def test_error_bounds_hold(paper, pitch_px):
-    check_all(*outcomes(paper, Kept(), kind="column", pitch_px=pitch_px))
+    check_all(*outcomes(paper, StageCache(), kind="column", pitch_px=pitch_px))
 
 
 def test_what_is_found_is_what_the_square_window_finds(paper):
     """Two definitions of one idea: on walls, where both are right, they differ by less than a sample nearly always."""
-    kept = Kept()
+    kept = StageCache()
     square, column = (outcomes(paper, kept, kind=kind)[1] for kind in ("window", "column"))
     both = square.valid & column.valid & square.reference.domain & square.reference.wall
     assert both.sum() > 0.7 * (square.reference.domain & square.reference.wall).sum()

@@ -9,19 +9,21 @@ from bounds import check_all, check_pixel_level, check_subpixel_helps
 import harness.pipeline.trial as chain
 from harness.camera.sensor import project
 from harness.camera.unwrap import unwrap
+from harness.geometry.panorama import cylinder
 from harness.matching import pair
 from harness.matching.window import match as window
 from harness.matching.window.subpixel import refine
 from harness.pipeline.specification import SecondView
-from harness.pipeline.trial import Kept, run_trial
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.trial import run_trial
 from harness.runs.run import by_method
 
 
-def both(trial, kept=None):
+def both(trial, cache=None):
     """The trial at pixel level and sub-pixel."""
-    kept = kept or Kept()
+    cache = cache or StageCache()
     return [
-        run_trial(trial.model_copy(update={"matching": trial.matching.model_copy(update={"subpixel": method})}), kept)
+        run_trial(trial.model_copy(update={"matching": trial.matching.model_copy(update={"subpixel": method})}), cache)
         for method in ("none", "parabola")
     ]
 
@@ -202,19 +204,19 @@ def test_half_a_pixel_in_the_mirror_image_is_caught(paper, monkeypatch):
     """Both views shifted alike hardly change a disparity; the panorama's own test sees it (see test_panorama)."""
     from test_panorama import SENSOR, pattern, picture
 
-    from harness.geometry import panorama
+    from harness.camera import unwrap as unwrapping
 
     def off(sensor, directions):
         pixels, valid = project(sensor, directions)
         return pixels + 0.5, valid
 
-    panorama._sampling_table.cache_clear()
-    monkeypatch.setattr(panorama, "project", off)
+    unwrapping._sampling_table.cache_clear()
+    monkeypatch.setattr(unwrapping, "project", off)
     try:
         made = unwrap(picture(SENSOR), SENSOR, paper.experiment.trial.panorama)
     finally:
-        panorama._sampling_table.cache_clear()
-    error = (made.values - pattern(panorama.cylinder(made.grid)))[made.valid]
+        unwrapping._sampling_table.cache_clear()
+    error = (made.values - pattern(cylinder(made.grid)))[made.valid]
     assert np.abs(error).max() > 0.1  # the bound in test_panorama
 
 

@@ -5,14 +5,15 @@ import pytest
 
 from harness.evaluation.confidence import calibration, roc
 from harness.pipeline.sample import surest
-from harness.pipeline.trial import Kept, run_trial
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.trial import run_trial
 from harness.runs.experiment import load_experiment
 
 
 @pytest.fixture(scope="module")
 def run():
     """Run the paper's trial with some settings; trials share what they can."""
-    kept = Kept()
+    kept = StageCache()
 
     def with_settings(*sets):
         planned = load_experiment("paper", [*sets, "scoring.sample_px=2"], ["seed=1"]).planned

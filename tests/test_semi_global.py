@@ -29,7 +29,8 @@ from harness.matching.semi_global.match import (
     match_pair,
     search,
 )
-from harness.pipeline.trial import Kept, run_trial
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.trial import run_trial
 
 GRID = Grid(width_px=72, height_px=20, z_max=0.5, z_min=-1.2)
 DIRECTIONS = [(0.5, 0.0, 0.0), (-0.2, 0.4, 0.15), (0.1, -0.1, -0.45), (0.0, 0.0, 0.5)]
@@ -461,7 +462,7 @@ def test_mirror_images_of_turned_views_are_matched(interpolation):
 
 def test_the_paper_s_box(paper):
     trial = paper.experiment.trial.model_copy(update={"matching": SemiGlobal()})
-    outcome = run_trial(trial, Kept())
+    outcome = run_trial(trial, StageCache())
     domain = outcome.reference.domain
     error = np.abs(outcome.errors.disparity_px[domain])
     # Measured: 99.9 % matched, 0.3 % of them off by more than 1 px, median 0.11 px.

@@ -64,6 +64,11 @@ class Limits(Spec):
             grid, t_v1, d_min_m=self.d_min_m, d_max_m=self.d_max_m, sampling=sampling, pitch_px=pitch_px
         )
 
+    @property
+    def search(self) -> Spec:
+        """What of the settings the costly part of matching depends on: trials with equal ones can share it."""
+        return self
+
     def support(self, log_sigma_px: float) -> Support | None:  # noqa: ARG002 - for matchers of filtered panoramas
         """What a match is made from, given the filter before it; None for a matcher whose window is not fixed."""
         return None

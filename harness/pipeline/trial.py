@@ -1,13 +1,8 @@
-"""One trial: the pipeline on one screen, from the scene to the error.
+"""One trial: its stages, from the scene to the error, and all that comes of them."""
 
-What trials share is computed once: the results of the stages are kept by the settings that they depend on.
-"""
-
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,24 +16,24 @@ from harness.evaluation.metrics import Measures, measure
 from harness.evaluation.regions import CellPixels, Layout, Region, layout
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, sample_at
-from harness.geometry.panorama import Grid, Panorama, directions
-from harness.geometry.pose import Pose
+from harness.geometry.panorama import Panorama, directions
+from harness.geometry.pose import Motion, Pose
 from harness.geometry.triangulation import range_from_angles
-from harness.matching.interface import Matches, Reason
+from harness.matching.interface import Matches, Reason, Support
 from harness.matching.pair import Pair
 from harness.matching.registry import match_pair
 from harness.pipeline.specification import Trial
-from harness.pipeline.stage_cache import Kept
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
 from harness.simulation.exposure import with_exposure
-from harness.simulation.fingerprint import fingerprint
 from harness.simulation.geometry import check_viewpoint, geometry_of
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import Truth, truth
 
-Observer = Callable[[str], None]
-T = TypeVar("T")
+Image = NDArray[np.float32]
+"""`[sensor height, sensor width]`, grey levels of 0 .. 255."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -108,9 +103,199 @@ class Outcome(OneLine):
         return measure(domain, self.valid, self.errors)
 
 
+# --- The stages ---------------------------------------------------------------------------------------------------
+
+
+def _render(work: Work, view: int) -> Image:
+    trial, pose = work.trial, work.setup.poses[view]
+    return render(trial.scene, trial.sensor, pose, trial.render.samples, work.threads)
+
+
+RENDER = Stage(
+    "render",
+    _render,
+    lambda setup, view: (setup.scene, setup.trial.sensor, setup.poses[view], setup.trial.render),
+    per_view=True,
+)
+"""The mirror image of a view."""
+
+
+def _expose(work: Work, view: int) -> Image:
+    image, exposure = work(RENDER, view), work.trial.exposure_2
+    return with_exposure(image, work.trial.sensor, exposure.gain, exposure.offset_grey) if view else image
+
+
+EXPOSURE = Stage(
+    "exposure", _expose, lambda setup, view: setup.trial.exposure_2 if view else None, after=(RENDER,), per_view=True
+)
+"""The mirror image as the view's camera answers to light."""
+
+
+def _add_noise(work: Work, view: int) -> Image:
+    trial, setup = work.trial, work.setup
+    draws = generator(trial.seed, "noise", setup.scene, trial.sensor.model_dump_json(), f"view {view + 1}")
+    return with_noise(work(EXPOSURE, view), trial.sensor, trial.noise.sigma_grey, draws)
+
+
+def _noise_settings(setup: Setup, view: int) -> Hashable:
+    noise = setup.trial.noise
+    return noise, noise.sigma_grey and (setup.trial.seed, view)
+
+
+NOISE = Stage("noise", _add_noise, _noise_settings, after=(EXPOSURE,), per_view=True)
+"""The mirror image with its noise."""
+
+
+def _truth(work: Work, _view: int) -> Truth:
+    trial, setup = work.trial, work.setup
+    looking = directions(trial.panorama)
+    return truth(
+        trial.scene,
+        setup.poses[0],
+        looking,
+        in_field(trial.sensor, looking),
+        pose_2=setup.poses[1],
+        sensor_2=trial.sensor,
+        threads=work.threads,
+    )
+
+
+TRUTH = Stage(
+    "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.sensor, setup.poses, setup.trial.panorama)
+)
+"""What is to be seen along every direction of view 1's panorama."""
+
+
+def _pair(work: Work, _view: int) -> Pair:
+    trial, told = work.trial, work.setup.told
+    return Pair(
+        images=work.both(NOISE),
+        sensor=told.sensor,
+        motion=told.motion,
+        grid=trial.panorama,
+        interpolation=trial.unwrap.interpolation,
+        log_sigma_px=trial.filter.log_sigma_px,
+        threads=work.threads,
+        keys=(work.keys.of(NOISE, 0), work.keys.of(NOISE, 1)),
+        share=work.share,
+    )
+
+
+def _pair_settings(setup: Setup, _view: int) -> Hashable:
+    told, trial = setup.told, setup.trial
+    motion = told.motion.R_v2_from_v1.tobytes(), told.motion.t_v1.tobytes()
+    return told.sensor, motion, trial.panorama, trial.unwrap, trial.filter
+
+
+PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE,), cached=False)
+"""What the matcher is given: images, and what it is told of sensor and motion. It keeps what it makes by parts."""
+
+MATCH = Stage(
+    "match",
+    lambda work, _view: match_pair(work(PAIR), work.trial.matching),
+    lambda setup, _view: setup.trial.matching,
+    after=(PAIR,),
+    cached=False,
+)
+"""The matcher's answer. Matchers share their parts through the pair."""
+
+
+def _range(work: Work, _view: int) -> tuple[Array, NDArray[np.uint8]]:
+    matches, told = work(MATCH), work.setup.told.motion
+    alpha_1 = _curves(work.trial, told).alpha_1
+    range_m = range_from_angles(alpha_1, matches.alpha_2, told.baseline_m)
+    lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
+    return range_m, np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons)
+
+
+RANGE = Stage("range", _range, after=(MATCH,), cached=False)
+"""Range and reasons, triangulated with the motion that the matcher was told."""
+
+
+def _reference(work: Work, _view: int) -> tuple[Reference, Layout]:
+    trial, setup = work.trial, work.setup
+    looking = directions(trial.panorama)
+    expected = reference(work(TRUTH), looking, _curves(trial, setup.motion))
+    world = looking @ setup.poses[0].R_world_from_view.T
+    return expected, layout(expected, work(TRUTH), trial.panorama, world)
+
+
+def _curves(trial: Trial, motion: Motion) -> Curves:
+    return trial.matching.curves(trial.panorama, motion.t_v1)
+
+
+REFERENCE = Stage(
+    "reference", _reference, lambda setup, _view: setup.trial.matching.sampled(setup.motion.t_v1), after=(TRUTH,)
+)
+"""The truth in the matcher's terms, and the parts of the picture that errors are reported by."""
+
+
+def _score(work: Work, _view: int) -> Errors:
+    expected, _ = work(REFERENCE)
+    range_m, _ = work(RANGE)
+    return errors(work(MATCH).alpha_2, range_m, expected, work.trial.panorama.phi_pitch)
+
+
+SCORE = Stage("score", _score, after=(RANGE, REFERENCE), cached=False)
+"""Errors, pixel by pixel."""
+
+
+def _bound(work: Work, _view: int) -> Array | None:
+    trial, setup = work.trial, work.setup
+    support = _support(trial)
+    if support is None:
+        return None
+    clean = work.both(EXPOSURE)
+    return cramer_rao(
+        clean,
+        trial.sensor,
+        setup.motion,
+        trial.panorama,
+        work(TRUTH),
+        R_world_from_v1=setup.poses[0].R_world_from_view,
+        window_px=min(support.window_px, _odd_up_to(trial.panorama.height_px)),
+        sigma_grey=1.0,
+        model=support.model,
+        frame=support.frame,
+    ).disparity_px
+
+
+def _support(trial: Trial) -> Support | None:
+    """What a match is made from, where the bound is asked for."""
+    wanted = trial.scoring.sample_px or trial.scoring.bound
+    return trial.matching.support(trial.filter.log_sigma_px) if wanted else None
+
+
+def _odd_up_to(number: int) -> int:
+    """The largest odd number that is not above another one."""
+    return number if number % 2 else number - 1
+
+
+BOUND = Stage("bound", _bound, lambda setup, _view: _support(setup.trial), after=(EXPOSURE, TRUTH))
+"""The Cramér-Rao bound of the matcher's own window."""
+
+STAGES: tuple[Stage[Any], ...] = (RENDER, EXPOSURE, NOISE, TRUTH, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND)
+"""All of them, in the order of the pipeline."""
+
+_ORDERED_BY = (RENDER, TRUTH, NOISE, PAIR)
+"""The stages by which trials are put next to each other; after them by the matcher's search."""
+
+
+def sharing_keys(trial: Trial) -> dict[str, Hashable]:
+    """Which trials can share the stages up to each of these: those with equal keys. In the order of the pipeline."""
+    keys = StageKeys(setup_of(trial))
+    shared: dict[str, Hashable] = {
+        stage.name: tuple(keys.of(stage, view) for view in stage.views) for stage in _ORDERED_BY
+    }
+    return shared | {MATCH.name: (shared[PAIR.name], trial.matching.search)}
+
+
+# --- All of them --------------------------------------------------------------------------------------------------
+
+
 def run_trial(
     trial: Trial,
-    kept: Kept | None = None,
+    cache: StageCache | None = None,
     observe: Observer = lambda _: None,
     *,
     threads: int | None = None,
@@ -119,7 +304,7 @@ def run_trial(
 
     Parameters
     ----------
-    kept
+    cache
         Results of stages to share with other trials; the outcome does not depend on it.
     observe
         Called with the name of each stage as it begins.
@@ -131,155 +316,35 @@ def run_trial(
     InputError
         When the scene cannot be seen from where the views stand.
     """
-    kept = kept or Kept()
-    clock = _Clock(observe)
-    motion, grid, poses = trial.motion, trial.panorama, trial.poses
-    # A stage's key: the settings that its result depends on, which are those of the stages before it and its own.
-    scene = fingerprint(trial.scene)
-    pictured = [(scene, trial.sensor, pose, trial.render) for pose in poses]
-    exposed = [(pictured[0], None), (pictured[1], trial.exposure_2)]
-    taken = [(key, trial.noise, trial.noise.sigma_grey and (trial.seed, view)) for view, key in enumerate(exposed)]
-
-    for pose, key in zip(poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
+    work = Work(trial, cache or StageCache(), observe, threads)
+    for pose, key in zip(work.setup.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         _check_view(trial.scene, pose, key)
-    with clock("render"):
-        pictures = [
-            kept.get(
-                "render",
-                key,
-                lambda pose=pose: render(trial.scene, trial.sensor, pose, trial.render.samples, threads),
-            )
-            for key, pose in zip(pictured, poses, strict=True)
-        ]
-    with clock("noise"):
-        second = trial.exposure_2
-        clean = (pictures[0], with_exposure(pictures[1], trial.sensor, second.gain, second.offset_grey))
-        images = [
-            kept.get(
-                "noise",
-                key,
-                lambda picture=picture, view=view: with_noise(
-                    picture,
-                    trial.sensor,
-                    trial.noise.sigma_grey,
-                    generator(trial.seed, "noise", scene, trial.sensor.model_dump_json(), f"view {view + 1}"),
-                ),
-            )
-            for view, (key, picture) in enumerate(zip(taken, clean, strict=True))
-        ]
-    with clock("truth"):
-        looking = directions(grid)
-        seen = kept.get(
-            "truth",
-            (scene, trial.sensor, poses, grid),
-            lambda: truth(
-                trial.scene,
-                poses[0],
-                looking,
-                in_field(trial.sensor, looking),
-                pose_2=poses[1],
-                sensor_2=trial.sensor,
-                threads=threads,
-            ),
-        )
-    with clock("match"):
-        pair = Pair(
-            images=(images[0], images[1]),
-            sensor=trial.sensor,
-            motion=motion,
-            grid=grid,
-            interpolation=trial.unwrap.interpolation,
-            log_sigma_px=trial.filter.log_sigma_px,
-            threads=threads,
-            keys=(taken[0], taken[1]),
-            share=lambda stage, key, make: kept.get(stage, key, lambda: clock.timed(stage, make)),
-        )
-        matches = match_pair(pair, trial.matching)
-    with clock("range"):
-        curves = trial.matching.curves(grid, motion.t_v1)
-        range_m = range_from_angles(curves.alpha_1, matches.alpha_2, motion.baseline_m)
-        lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
-        reason = np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons)
-    with clock("score"):
-        expected, parts = kept.get(
-            "reference",
-            (scene, trial.sensor, poses, grid, trial.matching.sampled(motion.t_v1)),
-            lambda: _expected(seen, looking, poses[0], grid, curves),
-        )
-        found = errors(matches.alpha_2, range_m, expected, grid.phi_pitch)
-    bound_px = None
-    support = trial.matching.support(trial.filter.log_sigma_px)
-    if (trial.scoring.sample_px or trial.scoring.bound) and support is not None:
-        with clock("bound"):
-            bound_px = kept.get(
-                "bound",
-                (tuple(exposed), grid, support),
-                lambda: (
-                    cramer_rao(
-                        clean,
-                        trial.sensor,
-                        motion,
-                        grid,
-                        seen,
-                        R_world_from_v1=poses[0].R_world_from_view,
-                        window_px=min(support.window_px, grid.height_px - 1 | 1),
-                        sigma_grey=1.0,
-                        model=support.model,
-                        frame=support.frame,
-                    ).disparity_px
-                ),
-            )
+    work.both(RENDER)
+    pair, seen, matches = work(PAIR), work(TRUTH), work(MATCH)
+    range_m, reason = work(RANGE)
+    scored = work(SCORE)
+    expected, parts = work(REFERENCE)
     return Outcome(
         trial=trial,
         pair=pair,
-        clean=clean,
+        clean=work.both(EXPOSURE),
         truth=seen,
-        curves=curves,
+        curves=_curves(trial, work.setup.motion),
         matches=matches,
         range_m=range_m,
         reason=reason,
         reference=expected,
         layout=parts,
-        errors=found,
-        bound_px=bound_px,
-        seconds=clock.seconds,
+        errors=scored,
+        bound_px=None if _support(trial) is None else work(BOUND),
+        seconds=work.clock.seconds,
     )
 
 
 def _check_view(scene: Scene, pose: Pose, key: str) -> None:
-    """Say which view it is that stands where there is nothing to see."""
+    """Refuse a view that stands where there is nothing to see, and say which one it is."""
     geometry = geometry_of(scene)
     try:
         check_viewpoint(geometry, pose.position_m)
     except InputError as error:
         raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
-
-
-def _expected(seen: Truth, looking: Array, pose: Pose, grid: Grid, curves: Curves) -> tuple[Reference, Layout]:
-    """All that scoring needs of the truth."""
-    expected = reference(seen, looking, curves)
-    return expected, layout(expected, seen, grid, looking @ pose.R_world_from_view.T)
-
-
-class _Clock:
-    """Seconds of each stage, without those of the stages inside it."""
-
-    def __init__(self, observe: Observer) -> None:
-        self._observe = observe
-        self._inside = [0.0]
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        self._observe(stage)
-        self._inside.append(0.0)
-        begin = time.perf_counter()
-        yield
-        took = time.perf_counter() - begin
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + took - self._inside.pop()
-        self._inside[-1] += took
-
-    def timed(self, stage: str, make: Callable[[], T]) -> T:
-        """What `make` returns, its time counted for this stage."""
-        with self(stage):
-            return make()

@@ -4,9 +4,9 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 
 from harness.pipeline.specification import Trial
-from harness.pipeline.stage_cache import sharing_keys
+from harness.pipeline.stages import StageKeys, setup_of
+from harness.pipeline.trial import RENDER, sharing_keys
 from harness.runs.experiment import Planned
-from harness.simulation.fingerprint import fingerprint
 
 BATCH_S = 1.0
 """Work that a worker is handed at a time: long beside the handing over, short beside what a kill may cost."""
@@ -80,11 +80,12 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     stages = {
         "render": image * (0.08 + 0.006 * trial.render.samples) + panorama * 0.75,
         "noise": image * 0.02,
-        "filter": panorama * 0.3,
+        "pair": panorama * 0.3,
         "match": panorama * samples_a_curve * 1.0,
     }
-    return 0.6 * panorama + sum(stages[stage] for stage in new)
+    return 0.6 * panorama + sum(stages.get(stage, 0.0) for stage in new)
 
 
 def _render_keys(trial: Trial) -> list[Hashable]:
-    return [(fingerprint(trial.scene), trial.sensor, pose, trial.render) for pose in trial.poses]
+    keys = StageKeys(setup_of(trial))
+    return [keys.of(RENDER, view) for view in RENDER.views]

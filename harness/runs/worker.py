@@ -15,7 +15,7 @@ from harness.pipeline.environment import code_hash
 from harness.pipeline.render_cache import RenderCache, cache_folder
 from harness.pipeline.row import row_of
 from harness.pipeline.specification import Trial
-from harness.pipeline.stage_cache import Kept
+from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import Outcome, run_trial
 from harness.runs.experiment import Planned
 from harness.runs.store import Finished
@@ -77,9 +77,9 @@ def work(batch: Batch) -> list[Finished]:
 
 def run_here(trial: Trial, *, threads: int | None = None) -> Outcome:
     """Run a trial with all that this thread has kept from those before."""
-    if not hasattr(_local, "kept"):
-        _local.kept = Kept(beneath={"render": RenderCache()})
-    return run_trial(trial, _local.kept, threads=threads)
+    if not hasattr(_local, "cache"):
+        _local.cache = StageCache(backing={"render": RenderCache()})
+    return run_trial(trial, _local.cache, threads=threads)
 
 
 def forget() -> None:

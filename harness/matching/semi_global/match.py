@@ -107,6 +107,11 @@ class SemiGlobal(Limits):
             )
         return self
 
+    @property
+    def search(self) -> "SemiGlobal":
+        """The search for the best label, which all sub-pixel steps and checks of consistency share."""
+        return self.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
+
 
 def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
     """Match the mirror images, resampled about the baseline as `pair.interpolation` says.
@@ -118,7 +123,7 @@ def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
     geometry = geometry_for(pair, matcher)
     settings = ("about the baseline", geometry.places)
     views = pair.shared("about the baseline", settings, lambda: views_about_the_baseline(pair, geometry))
-    searched = matcher.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
+    searched = matcher.search
     found = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
     return pair.shared("sub-pixel", matcher, lambda: match(found, geometry, matcher))
 

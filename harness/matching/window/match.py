@@ -47,10 +47,9 @@ def match_pair(pair: Pair, matcher: WindowMatcher) -> Matches:
 def whole_pixels(pair: Pair, matcher: WindowMatcher) -> WholePixelMatches:
     """The search of `match_pair`."""
     first, second = pair.filtered()
-    searched = matcher.model_copy(update={"subpixel": "none"})
     return pair.shared(
         "match",
-        searched,
+        matcher.search,
         lambda: match_whole_pixels(first, second, pair.t_v1, matcher, threads=pair.available_threads),
     )
 

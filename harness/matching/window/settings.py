@@ -68,6 +68,11 @@ class WindowMatcher(Limits):
                 )
         return self
 
+    @property
+    def search(self) -> "WindowMatcher":
+        """The search for the best whole sample, which all sub-pixel steps share."""
+        return self.model_copy(update={"subpixel": "none"})
+
     def support(self, log_sigma_px: float) -> Support:
         """The window, and as far around it as the filter's kernel reaches: all that a match is made from."""
         return Support(max(3, self.window_px + 2 * kernel_reach(log_sigma_px)), "frontal")

@@ -1,0 +1,94 @@
+"""Stages of a trial: what is shared, what is not, and one from outside."""
+
+import numpy as np
+import pytest
+
+from harness.pipeline.specification import Trial
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.stages import Stage, StageKeys, Work, setup_of
+from harness.pipeline.trial import BOUND, MATCH, NOISE, PAIR, RENDER, STAGES, TRUTH, run_trial, sharing_keys
+from harness.simulation.scene import load_scene
+from harness.spec import parse
+
+SMALL = {
+    "sensor": {"camera": {"width_px": 80, "height_px": 60, "focal_px": 76.7, "cx_px": 39.5, "cy_px": 29.5}},
+    "panorama": {"width_px": 90, "height_px": 25},
+    "render": {"samples": 1},
+    "noise": {"sigma_grey": 2.0},
+}
+
+
+def trial(**changes):
+    return parse(Trial, {"scene": load_scene("box").model_dump(mode="json"), **SMALL, **changes})
+
+
+def keys(one, stage):
+    made = StageKeys(setup_of(one))
+    return [made.of(stage, view) for view in stage.views]
+
+
+@pytest.mark.parametrize(
+    ("change", "unchanged", "changed"),
+    [
+        ({"matching": {"window_px": 7}}, (RENDER, NOISE, TRUTH, PAIR), (MATCH,)),
+        ({"filter": {"log_sigma_px": 1.0}}, (RENDER, NOISE, TRUTH), (PAIR, MATCH)),
+        ({"seed": 5}, (RENDER, TRUTH), (NOISE, PAIR, MATCH)),
+        ({"panorama": {"width_px": 120, "height_px": 25}}, (RENDER, NOISE), (TRUTH, PAIR, MATCH)),
+        ({"render": {"samples": 4}}, (TRUTH,), (RENDER, NOISE, PAIR, MATCH, BOUND)),
+    ],
+)
+def test_a_key_changes_with_what_its_stage_depends_on_and_with_nothing_else(change, unchanged, changed):
+    one, other = trial(), trial(**change)
+    assert all(keys(one, stage) == keys(other, stage) for stage in unchanged)
+    assert all(
+        before != after for stage in changed for before, after in zip(keys(one, stage), keys(other, stage), strict=True)
+    )
+
+
+def test_a_view_that_does_not_move_is_rendered_once_for_all_baselines():
+    one, other = trial(), trial(view_2={"baseline_m": 0.3})
+    assert keys(one, RENDER)[0] == keys(other, RENDER)[0]
+    assert keys(one, RENDER)[1] != keys(other, RENDER)[1]
+    assert keys(one, PAIR) != keys(other, PAIR)
+
+
+def test_trials_that_differ_in_the_sub_pixel_step_share_the_search():
+    one, other = (trial(matching={"subpixel": step}) for step in ("none", "parabola"))
+    assert sharing_keys(one) == sharing_keys(other)
+    assert keys(one, MATCH) != keys(other, MATCH)
+
+
+def test_names_and_order_of_stages_are_those_of_the_pipeline():
+    names = [stage.name for stage in STAGES]
+    assert len(set(names)) == len(names)
+    for index, stage in enumerate(STAGES):
+        assert set(stage.after) <= set(STAGES[:index]), stage.name
+
+
+def test_a_stage_from_outside_is_shared_timed_and_sees_what_came_before():
+    calls = []
+
+    def mean_grey(work, view):
+        calls.append(view)
+        return float(np.mean(work(NOISE, view)))
+
+    brightness = Stage("brightness", mean_grey, after=(NOISE,), per_view=True)
+    cache, begun = StageCache(), []
+    first = Work(trial(), cache, begun.append, 1)
+    values = first.both(brightness)
+    outcome = run_trial(trial(matching={"window_px": 7}), cache, threads=1)
+    assert values == tuple(float(np.mean(image)) for image in outcome.images)
+    again = Work(trial(matching={"window_px": 7}), cache, lambda _: None, 1)
+    assert again.both(brightness) == values
+    assert calls == [0, 1]  # the matcher's window is nothing to it
+    assert begun[:2] == ["brightness", "noise"]
+    assert {"brightness", "noise", "render"} <= first.clock.seconds.keys()
+    Work(trial(seed=3), cache, lambda _: None, 1).both(brightness)
+    assert calls == [0, 1, 0, 1]
+
+
+def test_the_matcher_is_told_the_truth():
+    setup = setup_of(trial(view_2={"yaw_deg": 20.0}))
+    assert setup.told.sensor == setup.trial.sensor
+    assert np.array_equal(setup.told.motion.R_v2_from_v1, setup.motion.R_v2_from_v1)
+    assert np.array_equal(setup.told.motion.t_v1, setup.motion.t_v1)
