@@ -1,5 +1,9 @@
 """How payloads show themselves: one line, in which arrays are told by type and shape and never printed."""
 
+import base64
+import html
+import io
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -44,3 +48,53 @@ def shortened(text: str) -> str:
     """A text in one line, no longer than `LONGEST`."""
     line = " ".join(text.split())
     return line if len(line) <= LONGEST else f"{line[: LONGEST - 4].rstrip(', ')} ..."
+
+
+# --- Pictures in a notebook ---------------------------------------------------------------------------------------
+
+_WIDTH_PX = 720
+"""Of a picture on a page; larger arrays are thinned out, since a notebook keeps every picture that it shows."""
+
+
+def grey(values: Any) -> bytes:
+    """A PNG of grey levels 0 .. 255, `[height, width]`."""
+    import numpy as np
+
+    return _png(np.clip(np.rint(np.nan_to_num(_thinned(values))), 0, 255).astype(np.uint8))
+
+
+def coloured(values: Any, low: float, high: float) -> bytes:
+    """A PNG of values `[height, width]`, dark at `low` and bright at `high`; what is missing is light grey."""
+    import matplotlib as mpl
+    import numpy as np
+
+    values = _thinned(values)
+    share = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0, 1)
+    colours = np.array(mpl.colormaps["viridis"](share)[..., :3])
+    colours[~np.isfinite(values)] = 0.85
+    return _png(np.rint(255 * colours).astype(np.uint8))
+
+
+def html_figure(pictures: Mapping[str, bytes], caption: str) -> str:
+    """PNG pictures one below the other, each with its title, and a caption above: HTML that needs no other file."""
+    parts = [f"<div><b>{html.escape(caption)}</b></div>"]
+    for title, data in pictures.items():
+        source = f"data:image/png;base64,{base64.b64encode(data).decode()}"
+        parts.append(
+            f'<div>{html.escape(title)}<br><img alt="{html.escape(title)}" src="{source}" '
+            f'style="max-width:100%;image-rendering:pixelated"></div>'
+        )
+    return "\n".join(parts)
+
+
+def _thinned(values: Any) -> Any:
+    step = max(1, -(-values.shape[1] // _WIDTH_PX))
+    return values[::step, ::step]
+
+
+def _png(values: Any) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(values).save(stream, format="PNG")
+    return stream.getvalue()

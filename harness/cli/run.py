@@ -33,6 +33,11 @@ def add(commands: declare.Commands) -> None:
         "--dry-run", action="store_true", help="say how many trials there are and how long they may take"
     )
     command.add_argument("--no-report", action="store_true", help="leave out the summary and the report: tables only")
+    command.add_argument(
+        "--keep-arrays",
+        action="store_true",
+        help="keep every trial's maps (range, angles, truth, sigma) as NPZ files in the folder maps of the output",
+    )
     declare.add_workplace(command)
 
 
@@ -44,6 +49,7 @@ def run(options: Namespace) -> int:
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
     from harness.files import make_folder
+    from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.experiment import load_experiment
     from harness.runs.run import is_reported, open_run, standing, sweep
 
@@ -53,7 +59,8 @@ def run(options: Namespace) -> int:
     folder = options.out or Path("results") / experiment.name
     make_folder(folder)
     with open_run(experiment, folder) as store:
-        before = standing(experiment, store)
+        maps = prepare_folder(folder / FOLDER) if options.keep_arrays else None
+        before = standing(experiment, store, maps)
         say_foreign(before.foreign)
         if before.done == before.total and is_reported(experiment, store, folder):
             print(
@@ -67,10 +74,10 @@ def run(options: Namespace) -> int:
                 if left.trials:
                     place = workplace(left.total_s, len(left.trials), options.workers, options.dask)
                     progress.say(f"{len(left.trials)} trials to run {place.name}, {before.done} done before")
-                    sweep(left, store, place, progress.update)
+                    sweep(left, store, place, progress.update, maps)
             except KeyboardInterrupt:
                 progress.stop()
-                after = standing(experiment, store)
+                after = standing(experiment, store, maps)
                 print(
                     f"\nomnirange: interrupted; {after.done} of {after.total} trials are done and kept; "
                     "run the same command to go on",

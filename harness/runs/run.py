@@ -21,6 +21,7 @@ from harness.files import write
 from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.environment import environment, source_hash
+from harness.pipeline.maps import has_maps
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.runs import executors, worker
@@ -133,10 +134,20 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
     return store
 
 
-def standing(experiment: Experiment, store: Store) -> Standing:
-    """How far a run has come, and what is left to do."""
+def standing(experiment: Experiment, store: Store, maps: Path | None = None) -> Standing:
+    """How far a run has come, and what is left to do.
+
+    Parameters
+    ----------
+    maps
+        The folder in which trials' maps are kept: a trial whose maps are not there is still to be run.
+    """
     states = store.states(each.key for each in experiment.planned)
-    left = [each for each in experiment.planned if states.get(each.key) != "done"]
+    left = [
+        each
+        for each in experiment.planned
+        if states.get(each.key) != "done" or not (maps is None or has_maps(maps, each.key))
+    ]
     scenes = {fingerprint(each.trial.scene) for each in experiment.planned}
     return Standing(
         plan=plan(left),
@@ -148,12 +159,26 @@ def standing(experiment: Experiment, store: Store) -> Standing:
 
 
 def sweep(
-    left: Plan, store: Store, place: executors.Workplace, observe: Callable[[Sequence[Finished]], None] = lambda _: None
+    left: Plan,
+    store: Store,
+    place: executors.Workplace,
+    observe: Callable[[Sequence[Finished]], None] = lambda _: None,
+    maps: Path | None = None,
 ) -> None:
-    """Run what is left to do; see `sweep.run_sweep`."""
+    """Run what is left to do; see `sweep.run_sweep`.
+
+    Raises
+    ------
+    InputError
+        When maps are to be kept and workers may be on another machine, which has not got the folder.
+    """
+    if maps is not None and place.elsewhere:
+        raise InputError(
+            "writes into a folder of this machine, which workers on a cluster may not have", key="--keep-arrays"
+        )
     # One worker takes single trials: there is nobody else to keep busy, and a kill costs one trial.
     longest = 0.0 if place.workers == 1 and not place.elsewhere else left.total_s / (12 * place.workers)
-    run_sweep(left.batches(min(longest, 1.0)), store, place, observe)
+    run_sweep(left.batches(min(longest, 1.0)), store, place, observe, maps)
 
 
 def result_of(experiment: Experiment, store: Store) -> Result:

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from harness.errors import InputError
 from harness.runs.executors import Workplace
@@ -17,18 +18,29 @@ Observer = Callable[[Sequence[Finished]], None]
 """Called with trials that have just been written."""
 
 
-def run_sweep(batches: Iterable[Trials], store: Store, place: Workplace, observe: Observer = lambda _: None) -> None:
+def run_sweep(
+    batches: Iterable[Trials],
+    store: Store,
+    place: Workplace,
+    observe: Observer = lambda _: None,
+    maps: Path | None = None,
+) -> None:
     """Run batches and write their rows as they come; in which order they do makes no difference to any row.
 
     A batch whose worker died is run again trial by trial, alone, and a trial that ends its worker once more is written
     as failed. When this is interrupted, what workers have begun is awaited and written first.
+
+    Parameters
+    ----------
+    maps
+        The folder in which to keep the trials' maps, see `pipeline.maps`.
 
     Raises
     ------
     InputError
         When a worker has other code, or the scheduler has gone away. What is finished is written.
     """
-    sweep = _Sweep(store, place, observe, deque(batches))
+    sweep = _Sweep(store, place, observe, deque(batches), maps)
     while sweep.waiting or sweep.suspects:
         with place.open() as executor:
             sweep.drain(executor)
@@ -40,6 +52,7 @@ class _Sweep:
     place: Workplace
     observe: Observer
     waiting: deque[Trials]
+    maps: Path | None
     suspects: deque[Trials] = field(default_factory=deque)
     """Single trials of batches that came to grief, to be run alone."""
     running: dict[Future[list[Finished]], Trials] = field(default_factory=dict)
@@ -67,7 +80,7 @@ class _Sweep:
         queue, slots = (self.suspects, 1) if self.alone else (self.waiting, self.place.slots)
         while queue and len(self.running) < slots:
             trials = queue.popleft()
-            batch = pack(trials, threads=self.place.threads, with_files=self.place.elsewhere)
+            batch = pack(trials, threads=self.place.threads, maps=self.maps, with_files=self.place.elsewhere)
             try:
                 self.running[executor.submit(work, batch)] = trials
             except BrokenExecutor:

@@ -12,6 +12,7 @@ from typing import Any
 
 from harness.errors import InputError
 from harness.pipeline.environment import code_hash
+from harness.pipeline.maps import maps_of, write_maps
 from harness.pipeline.render_cache import RenderCache, cache_folder
 from harness.pipeline.row import row_of
 from harness.pipeline.specification import Trial
@@ -37,15 +38,21 @@ class Batch:
     """Of each its key, its scene's fingerprint and its table."""
     threads: int | None = 1
     """Of one trial; all available CPUs when None. No row depends on it."""
+    maps: str | None = None
+    """The folder in which to keep every trial's maps, absolute; None to keep none."""
     files: dict[str, bytes] = field(default_factory=dict)
     """The contents of the scenes' files by path, for a worker that has not got them."""
 
 
-def pack(trials: Sequence[Planned], *, threads: int | None = 1, with_files: bool = False) -> Batch:
+def pack(
+    trials: Sequence[Planned], *, threads: int | None = 1, maps: Path | None = None, with_files: bool = False
+) -> Batch:
     """Make a batch.
 
     Parameters
     ----------
+    maps
+        The folder in which to keep the trials' maps, see `pipeline.maps`.
     with_files
         Whether the worker may be on another machine.
     """
@@ -57,6 +64,7 @@ def pack(trials: Sequence[Planned], *, threads: int | None = 1, with_files: bool
         code=code_hash(),
         trials=tuple((each.key, fingerprint(each.trial.scene), each.trial.model_dump(mode="json")) for each in trials),
         threads=threads,
+        maps=None if maps is None else str(maps),
         files={str(path): path.read_bytes() for scene in scenes for path in assets(scene)},
     )
 
@@ -72,7 +80,8 @@ def work(batch: Batch) -> list[Finished]:
     if batch.code != _CODE:
         raise InputError("a worker has another version of omnirange or of its libraries; install the same everywhere")
     here = {path: str(_laid_down(path, content)) for path, content in batch.files.items()}
-    return [_finish(key, scene, _replaced(table, here), batch.threads) for key, scene, table in batch.trials]
+    maps = None if batch.maps is None else Path(batch.maps)
+    return [_finish(key, scene, _replaced(table, here), batch.threads, maps) for key, scene, table in batch.trials]
 
 
 def run_here(trial: Trial, *, threads: int | None = None) -> Outcome:
@@ -90,10 +99,12 @@ def forget() -> None:
 _local = threading.local()
 
 
-def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None) -> Finished:
+def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None, maps: Path | None) -> Finished:
     try:
         outcome = run_here(_asked_for(key, table), threads=threads)
         payload = json.dumps(row_of(outcome), allow_nan=False)
+        if maps is not None:  # before the row: a trial that is done has its maps
+            write_maps(maps_of(outcome), maps)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is this trial's alone, and kept
         message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         return Finished(key, scene, "failed", message=" ".join(message.split()), traceback=traceback.format_exc())
