@@ -32,7 +32,6 @@ from harness.camera.sensor import project
 from harness.geometry.angles import normalise
 from harness.geometry.panorama import cylinder
 from harness.matching.opencv.settings import StereoSGBM
-from harness.matching.registry import match_pair
 from harness.matching.semi_global import match as semi_global
 from harness.matching.semi_global.match import Geometry, SemiGlobal, View
 from harness.matching.slanted.match import Slanted
@@ -130,20 +129,20 @@ def main() -> None:
         print(f"{name:>16}" + compared(ours, opencv_matchers(7), pair, repetitions, share))
     print(heading("slanted"))
     slanted, start = Slanted(), SemiGlobal()
-    coarse = match_pair(outcome.pair, start).alpha_2
+    coarse = start.match(outcome.pair).alpha_2
     # A pair shares what was made of it; every repetition has to make all of it.
     two = dataclasses.replace(outcome.pair, threads=THREADS, share=lambda _stage, _key, make: make())
 
     def refined() -> None:
         refine_slanted(two.images, two.sensor, two.motion, two.grid, coarse, settings=slanted, threads=THREADS)
 
-    for name, work in (("refinement", refined), ("all of it", lambda: match_pair(two, slanted))):
+    for name, work in (("refinement", refined), ("all of it", lambda: slanted.match(two))):
         print(f"{name:>16}" + compared(work, opencv_matchers(7), pair, max(3, repetitions // 3), share))
 
     print(f"{'':24} {'matched %':>10} {'bad-1 %':>8} {'median px':>10}   all of the domain, floor and walls")
     for matcher in (Slanted(), SemiGlobal(), SemiGlobal(paths=8), StereoSGBM(), StereoSGBM(mode="hh"), *BEST_OF_PEERS):
         error = outcome.pair.grid.phi_pitch**-1 * np.abs(
-            (match_pair(outcome.pair, matcher).alpha_2 - outcome.reference.alpha_2)[outcome.reference.domain]
+            (matcher.match(outcome.pair).alpha_2 - outcome.reference.alpha_2)[outcome.reference.domain]
         )
         best = " best" if matcher in BEST_OF_PEERS else ""
         name = f"{matcher.kind} {getattr(matcher, 'mode', getattr(matcher, 'paths', ''))}{best}"

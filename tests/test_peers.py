@@ -36,7 +36,7 @@ from harness.matching.opencv.rectify import (
 )
 from harness.matching.opencv.settings import StereoBM, StereoReconstruct, StereoSGBM
 from harness.matching.pair import Pair
-from harness.matching.registry import BUILT_IN, match_pair
+from harness.matching.registry import BUILT_IN
 from harness.pipeline.trial import run_trial
 from harness.runs.experiment import load_experiment
 
@@ -241,7 +241,7 @@ def test_constant_disparity_is_found_all_round(t, matcher, disparity_px, toleran
     pair = constant(t, disparity_px, TURN)
     true = disparity_px * GRID.phi_pitch
     a_1 = alpha_1(GRID, t)
-    error = (match_pair(pair, matcher).alpha_2 - a_1) / GRID.phi_pitch - disparity_px
+    error = (matcher.match(pair).alpha_2 - a_1) / GRID.phi_pitch - disparity_px
     # Where the world's range is within the limits, and both views see the place and its surroundings.
     looking = directions(GRID)
     range_m, _ = triangulate(a_1, a_1 + true, pair.motion.baseline_m)
@@ -265,9 +265,7 @@ def test_the_seam_of_the_rectangle_is_no_border(matcher):
     StereoBM matches no pixel whose block leaves the image, and would leave twenty columns blank.
     """
     half = GRID.width_px // 2
-    straight, turned = (
-        match_pair(constant((0.0, 0.0, 0.5), 8.3, turned=angle), matcher).alpha_2 for angle in (0.0, np.pi)
-    )
+    straight, turned = (matcher.match(constant((0.0, 0.0, 0.5), 8.3, turned=angle)).alpha_2 for angle in (0.0, np.pi))
     there = np.roll(straight, half, axis=1)[:, np.r_[:10, -10:0]]
     difference = np.abs(there - turned[:, np.r_[:10, -10:0]]) / GRID.phi_pitch
     assert np.isfinite(there).mean() > 0.5
@@ -279,7 +277,7 @@ def test_the_seam_of_the_rectangle_is_no_border(matcher):
 @pytest.mark.usefixtures("cv2")
 def test_no_range_is_outside_the_limits():
     pair = constant((0.5, 0.0, 0.0), 4.15)
-    found = match_pair(pair, StereoSGBM(d_min_m=3.0, d_max_m=5.0)).alpha_2
+    found = StereoSGBM(d_min_m=3.0, d_max_m=5.0).match(pair).alpha_2
     range_m, _ = triangulate(alpha_1(GRID, pair.t_v1), found, 0.5)
     assert np.isfinite(found).mean() > 0.1
     np.testing.assert_array_equal(np.isnan(range_m), np.isnan(found))
@@ -316,7 +314,7 @@ def test_errors_on_the_papers_box(box, matcher, pixels, metres, density):
 @pytest.mark.usefixtures("cv2")
 def test_reconstruct_is_scored_by_its_own_formula(box):
     """`|t| / disparity`, not the sine rule: the ranges are those, and so are far from the truth."""
-    found = match_pair(box.pair, StereoReconstruct(block_px=7))
+    found = StereoReconstruct(block_px=7).match(box.pair)
     truth = box.reference
     range_m, _ = triangulate(truth.alpha_1, found.alpha_2, 0.5)
     seen = truth.domain & np.isfinite(range_m)
@@ -333,7 +331,7 @@ def test_reconstruct_is_scored_by_its_own_formula(box):
 
 def scored(outcome, matcher):
     """Errors over the domain: of the disparity in pixels of the panorama, and of the range in metres."""
-    found, truth = match_pair(outcome.pair, matcher), outcome.reference
+    found, truth = matcher.match(outcome.pair), outcome.reference
     range_m, _ = triangulate(truth.alpha_1, found.alpha_2, outcome.pair.motion.baseline_m)
     pixels = (found.alpha_2 - truth.alpha_2) / outcome.pair.grid.phi_pitch
     return pixels[truth.domain], (range_m - truth.range_m)[truth.domain]
@@ -347,7 +345,7 @@ def scored(outcome, matcher):
 def test_threads_change_nothing(cv2, matcher):
     before = cv2.getNumThreads()
     pair = constant((0.5, 0.0, 0.0), 18.3)
-    one, two = (match_pair(replace(pair, threads=n), matcher).alpha_2 for n in (1, 2))
+    one, two = (matcher.match(replace(pair, threads=n)).alpha_2 for n in (1, 2))
     np.testing.assert_array_equal(one, two)
     assert np.isfinite(one).any()
     assert cv2.getNumThreads() == before
@@ -357,7 +355,7 @@ def test_threads_are_given_back_after_a_failure(cv2, monkeypatch):
     before = cv2.getNumThreads()
     monkeypatch.setattr(matchers, "block_match", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        match_pair(replace(blank((0.5, 0, 0)), threads=before + 1), StereoSGBM())
+        StereoSGBM().match(replace(blank((0.5, 0, 0)), threads=before + 1))
     assert cv2.getNumThreads() == before
 
 
@@ -415,7 +413,7 @@ def test_kinds_run_as_trials(kind):
 def test_without_opencv_it_says_what_to_install(monkeypatch, kind, module):
     monkeypatch.setitem(sys.modules, "cv2", module)
     with pytest.raises(InputError) as error:
-        match_pair(blank((0.5, 0, 0)), BUILT_IN[kind]())
+        BUILT_IN[kind]().match(blank((0.5, 0, 0)))
     assert str(error.value) == f"{kind}: needs the extra: pip install 'omnirange[peers]'"
 
 
@@ -423,13 +421,13 @@ def test_without_opencv_it_says_what_to_install(monkeypatch, kind, module):
 @pytest.mark.usefixtures("cv2")
 def test_a_lens_that_opencv_has_not_is_refused(kind):
     with pytest.raises(InputError, match=r"sensor\.lens\.k3: OpenCV's omnidir has no k3; it must be 0, found 0\.001"):
-        match_pair(blank((0.5, 0, 0), sensor=Sensor(lens=Lens(k3=0.001))), BUILT_IN[kind]())
+        BUILT_IN[kind]().match(blank((0.5, 0, 0), sensor=Sensor(lens=Lens(k3=0.001))))
 
 
 @pytest.mark.usefixtures("cv2")
 def test_reconstruct_says_that_it_has_no_answer_for_a_vertical_baseline():
     with pytest.raises(InputError, match=r"opencv-reconstruct: cv2\.omnidir\.stereoRectify has no answer for"):
-        match_pair(blank((0, 0, 0.5)), StereoReconstruct())
+        StereoReconstruct().match(blank((0, 0, 0.5)))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from harness.errors import InputError
 from harness.geometry.panorama import Grid, cylinder
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.io.view_folder import pose_in
-from harness.matching import program, registry
+from harness.matching import program
 from harness.matching.pair import Pair
 from harness.matching.program import Program
 from harness.runs.experiment import load_experiment, load_matcher
@@ -56,7 +56,7 @@ def fast(folder: Path, source: str, **settings: object) -> Program:
 
 def complaint(pair: Pair, matcher: Program) -> str:
     with pytest.raises(InputError) as caught:
-        registry.match_pair(pair, matcher)
+        matcher.match(pair)
     text = str(caught.value)
     assert "\n" not in text
     return text
@@ -139,7 +139,7 @@ def test_looking_straight_up_or_down(pitch: float) -> None:
 def test_arrays_are_read(pair: Pair, tmp_path: Path) -> None:
     more = "alpha[:, 3] = np.nan\nnp.save(target / 'alpha_2.npy', np.asfortranarray(alpha.astype('>f4')))\n"
     more += "np.save(target / 'confidence.npy', alpha * 10)\nnp.save(target / 'sigma_alpha_2.npy', alpha / 100)\n"
-    found = registry.match_pair(pair, python(tmp_path, ANSWER + more))
+    found = python(tmp_path, ANSWER + more).match(pair)
     expected = np.full((16, 60), 1.5)
     expected[:, 3] = np.nan
     np.testing.assert_array_equal(found.alpha_2, expected)  # 1.5 is exact in single precision
@@ -226,7 +226,7 @@ def test_the_time_limit_ends_all_that_was_started(pair: Pair, tmp_path: Path) ->
 def test_nothing_is_left_running_behind_a_good_answer(pair: Pair, tmp_path: Path) -> None:
     script = npy(tmp_path, np.full((16, 60), 1.5)) + "sleep 62.5 &\n"
     begun = time.monotonic()
-    registry.match_pair(pair, fast(tmp_path, script))
+    fast(tmp_path, script).match(pair)
     assert time.monotonic() - begun < 20
     assert not _sleepers("62.5")
 

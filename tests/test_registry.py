@@ -270,7 +270,7 @@ def test_two_matchers_with_the_same_words_share_nothing(pair: Pair) -> None:
 def test_parameters_are_the_matchers_to_change(module: Write, pair: Pair) -> None:
     name = module("def f(pair, limits, some):\n    some.append(4)\n    return pair.alpha_1 + 0.001 * len(some)\n")
     matcher = Plugin(kind=f"{name}:f", parameters={"some": [1]})
-    first, second = (registry.match_pair(pair, matcher).alpha_2 for _ in (1, 2))
+    first, second = (matcher.match(pair).alpha_2 for _ in (1, 2))
     np.testing.assert_array_equal(first, second)
     assert matcher.parameters == {"some": [1]}
 
@@ -287,7 +287,7 @@ def test_parameters_are_the_matchers_to_change(module: Write, pair: Pair) -> Non
 def test_a_matcher_that_fails(body: str, said: str, module: Write, pair: Pair) -> None:
     name = module(f"def f(pair, limits):\n    {body}\n")
     with pytest.raises(InputError) as caught:
-        registry.match_pair(pair, Plugin(kind=f"{name}:f"))
+        Plugin(kind=f"{name}:f").match(pair)
     assert str(caught.value).startswith(f"{name}:f: ")
     assert said in str(caught.value)
     if "what now" in said:
@@ -448,7 +448,7 @@ def test_files_in_parameters_lie_beside_the_experiment(module: Write, tmp_path: 
 
 
 def test_a_matcher_of_this_program_has_no_fingerprint() -> None:
-    assert registry.fingerprint(load_matcher("window")) == ""
+    assert load_matcher("window").identity() == ""
 
 
 # --- Whole runs ---------------------------------------------------------------------------------------------------

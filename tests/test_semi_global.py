@@ -26,7 +26,6 @@ from harness.matching.semi_global.match import (
     geometry_of,
     jumps,
     match,
-    match_pair,
     search,
 )
 from harness.pipeline.stage_cache import StageCache
@@ -451,7 +450,7 @@ def test_mirror_images_of_turned_views_are_matched(interpolation):
     looking = np.where(seen[..., None], looking, [1.0, 0.0, 0.0])
     images = [np.where(seen, grey, 0).astype(np.float32) for grey in sphere(looking, looking @ R_v2_from_v1, t, 13)]
     pair = Pair((images[0], images[1]), sensor, Motion(R_v2_from_v1, t), grid, interpolation=interpolation)
-    found = match_pair(pair, SemiGlobal())
+    found = SemiGlobal().match(pair)
     error_px = np.abs(found.alpha_2 - exact_alpha_2(RADIUS * directions(grid), t)) / grid.phi_pitch
     sideways = np.sin(pair.alpha_1) > 0.3
     # View 2 is turned off the vertical: part of what view 1 sees is above its rim.

@@ -15,7 +15,7 @@ from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.matching.slanted.refine import SlantedSettings, _centre_of_spline, _smoothed, _way, refine_slanted
+from harness.matching.slanted.refine import Slanted, _centre_of_spline, _smoothed, _way, refine_slanted
 
 SENSOR = Sensor(
     camera=Camera(width_px=220, height_px=220, focal_px=560.0, cx_px=109.5, cy_px=109.5),
@@ -23,7 +23,7 @@ SENSOR = Sensor(
 )
 GRID = Grid(width_px=240, height_px=60, z_max=-0.4, z_min=-2.0)
 HEIGHT_M = 1.0
-SETTINGS = SlantedSettings(window_px=13, d_min_m=0.5)
+SETTINGS = Slanted(window_px=13, d_min_m=0.5)
 WAVES = np.random.default_rng(3).normal(size=(60, 2)), np.random.default_rng(4).uniform(0, 2 * np.pi, 60)
 
 
@@ -382,7 +382,7 @@ def test_noise_of_interpolation():
 @pytest.mark.parametrize("key", ["window_px", "patch_px"])
 def test_windows_have_a_centre(key):
     with pytest.raises(ValueError, match=f"{key} must be odd"):
-        SlantedSettings(**{key: 8})
+        Slanted(**{key: 8})
 
 
 def test_wrong_sizes_are_refused():

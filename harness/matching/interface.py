@@ -1,10 +1,11 @@
-"""What every matcher takes and gives: its limits, and the matches or the reasons why there are none."""
+"""What every matcher is and gives: settings that can be run on a pair; matches, or reasons why there are none."""
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, epipolar_curves
 from harness.geometry.panorama import Grid
 from harness.spec import Positive, Spec
+
+if TYPE_CHECKING:
+    from harness.matching.pair import Pair
 
 
 @dataclass(frozen=True)
@@ -30,8 +34,15 @@ class Support:
     """Whose pixels the square is made of."""
 
 
-class Limits(Spec):
-    """What is common to the settings of all matchers: the ranges from viewpoint 1 that are searched."""
+class MatcherSettings(Spec, ABC):
+    """The settings of a matcher, and what it does: the base class of them all.
+
+    A matcher is a subclass with a `kind` of its own and a `match`. Whatever else the program wants to know of it is a
+    method or a property here, with an answer that holds for most.
+    """
+
+    kind: str = ""
+    """Which matcher."""
 
     d_min_m: Positive = 1.0
     """Shortest range searched, metres from viewpoint 1. The floor is nearest at the bottom row, 1.22 m away under a
@@ -41,9 +52,63 @@ class Limits(Spec):
     (4.5 m), so that the limit hides no error, yet finite, so that every matched pixel has a range."""
 
     @model_validator(mode="after")
-    def _in_order(self) -> "Limits":
+    def _in_order(self) -> "MatcherSettings":
         if not self.d_min_m < self.d_max_m:
             raise ValueError(f"d_min_m = {self.d_min_m:g} must be below d_max_m = {self.d_max_m:g}")
+        return self
+
+    @abstractmethod
+    def match(self, pair: "Pair") -> "Matches":
+        """The matches of a pair.
+
+        Raises
+        ------
+        InputError
+            When a matcher from elsewhere cannot be found, does not take its parameters, fails, or returns what is no
+            answer; or when settings and pair do not go together.
+        """
+
+    def answer(self, pair: "Pair") -> Any:
+        """What the matcher returned before it was checked; errors as in `match`."""
+        return self.match(pair)
+
+    def check(self) -> None:
+        """See what can be seen before it is run: that it is there, and takes its parameters.
+
+        Raises
+        ------
+        InputError
+            `error.key` is the key in the matcher's table.
+        """
+
+    def identity(self) -> str:
+        """What settings do not tell: a hash of the contents of files; empty for a matcher of this program.
+
+        Raises
+        ------
+        InputError
+            When a file cannot be read, or there is no such module.
+        """
+        return ""
+
+    @property
+    def step(self) -> str:
+        """The sub-pixel step, by its name; `own` for a matcher that has no choice of them."""
+        return "own"
+
+    @property
+    def whole_samples(self) -> bool:
+        """Whether matches are whole samples, so that rounding is part of their error."""
+        return self.step == "none"
+
+    @property
+    def window(self) -> int:
+        """Side of the square whose residuals tell how sure a match is, panorama pixels; see `uncertainty`."""
+        return 11
+
+    @property
+    def search(self) -> Spec:
+        """What of the settings the costly part of matching depends on: trials with equal ones can share it."""
         return self
 
     def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
@@ -53,9 +118,7 @@ class Limits(Spec):
         steep that phi hardly follows the curves.
         """
         x, y, z = t_v1
-        steep = abs(z) > np.hypot(x, y)
-        sampling: Sampling = getattr(self, "sampling", "alpha" if steep else "phi")
-        return sampling, float(getattr(self, "pitch_px", 1.0))
+        return "alpha" if abs(z) > np.hypot(x, y) else "phi", 1.0
 
     def curves(self, grid: Grid, t_v1: Array) -> Curves:
         """The epipolar curves between the limits, sampled so."""
@@ -64,18 +127,13 @@ class Limits(Spec):
             grid, t_v1, d_min_m=self.d_min_m, d_max_m=self.d_max_m, sampling=sampling, pitch_px=pitch_px
         )
 
-    @property
-    def search(self) -> Spec:
-        """What of the settings the costly part of matching depends on: trials with equal ones can share it."""
-        return self
-
     def support(self, log_sigma_px: float) -> Support | None:  # noqa: ARG002 - for matchers of filtered panoramas
         """What a match is made from, given the filter before it; None for a matcher whose window is not fixed."""
         return None
 
 
-class Parametrised(Limits):
-    """Limits, and parameters that only the matcher understands."""
+class Parametrised(MatcherSettings):
+    """Settings with parameters that only the matcher understands."""
 
     parameters: Annotated[dict[str, JsonValue], Field(default_factory=dict)]
     """What only the matcher itself understands: a table, handed on as it is."""

@@ -101,20 +101,31 @@ class Program(Parametrised):
                 raise ValueError(f"'{name}' cannot be a parameter's name: {{{name}}} in command is a folder")
         return parameters
 
+    def match(self, pair: Pair) -> Matches:
+        """The matches that the program wrote for a pair.
 
-def match_pair(pair: Pair, program: Program) -> Matches:
-    """Run the program on a pair.
+        Raises
+        ------
+        InputError
+            When it cannot be started, takes too long, ends with another exit code than 0, or wrote what is no answer.
+        """
+        return as_matches(self.answer(pair), pair.grid, _name(self))
 
-    Raises
-    ------
-    InputError
-        When it cannot be started, takes too long, ends with another exit code than 0, or what it wrote is no answer.
-    """
-    return as_matches(answer(pair, program), pair.grid, _name(program))
+    def answer(self, pair: Pair) -> Matches:
+        """What the program wrote, before it is checked."""
+        return answer(pair, self)
+
+    def check(self) -> None:
+        """See whether the command is there."""
+        check(self)
+
+    def identity(self) -> str:
+        """A hash of the files among the command's words."""
+        return digest(self)
 
 
 def answer(pair: Pair, program: Program) -> Matches:
-    """What the program wrote, as it is; errors as in `match_pair`, but for what is in the arrays."""
+    """What the program wrote, as it is; errors as in `Program.match`, but for what is in the arrays."""
     name = _name(program)
     with tempfile.TemporaryDirectory(prefix="omnirange-", ignore_cleanup_errors=True) as temporary:
         folder = Path(temporary)

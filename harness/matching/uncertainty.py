@@ -18,11 +18,8 @@ from scipy import ndimage
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, angular_step
 from harness.geometry.panorama import Panorama
-from harness.matching.interface import Limits, Matches
+from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
-
-WINDOW_PX = 11
-"""For a matcher that has no window of its own."""
 
 _LAGS = 6
 """As far as correlations are looked for, in pixels: four standard deviations of the usual filter."""
@@ -31,17 +28,17 @@ _LEAST_SHARE = 0.5
 """Of a window's pixels at least this share must have a match and lie in both panoramas."""
 
 
-def sigma_alpha_2(pair: Pair, matcher: Limits, matches: Matches) -> Array:
+def sigma_alpha_2(pair: Pair, matcher: MatcherSettings, matches: Matches) -> Array:
     """Standard deviation of alpha_2, radians `[height, width]`; NaN where there is no match or nothing to tell it from.
 
     The matcher's own prediction if it makes one. Whole samples add that of an even distribution over one step.
     """
     if matches.sigma_alpha_2 is not None:
         return matches.sigma_alpha_2
-    window = int(getattr(matcher, "window_px", WINDOW_PX))
+    window = matcher.window
     curves = matcher.curves(pair.grid, pair.t_v1)
     variance = _photometric_variance(pair, curves, matches.alpha_2, window)
-    if getattr(matcher, "subpixel", "") == "none":
+    if matcher.whole_samples:
         variance = variance + angular_step(curves, matches.alpha_2) ** 2 / 12
     return cast("Array", np.sqrt(variance))
 

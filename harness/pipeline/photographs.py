@@ -19,9 +19,8 @@ from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import range_from_angles, sensitivity_to_alpha_2
-from harness.matching.interface import Limits, Matches, Reason
+from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
-from harness.matching.registry import match_pair
 from harness.matching.uncertainty import sigma_alpha_2
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -47,7 +46,7 @@ class Estimate(OneLine):
 
     photographs: tuple[Photograph, Photograph]
     pair: Pair
-    matcher: Limits
+    matcher: MatcherSettings
     matches: Matches
     range_m: Array
     """From view 1; NaN where `reason` is not `Reason.MATCHED`."""
@@ -109,7 +108,12 @@ def read_photograph(file: Path, sensor: Sensor) -> Photograph:
 
 
 def estimate(
-    first: Photograph, second: Photograph, sensor: Sensor, motion: Motion, matcher: Limits, grid: Grid | None = None
+    first: Photograph,
+    second: Photograph,
+    sensor: Sensor,
+    motion: Motion,
+    matcher: MatcherSettings,
+    grid: Grid | None = None,
 ) -> Estimate:
     """Match two photographs and triangulate.
 
@@ -119,7 +123,7 @@ def estimate(
         When the matcher cannot be found, or what it returns is no answer.
     """
     pair = Pair((first.grey, second.grey), sensor, motion, grid or Grid())
-    matches = match_pair(pair, matcher)
+    matches = matcher.match(pair)
     a_1 = alpha_1(pair.grid, motion.t_v1)
     range_m = range_from_angles(a_1, matches.alpha_2, motion.baseline_m)
     lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)

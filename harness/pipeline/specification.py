@@ -12,7 +12,6 @@ from harness.camera.unwrap import Interpolation
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
-from harness.matching.registry import fingerprint as matcher_fingerprint
 from harness.matching.window.settings import WindowMatcher
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator
@@ -166,7 +165,7 @@ class Trial(Spec):
             When such a matcher cannot be found.
         """
         settings = self.model_dump(mode="json") | {"scene": fingerprint(self.scene)}
-        if matcher := matcher_fingerprint(self.matching):
+        if matcher := self.matching.identity():
             settings["matcher"] = matcher
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 

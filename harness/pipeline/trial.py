@@ -21,7 +21,6 @@ from harness.geometry.pose import Motion, Pose
 from harness.geometry.triangulation import range_from_angles
 from harness.matching.interface import Matches, Reason, Support
 from harness.matching.pair import Pair
-from harness.matching.registry import match_pair
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
@@ -192,7 +191,7 @@ PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE,), cached=False)
 
 MATCH = Stage(
     "match",
-    lambda work, _view: match_pair(work(PAIR), work.trial.matching),
+    lambda work, _view: work.trial.matching.match(work(PAIR)),
     lambda setup, _view: setup.trial.matching,
     after=(PAIR,),
     cached=False,

@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from harness.matching.interface import Limits
+from harness.matching.interface import MatcherSettings
 from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
@@ -88,7 +88,7 @@ def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
 
 
-def _by(matcher: Limits) -> str:
+def _by(matcher: MatcherSettings) -> str:
     if isinstance(matcher, WindowMatcher):
         size = f"{matcher.window_px} × {matcher.window_px}\u00a0px"
         return f"by {matcher.cost.upper()} over {size} windows along epipolar curves"

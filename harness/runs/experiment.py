@@ -17,7 +17,7 @@ from harness.camera.sensor import load_sensor
 from harness.display import shortened
 from harness.errors import InputError
 from harness.matching import registry
-from harness.matching.interface import Limits
+from harness.matching.interface import MatcherSettings
 from harness.matching.program import with_absolute_files
 from harness.matching.registry import Matcher
 from harness.pipeline.specification import Trial
@@ -87,7 +87,7 @@ class Experiment(Spec):
                 key = self._blame(error.key, settings, case) or self.place_of("", case).rstrip(".")
                 raise InputError(error.problem, key=key) from error
             try:
-                registry.check(trial.matching)
+                trial.matching.check()
             except InputError as error:
                 key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
                 raise InputError(error.problem, key=key) from error
@@ -193,7 +193,9 @@ class _Matching(Spec):
     """The matcher and its settings."""
 
 
-def load_matcher(kind_or_path: str, sets: Sequence[str] = (), parameters: Mapping[str, Any] | None = None) -> Limits:
+def load_matcher(
+    kind_or_path: str, sets: Sequence[str] = (), parameters: Mapping[str, Any] | None = None
+) -> MatcherSettings:
     """The settings of one matcher: by its `kind` alone, or from the table `matching` of a TOML file.
 
     Parameters
@@ -227,7 +229,7 @@ def load_matcher(kind_or_path: str, sets: Sequence[str] = (), parameters: Mappin
         table["matching"]["parameters"] = {**table["matching"].get("parameters", {}), **parameters}
     matcher = parse(_Matching, table, file=file).matching
     try:
-        registry.check(matcher)
+        matcher.check()
     except InputError as error:
         raise InputError(error.problem, file=file, key=f"matching.{error.key}") from error
     return matcher

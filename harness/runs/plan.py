@@ -76,7 +76,7 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     camera = trial.sensor.camera
     image = 2 * camera.width_px * camera.height_px / 1e6
     panorama = trial.panorama.width_px * trial.panorama.height_px / 1e6
-    samples_a_curve = trial.panorama.width_px / 720 / getattr(trial.matching, "pitch_px", 1.0)
+    samples_a_curve = trial.panorama.width_px / 720 / trial.matching.sampled(trial.motion.t_v1)[1]
     stages = {
         "render": image * (0.08 + 0.006 * trial.render.samples) + panorama * 0.75,
         "noise": image * 0.02,

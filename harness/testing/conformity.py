@@ -19,9 +19,8 @@ from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2, points
-from harness.matching.interface import Fault, Limits, Matches, faults
+from harness.matching.interface import Fault, MatcherSettings, Matches, faults
 from harness.matching.pair import Pair, sharing
-from harness.matching.registry import answer
 from harness.pipeline.specification import SecondView, Trial
 from harness.pipeline.trial import run_trial
 from harness.simulation.scene import load_scene
@@ -79,7 +78,7 @@ class NotReached(Exception):  # noqa: N818
     """Something that the check builds on is broken."""
 
 
-def conformity(matcher: Limits) -> Iterator[Finding]:
+def conformity(matcher: MatcherSettings) -> Iterator[Finding]:
     """All checks, one after the other."""
     subject = Subject(matcher)
     for check in CHECKS:
@@ -100,14 +99,14 @@ def examine(subject: "Subject", check: Check) -> Finding:
 class Subject:
     """A matcher on trial; what it has answered is kept."""
 
-    matcher: Limits
+    matcher: MatcherSettings
     _answers: dict[str, Any] = field(default_factory=dict)
 
     def raw(self, name: str) -> Any:
         """What it returned for one of the pairs by name, unchecked."""
         if name not in self._answers:
             try:
-                self._answers[name] = answer(fresh(PAIRS[name]()), self.matcher)
+                self._answers[name] = self.matcher.answer(fresh(PAIRS[name]()))
             except InputError as error:
                 self._answers[name] = error
         if isinstance(self._answers[name], InputError):
@@ -141,7 +140,7 @@ class Subject:
         """Its answer to any pair, made anew, with other limits."""
         self.matches("easy")
         matcher = self.matcher.model_copy(update=limits)
-        given = answer(pair, matcher)
+        given = matcher.answer(pair)
         for fault in faults(given, pair.grid):
             raise Broken(fault.text)
         return as_given(given)

@@ -2,7 +2,8 @@
 `omnidir.stereoReconstruct`. They need the extra `peers`.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,8 +32,16 @@ _FIXED_POINT = 16
 """OpenCV's disparities are whole numbers of sixteenths of a pixel; negative where there is none."""
 
 
-def match_pair(pair: Pair, matcher: OpenCV) -> Matches:
-    """Run one of OpenCV's matchers; none of them says how sure it is, nor why it has no answer.
+S = TypeVar("S", bound=OpenCV)
+
+
+def in_opencv(pair: Pair, matcher: S, work: Callable[[Pair, S, Any], Matches]) -> Matches:
+    """What one of OpenCV's matchers makes of a pair; none of them says how sure it is, nor why it has no answer.
+
+    Parameters
+    ----------
+    work
+        `work(pair, matcher, cv2)`.
 
     Raises
     ------
@@ -40,18 +49,13 @@ def match_pair(pair: Pair, matcher: OpenCV) -> Matches:
         When OpenCV and its contributed modules are not installed, the sensor's lens has a k3, `opencv-reconstruct`
         is given a vertical baseline, or OpenCV itself refuses.
     """
-    kind = str(getattr(matcher, "kind", "opencv"))
-    cv2 = opencv(kind)
+    cv2 = opencv(matcher.kind)
     try:
         with threads(cv2, pair.available_threads):
-            if isinstance(matcher, StereoReconstruct):
-                return reconstruct(pair, matcher, cv2)
-            if isinstance(matcher, StereoBM | StereoSGBM):
-                return block_match(pair, matcher, cv2)
+            return work(pair, matcher, cv2)
     except cv2.error as error:
         said = " ".join(str(error).split())
-        raise InputError(f"OpenCV cannot work with these settings: {said}", file=kind) from error
-    raise TypeError(f"{type(matcher).__name__} is none of OpenCV's matchers")
+        raise InputError(f"OpenCV cannot work with these settings: {said}", file=matcher.kind) from error
 
 
 def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches:

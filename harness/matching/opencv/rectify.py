@@ -23,7 +23,7 @@ from harness.camera.sensor import Sensor, in_field, on_image
 from harness.camera.unified import mirrored_frame, to_unified, unified_lens
 from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
-from harness.matching.interface import Limits
+from harness.matching.interface import MatcherSettings
 from harness.matching.pair import Pair
 
 _AROUND_THE_SEAM = 24
@@ -96,7 +96,7 @@ class Rectified:
     """What the sensor sees; the images are 0 elsewhere."""
 
 
-def disparities(limits: Limits, baseline_m: float, step: float) -> int:
+def disparities(limits: MatcherSettings, baseline_m: float, step: float) -> int:
     """How many disparities OpenCV has to search, a multiple of 16.
 
     Seen from d_min the baseline spans at most asin(|t|/d_min), the disparity of the nearest point searched; two more,

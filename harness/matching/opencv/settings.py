@@ -4,7 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from harness.matching.interface import Limits
+from harness.matching.interface import MatcherSettings, Matches
+from harness.matching.pair import Pair
 
 Percent = Annotated[int, Field(ge=0, le=100)]
 
@@ -15,7 +16,7 @@ def _odd(value: int) -> int:
     return value
 
 
-class OpenCV(Limits):
+class OpenCV(MatcherSettings):
     """What all of OpenCV's matchers have: a block, on a rectified pair of some size.
 
     How many disparities are searched follows from `d_min_m`: see `rectify.disparities`.
@@ -63,6 +64,12 @@ class StereoBM(Filtered):
     uniqueness_percent: Percent = 15
     """By how many per cent the best cost must be below the next one elsewhere."""
 
+    def match(self, pair: Pair) -> Matches:
+        """The matches of the rectified pair."""
+        from harness.matching.opencv.match import block_match, in_opencv
+
+        return in_opencv(pair, self, block_match)
+
     _odd_filter = field_validator("pre_filter_px")(_odd)
 
 
@@ -81,6 +88,12 @@ class StereoSGBM(Filtered):
     pre_filter_cap: Annotated[int, Field(ge=1, le=127)] = 63
     """The horizontal derivative is clipped at plus or minus this, grey levels; OpenCV takes no less than 15."""
 
+    def match(self, pair: Pair) -> Matches:
+        """The matches of the rectified pair."""
+        from harness.matching.opencv.match import block_match, in_opencv
+
+        return in_opencv(pair, self, block_match)
+
     @model_validator(mode="after")
     def _jumps_cost_more(self) -> "StereoSGBM":
         if not self.p1_per_px < self.p2_per_px:
@@ -93,3 +106,9 @@ class StereoReconstruct(OpenCV):
 
     kind: Literal["opencv-reconstruct"] = "opencv-reconstruct"
     """OpenCV's `omnidir.stereoReconstruct`."""
+
+    def match(self, pair: Pair) -> Matches:
+        """The matches that OpenCV's points amount to."""
+        from harness.matching.opencv.match import in_opencv, reconstruct
+
+        return in_opencv(pair, self, reconstruct)

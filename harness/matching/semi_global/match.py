@@ -39,9 +39,9 @@ from scipy import ndimage
 
 from harness.camera.sensor import Sensor, project
 from harness.geometry.angles import Array
-from harness.geometry.epipolar import Curves, alpha_2_at, epipolar_curves
+from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves
 from harness.geometry.panorama import directions
-from harness.matching.interface import Limits, Matches, Reason
+from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
 from harness.matching.window.subpixel import refine
@@ -55,7 +55,7 @@ _PER_GREY = 16
 """Steps in a grey level of what the census compares, before the blur adds four bits."""
 
 
-class SemiGlobal(Limits):
+class SemiGlobal(MatcherSettings):
     """Settings of semi-global matching. One set for all scenes; measured on box, corridor and room, without noise and
     with 10 grey levels of it.
     """
@@ -107,13 +107,26 @@ class SemiGlobal(Limits):
             )
         return self
 
+    def match(self, pair: Pair) -> Matches:
+        """The matches of the mirror images, resampled about the baseline."""
+        return match_semi_global(pair, self)
+
+    @property
+    def step(self) -> str:
+        """The sub-pixel step, by its name."""
+        return self.subpixel
+
+    def sampled(self, t_v1: Array) -> tuple[Sampling, float]:  # noqa: ARG002 - labels are steps of alpha_2
+        """How the epipolar curves are sampled, and the distance of samples in columns."""
+        return self.sampling, self.pitch_px
+
     @property
     def search(self) -> "SemiGlobal":
         """The search for the best label, which all sub-pixel steps and checks of consistency share."""
         return self.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
 
 
-def match_pair(pair: Pair, matcher: SemiGlobal) -> Matches:
+def match_semi_global(pair: Pair, matcher: SemiGlobal) -> Matches:
     """Match the mirror images, resampled about the baseline as `pair.interpolation` says.
 
     A pixel is `CURVE_LEAVES_IMAGE` if its best sample is at a place that view 2 does not see, and `NO_MATCH` if a label

@@ -24,12 +24,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import comb
-from typing import Annotated
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 from scipy import ndimage
 
 from harness.camera.sensor import Sensor, pixel_directions, project
@@ -38,9 +36,9 @@ from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
-from harness.matching.interface import Limits, Matches, Reason
+from harness.matching.interface import Matches, Reason
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.spec import Positive
+from harness.matching.slanted.settings import Slanted
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -76,31 +74,6 @@ _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
 
 
-class SlantedSettings(Limits):
-    """Settings of the slanted windows."""
-
-    window_px: Annotated[int, Field(ge=5, le=99)] = 17
-    """Side of the square window, pixels of the mirror image; odd."""
-    patch_px: Annotated[int, Field(ge=1, le=31)] = 5
-    """Side of the surroundings by which a pixel chooses between planes, pixels of the mirror image; odd."""
-    iterations: Annotated[int, Field(ge=1, le=50)] = 8
-    """Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`)."""
-    sharp_iterations: Annotated[int, Field(ge=1, le=50)] = 2
-    """How many of the last steps look at patches; those before choose by windows alone, at a fraction of the cost,
-    and go farther, so that less is left of the start."""
-    consistency_px: Positive = 1.0
-    """How far view 2's own answer may lead elsewhere, panorama pixels."""
-    max_sigma_px: Positive = 1.0
-    """Largest predicted standard deviation that counts as an answer, panorama pixels."""
-
-    @model_validator(mode="after")
-    def _have_a_centre(self) -> "SlantedSettings":
-        for key in ("window_px", "patch_px"):
-            if getattr(self, key) % 2 == 0:
-                raise ValueError(f"{key} must be odd, so that it has a centre; found {getattr(self, key)}")
-        return self
-
-
 def refine_slanted(
     images: tuple[Image, Image],
     sensor: Sensor,
@@ -108,7 +81,7 @@ def refine_slanted(
     grid: Grid,
     start_alpha_2: Array,
     *,
-    settings: SlantedSettings | None = None,
+    settings: Slanted | None = None,
     threads: int | None = None,
 ) -> Matches:
     """Refine a start that is right to about a pixel in most places.
@@ -136,7 +109,7 @@ def refine_slanted(
     ValueError
         When an image has not the sensor's size, or the start not the grid's.
     """
-    settings = settings or SlantedSettings()
+    settings = settings or Slanted()
     size = (sensor.camera.height_px, sensor.camera.width_px)
     if any(image.shape != size for image in images):
         raise ValueError(f"the images are {images[0].shape} and {images[1].shape}, the sensor {size} (rows, columns)")
@@ -273,7 +246,7 @@ def _fit(
     second: _View,
     way: _Way,
     start: Array,
-    settings: SlantedSettings,
+    settings: Slanted,
     iterations: int,
     pixel: float,
     pool: ThreadPoolExecutor,
@@ -329,7 +302,7 @@ def _answer(
     way: _Way,
     sensor: Sensor,
     grid: Grid,
-    settings: SlantedSettings,
+    settings: Slanted,
 ) -> Matches:
     """Evaluate the planes in the directions of the panorama's pixels."""
     x, pixel = directions(grid), grid.phi_pitch
@@ -402,9 +375,7 @@ def _read(field: _Field, x: Array, sensor: Sensor) -> tuple[NDArray[np.intp], ND
 # -- The standard deviation --------------------------------------------------------------------------------------------
 
 
-def _sigma(
-    field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], way: _Way, settings: SlantedSettings
-) -> Array:
+def _sigma(field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], way: _Way, settings: Slanted) -> Array:
     """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
 
     - What adds up in a window is not white; see `_inflation`.

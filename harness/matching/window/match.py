@@ -26,15 +26,15 @@ __all__ = [
     "WindowMatcher",
     "costs_along_curve",
     "match",
-    "match_pair",
     "match_whole_pixels",
+    "match_windows",
     "whole_pixels",
 ]
 
 _KINDS = {"window": square_windows, "column": column_windows}
 
 
-def match_pair(pair: Pair, matcher: WindowMatcher) -> Matches:
+def match_windows(pair: Pair, matcher: WindowMatcher) -> Matches:
     """Match the filtered panoramas; the search is shared by all sub-pixel steps."""
     whole = whole_pixels(pair, matcher)
     return pair.shared(
@@ -45,7 +45,7 @@ def match_pair(pair: Pair, matcher: WindowMatcher) -> Matches:
 
 
 def whole_pixels(pair: Pair, matcher: WindowMatcher) -> WholePixelMatches:
-    """The search of `match_pair`."""
+    """The search of `match_windows`."""
     first, second = pair.filtered()
     return pair.shared(
         "match",

@@ -10,12 +10,13 @@ from pydantic import Field, model_validator
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling
 from harness.matching.filter import kernel_reach
-from harness.matching.interface import Limits, Support
+from harness.matching.interface import MatcherSettings, Matches, Support
+from harness.matching.pair import Pair
 from harness.matching.window.subpixel import Subpixel
 from harness.spec import Positive
 
 
-class WindowMatcher(Limits):
+class WindowMatcher(MatcherSettings):
     """Settings of the window matchers; the paper leaves all of them open but the cost, d_min's and d_max's existence
     and the parabola over three neighbours a side.
     """
@@ -67,6 +68,26 @@ class WindowMatcher(Limits):
                     f" falls on a column; found {self.pitch_px:g}"
                 )
         return self
+
+    def match(self, pair: Pair) -> Matches:
+        """The matches of the filtered panoramas; the search is shared by all sub-pixel steps."""
+        from harness.matching.window.match import match_windows
+
+        return match_windows(pair, self)
+
+    @property
+    def step(self) -> str:
+        """The sub-pixel step, by its name."""
+        return self.subpixel
+
+    @property
+    def window(self) -> int:
+        """Side of the window, panorama pixels."""
+        return self.window_px
+
+    def sampled(self, t_v1: Array) -> tuple[Sampling, float]:  # noqa: ARG002 - the settings say how
+        """How the epipolar curves are sampled, and the distance of samples in columns."""
+        return self.sampling, self.pitch_px
 
     @property
     def search(self) -> "WindowMatcher":

@@ -1,0 +1,89 @@
+"""A matcher that is a function of somebody else's."""
+
+import copy
+import inspect
+import re
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import field_validator
+
+from harness.errors import InputError
+from harness.matching import plugins
+from harness.matching.interface import Matches, Parametrised, as_matches
+from harness.matching.pair import Pair
+from harness.spec import nearest
+
+
+class Plugin(Parametrised):
+    """A matcher that is not part of this program.
+
+    `kind` is `package.module:function` or the name of an entry point. The function is called with the pair, the
+    limits and the `parameters` as keywords: `matcher(pair, limits, **parameters)`; see `interface.faults` for what
+    it may return. A parameter named `file`, or ending in `_file`, names a file: a relative path is relative to the
+    experiment's file, and the contents count as settings do.
+    """
+
+    kind: str
+    """`package.module:function`, or the name of an installed entry point of the group `omnirange.matchers`."""
+
+    @field_validator("kind")
+    @classmethod
+    def _named(cls, kind: str) -> str:
+        offered = plugins.entry_points()
+        if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", kind) and kind not in offered:
+            from harness.matching.registry import BUILT_IN
+
+            known = [*BUILT_IN, *offered]
+            raise ValueError(
+                f"'{kind}' is neither a matcher nor written package.module:function; {nearest(kind, known)}"
+            )
+        return kind
+
+    def match(self, pair: Pair) -> Matches:
+        """What the function returned, checked."""
+        return as_matches(self.answer(pair), pair.grid, self.kind)
+
+    def answer(self, pair: Pair) -> Any:
+        """What the function returned, before it is checked."""
+        return answer(pair, self)
+
+    def check(self) -> None:
+        """See whether the function is there, and takes its parameters."""
+        plugins.check(self.kind, self.parameters)
+
+    def identity(self) -> str:
+        """A hash of the function's source and of the files among its parameters."""
+        return plugins.digest(self.kind, self.parameters)
+
+
+def answer(pair: Pair, matcher: Plugin) -> Any:
+    """What the function returned, before it is checked.
+
+    Raises
+    ------
+    InputError
+        When it cannot be found, does not take its parameters, or fails.
+    """
+    matcher.check()
+    function = plugins.find(matcher.kind)
+    try:
+        with np.errstate():  # what it sets is its own
+            return function(replace(pair, owner=matcher.kind), matcher, **copy.deepcopy(matcher.parameters))
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        hint = "; a pair's arrays are everybody's: change a copy" if "read-only" in str(error) else ""
+        raise InputError(
+            f"fails: {type(error).__name__}: {error}{_place_in(function, error)}{hint}", file=matcher.kind
+        ) from error
+
+
+def _place_in(function: Callable[..., Any], error: BaseException) -> str:
+    """Where in the function's own file an error came up."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    lines = [each for each in traceback.extract_tb(error.__traceback__) if code and each.filename == code.co_filename]
+    return f" ({lines[-1].filename}, line {lines[-1].lineno})" if lines else ""

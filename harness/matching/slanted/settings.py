@@ -1,0 +1,47 @@
+"""Settings of the slanted windows."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from harness.matching.interface import MatcherSettings, Matches, Support
+from harness.matching.pair import Pair
+from harness.spec import Positive
+
+
+class Slanted(MatcherSettings):
+    """Slanted windows, started from semi-global matching with its own settings but for the limits."""
+
+    kind: Literal["slanted"] = "slanted"
+    """Slanted windows fitted to the mirror images by least squares."""
+
+    window_px: Annotated[int, Field(ge=5, le=99)] = 17
+    """Side of the square window, pixels of the mirror image; odd."""
+    patch_px: Annotated[int, Field(ge=1, le=31)] = 5
+    """Side of the surroundings by which a pixel chooses between planes, pixels of the mirror image; odd."""
+    iterations: Annotated[int, Field(ge=1, le=50)] = 8
+    """Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`)."""
+    sharp_iterations: Annotated[int, Field(ge=1, le=50)] = 2
+    """How many of the last steps look at patches; those before choose by windows alone, at a fraction of the cost,
+    and go farther, so that less is left of the start."""
+    consistency_px: Positive = 1.0
+    """How far view 2's own answer may lead elsewhere, panorama pixels."""
+    max_sigma_px: Positive = 1.0
+    """Largest predicted standard deviation that counts as an answer, panorama pixels."""
+
+    @model_validator(mode="after")
+    def _have_a_centre(self) -> "Slanted":
+        for key in ("window_px", "patch_px"):
+            if getattr(self, key) % 2 == 0:
+                raise ValueError(f"{key} must be odd, so that it has a centre; found {getattr(self, key)}")
+        return self
+
+    def match(self, pair: Pair) -> Matches:
+        """The matches of the mirror images; shared by all who ask for the same."""
+        from harness.matching.slanted.match import match_slanted
+
+        return match_slanted(pair, self)
+
+    def support(self, log_sigma_px: float) -> Support:  # noqa: ARG002 - the mirror images themselves are matched
+        """The window; the start, and planes taken from beside it, are not counted."""
+        return Support(self.window_px, "slanted", "mirror")
