@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help paper test lint lock install clean
+.PHONY: help paper test lint docs lock install clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*##/\1	/p' $(MAKEFILE_LIST)
@@ -22,6 +22,9 @@ lint: $(STAMP)  ## style, formatting, types and the one-way imports
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(STAMP)  ## build the documentation; the site is docs/_build/html/index.html
+	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --jobs auto --quiet docs docs/_build/html
 
 lock: $(STAMP)  ## lock the dependencies anew; LOCK_FLAGS=--upgrade takes the newest
 	$(BIN)/uv pip compile pyproject.toml --extra dev --output-file requirements.lock \
@@ -41,5 +44,5 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $@
 
 clean:  ## remove the environment, builds and caches; results stay
-	rm -rf $(VENV) build dist .hypothesis .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) build dist docs/_build docs/generated .hypothesis .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,91 @@
+"""How the documentation is built: `make docs`. Warnings are errors, and nothing is fetched from the network."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS.parent), str(DOCS / "_extensions")]  # the package as it stands here, and what follows below
+
+import harness  # noqa: E402 - found on the path above
+from harness.runs.settings_reference import find_settings, settings_markdown  # noqa: E402
+
+# Commands on the pages run with this interpreter's own `omnirange`, on a terminal of a width that pages can show.
+os.environ["PATH"] = str(Path(sys.executable).parent) + os.pathsep + os.environ["PATH"]
+os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+os.environ |= {"COLUMNS": "100", "NO_COLOR": "1", "MPLBACKEND": "agg"}
+
+project = "omnirange"
+author = "the omnirange developers"
+version = release = harness.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_design",
+    "sphinxcontrib.programoutput",
+    "docstrings",
+    "offline_math",
+]
+exclude_patterns = [
+    "_build",
+    "_extensions",
+    "examples",
+    "generated/settings.md",
+    "generated/work",
+    "how-to/files",
+    "tutorials",
+]
+default_role = "code"
+
+myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_default_options = {"exclude-members": "model_config, model_post_init"}
+napoleon_google_docstring = False
+autosummary_generate = True
+
+math_eqref_format = "({number})"
+html_math_renderer = "svg"
+
+programoutput_prompt_template = "$ {command}\n{output}"
+
+html_theme = "pydata_sphinx_theme"
+html_title = "omnirange"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "navbar_align": "left",
+    "navbar_end": ["theme-switcher"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "show_prev_next": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
+copyright = "the omnirange developers; MIT licence"  # noqa: A001 - Sphinx's name
+html_last_updated_fmt = None
+
+
+def prepare(app: object) -> None:  # noqa: ARG001 - Sphinx gives the application
+    """Write the settings reference, and a fresh folder with the pages' files, where their commands run."""
+    generated = DOCS / "generated"
+    shutil.rmtree(generated / "work", ignore_errors=True)
+    shutil.copytree(DOCS / "how-to" / "files", generated / "work")
+    (generated / "settings.md").write_text(settings_markdown(find_settings(None)), encoding="utf-8")
+
+
+def setup(app: object) -> None:
+    """Prepare before pages are read."""
+    app.connect("builder-inited", prepare, priority=1)

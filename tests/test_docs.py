@@ -1,0 +1,75 @@
+"""The documentation's own machinery: formulas that show without the network, and numbers that are computed."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import chromium, visit
+
+from harness.geometry.triangulation import paper_law, sensitivity_to_alpha_2
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+
+PAGE = r"""# Page
+
+Inline $\alpha_2$ in a line.
+
+$$
+\frac{d_2^2}{|t|\,\sin\alpha_1}
+$$ (eq-law)
+
+See {eq}`eq-law`.
+"""
+CONF = f"""
+import sys
+sys.path.insert(0, {str(DOCS / "_extensions")!r})
+extensions = ["myst_parser", "offline_math"]
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "svg"
+html_theme = "basic"
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_formulas_show_without_scripts_or_network(tmp_path: Path) -> None:
+    (tmp_path / "conf.py").write_text(CONF, encoding="utf-8")
+    (tmp_path / "index.md").write_text(PAGE, encoding="utf-8")
+    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", str(tmp_path), str(tmp_path / "html")]
+    subprocess.run(command, check=True, timeout=120)
+    page = tmp_path / "html" / "index.html"
+    with chromium(tmp_path / "profile", scripts=False) as context:
+        seen = visit(context, page, width=800)
+        assert not [each for each in seen.requests if not each.startswith("file:")]
+        formulas = seen.page.locator("svg[role=img]")
+        assert formulas.count() == 2
+        # TeX for screen readers, and ink: glyphs of a size that is like the text's.
+        assert [formulas.nth(i).get_attribute("aria-label") for i in (0, 1)] == [
+            r"\alpha_2",
+            r"\frac{d_2^2}{|t|\,\sin\alpha_1}",
+        ]
+        inline, block = (formulas.nth(i).bounding_box() for i in (0, 1))
+        line = seen.page.locator("p").first.bounding_box()
+        assert 0.3 * line["height"] < inline["height"] < 1.1 * line["height"]
+        assert block["height"] > 1.5 * inline["height"]
+        assert seen.page.locator("svg path").count() > 5
+        assert seen.page.locator(".formula-block .eqno").inner_text() == "(1)"
+
+
+def test_the_theory_page_compares_the_laws_rightly() -> None:
+    page = (DOCS / "theory.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+)° \| ([\d.]+) m \| ([\d.]+) m \|$", page, re.MULTILINE)
+    assert len(rows) == 3
+    baseline_m, range_m = 0.5, 3.0  # the page's
+    for degrees, exact, short in rows:
+        alpha_1 = np.radians(float(degrees))
+        point = range_m * np.array([np.cos(alpha_1), np.sin(alpha_1)])
+        alpha_2 = np.arctan2(point[1], point[0] - baseline_m)
+        law = abs(sensitivity_to_alpha_2(alpha_1, alpha_2, baseline_m)) * np.radians(1)
+        # The page has three decimals.
+        assert float(exact) == pytest.approx(law, abs=5e-4)
+        assert float(short) == pytest.approx(paper_law(range_m, baseline_m) * np.radians(1), abs=5e-4)
