@@ -1,10 +1,17 @@
 """Files read within limits, and written whole or not at all."""
 
 import os
+import secrets
 import stat
+from contextlib import suppress
 from pathlib import Path
 
 from harness.errors import InputError
+
+PARTIAL = ".partial"
+"""How the name of a file ends that is being written; what stands before it cannot be guessed."""
+
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> bytes:
@@ -63,25 +70,70 @@ def make_folder(folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be used as the output folder ({error.strerror})", file=folder, key="--out") from error
+    except (OSError, ValueError) as error:  # the second is Python's for a null byte
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be used as the output folder ({why})", file=folder, key="--out") from error
     if not os.access(folder, os.W_OK):
         raise InputError("the output folder cannot be written to", file=folder, key="--out")
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all: a reader never sees half of it.
+    """Write a file as `replace_file` does. Text becomes UTF-8; what is no text in Unicode is written as an escape.
 
     Raises
     ------
     InputError
         When it cannot be written.
     """
-    data = content.encode() if isinstance(content, str) else content
-    partial = path.with_name(path.name + ".partial")
+    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     try:
-        partial.write_bytes(data)
+        replace_file(path, data)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be written ({getattr(error, 'strerror', None) or error})", file=path) from error
+
+
+def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
+    """Write a file whole or not at all: a reader never sees half of it, and nothing half-written is left behind.
+
+    It is written under a name that nobody can guess, in the same folder, and renamed. So no link is followed: one that
+    stands at `path` is replaced, and what it points to stays as it is.
+
+    Parameters
+    ----------
+    durable
+        Whether the file is on the disk, rather than on its way there, when this returns. A file that is checked when it
+        is read has no need of that.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written, or is a device, a pipe or a folder.
+    """
+    with suppress(FileNotFoundError):
+        kind = path.lstat().st_mode
+        if not stat.S_ISREG(kind) and not stat.S_ISLNK(kind):
+            raise OSError(0, "it is there already and is not a regular file")
+    partial = path.with_name(f".{secrets.token_hex(16)}{PARTIAL}")
+    try:
+        with os.fdopen(os.open(partial, _NEW, 0o666), "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            if durable:
+                os.fsync(stream.fileno())
         partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error.strerror})", file=path) from error
+    except BaseException:  # Ctrl-C too leaves nothing behind
+        with suppress(OSError):
+            partial.unlink()
+        raise
+    if durable:
+        _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a rename onto the disk, where the system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

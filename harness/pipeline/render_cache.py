@@ -8,7 +8,6 @@ import hashlib
 import io
 import os
 import time
-import uuid
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.errors import InputError
+from harness.files import PARTIAL, replace_file
 from harness.pipeline.environment import render_hash
 from harness.spec import Spec
 
@@ -99,13 +99,10 @@ class RenderCache:
         data = stream.getvalue()
         if len(data) > self.limit:
             return
-        partial = path.with_name(f"{uuid.uuid4().hex}.partial")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            partial.write_bytes(hashlib.sha256(data).digest() + data)
-            partial.replace(path)
+            replace_file(path, hashlib.sha256(data).digest() + data, durable=False)
         except OSError:  # a full or read-only disk costs time, not the run
-            _remove(partial)
             return
         self._room -= len(data)
         if self._room < 0:
@@ -133,7 +130,7 @@ class RenderCache:
                 continue
             if path.suffix == ".npy":
                 found.append((status.st_mtime, path, status.st_size))
-            elif path.suffix == ".partial" and time.time() - status.st_mtime > _STALE_S:
+            elif path.suffix == PARTIAL and time.time() - status.st_mtime > _STALE_S:
                 _remove(path)
         return found
 

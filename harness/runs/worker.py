@@ -4,13 +4,13 @@ import hashlib
 import json
 import threading
 import traceback
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
+from harness.files import replace_file
 from harness.pipeline.environment import code_hash
 from harness.pipeline.maps import maps_of, write_maps
 from harness.pipeline.render_cache import RenderCache, cache_folder
@@ -123,9 +123,7 @@ def _laid_down(path: str, content: bytes) -> Path:
     copy = cache_folder() / "files" / f"{hashlib.sha256(content).hexdigest()}{Path(path).suffix}"
     if not (copy.is_file() and copy.read_bytes() == content):
         copy.parent.mkdir(parents=True, exist_ok=True)
-        partial = copy.with_name(f"{uuid.uuid4().hex}.partial")
-        partial.write_bytes(content)
-        partial.replace(copy)
+        replace_file(copy, content)
     return copy
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.files import write
 from harness.simulation.geometry import geometry_of
 from harness.simulation.mesh_file import Z_UP_FROM_Y_UP
 from harness.simulation.scene import Scene
@@ -20,7 +21,7 @@ def write_glb(scene: Scene, path: str | Path) -> None:
     Raises
     ------
     InputError
-        When a mesh or texture file of the scene is wrong.
+        When a mesh or texture file of the scene is wrong, or the file cannot be written.
     """
     import trimesh
     from PIL import Image
@@ -51,7 +52,7 @@ def write_glb(scene: Scene, path: str | Path) -> None:
         )
         world.add_geometry(mesh, geom_name=name, node_name=name)
     data = world.export(file_type="glb", include_normals=False, tree_postprocessor=_unlit)
-    Path(path).write_bytes(data)
+    write(Path(path), data)
 
 
 def _unlit(tree: dict[str, Any]) -> None:
