@@ -9,7 +9,7 @@ from harness.camera import _sampling_kernels as _kernels
 from harness.camera.lens import Lens
 from harness.camera.sensor import Camera, Sensor, pixel_directions
 from harness.camera.unwrap import unwrap
-from harness.geometry.panorama import Grid, cylinder
+from harness.geometry.panorama import Grid, cylinder, pixel_of, pixel_that_holds
 
 SENSOR = Sensor()
 GRID = Grid()
@@ -128,3 +128,20 @@ def test_columns_are_centred_as_documented():
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(ValueError, match="the image is"):
         unwrap(np.zeros((10, 10), np.float32), SENSOR, GRID)
+
+
+def test_pixels_of_directions_are_those_whose_centres_they_are():
+    grid = Grid(width_px=90, height_px=25)
+    row, column = pixel_of(grid, 3.7 * cylinder(grid))
+    expected = np.mgrid[:25, :90].astype(float)
+    # Both come of a handful of operations on numbers up to 90.
+    assert np.allclose(row, expected[0], atol=1e-11)
+    assert np.allclose(column, expected[1], atol=1e-11)
+    inside_row, inside_column, inside = pixel_that_holds(grid, cylinder(grid))
+    assert inside.all()
+    assert np.array_equal(inside_row, expected[0])
+    assert np.array_equal(inside_column, expected[1])
+    _, _, above = pixel_that_holds(grid, [[1.0, 0.0, grid.z_max + 1e-9], [0.0, 0.0, 1.0], [1.0, 0.0, grid.z_min]])
+    assert not above.any()
+    seam = pixel_that_holds(grid, [-1.0, 0.0, 0.0])[1], pixel_that_holds(grid, [-1.0, -1e-12, 0.0])[1]
+    assert seam == (0, 0)  # phi = pi is phi = -pi

@@ -17,11 +17,11 @@ from test_report import BOTH, SMALL, Document, run_small
 
 from harness.cli import main
 from harness.errors import InputError
+from harness.evaluation.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
 from harness.report import locking, measures, regions, sweeps, theme
 from harness.report.build import build_report
 from harness.report.compare import FIGURES, build_comparison
 from harness.report.law.sections import sections_of
-from harness.report.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
 from harness.report.sweep import Axis, sweep_of, value_text
 from harness.report.words import symbols
 from harness.runs.experiment import Experiment

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera import _sampling_kernels
+from harness.camera.fill import nearest_known
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, cylinder
@@ -52,8 +53,8 @@ def unwrap(
         values = np.empty(grid.shape, dtype=np.float32)
         _sampling_kernels.bilinear(image, coordinates[0].reshape(-1), coordinates[1].reshape(-1), values.reshape(-1))
     else:
-        # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
-        extended = _extend(image, pixel_directions(sensor)[1])
+        # The B-spline's prefilter reaches beyond its 4x4 taps.
+        extended = image[nearest_known(pixel_directions(sensor)[1])]
         values = ndimage.map_coordinates(extended, coordinates, order=order, mode="nearest", output=np.float32)
     values.flags.writeable = False
     return Panorama(grid, values, valid)
@@ -85,9 +86,3 @@ def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> N
             )
             result &= weightless | (inside & seen[np.clip(v, 0, seen.shape[0] - 1), np.clip(u, 0, seen.shape[1] - 1)])
     return result
-
-
-def _extend(image: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """The image with every unseen pixel set to the nearest seen one."""
-    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    return np.asarray(image[rows, columns])

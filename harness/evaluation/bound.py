@@ -34,11 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from harness.camera.fill import Indices, nearest_known
 from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, unproject
 from harness.display import OneLine
 from harness.evaluation import _bound_kernels
 from harness.geometry.angles import Array, angle_between
-from harness.geometry.panorama import Grid, directions
+from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
 from harness.simulation.truth import Truth
@@ -285,16 +286,15 @@ def _raw_pixels(sensor: Sensor, grid: Grid) -> _RawPixels:
     pixel = np.argwhere(valid)
     chosen = omega[valid]
     # Rows span half-open intervals of z, columns of phi, as the pixels of the panorama do.
-    row = np.floor((grid.z_max - chosen[:, 2] / np.hypot(chosen[:, 0], chosen[:, 1])) / grid.z_pitch)
-    column = np.floor((np.arctan2(chosen[:, 1], chosen[:, 0]) + np.pi) / grid.phi_pitch).astype(np.int64)
-    inside = (row >= 0) & (row < grid.height_px)
-    pixel, chosen, row = pixel[inside], chosen[inside], row[inside].astype(np.int64)
+    row, column, inside = pixel_that_holds(grid, chosen)
+    panorama_pixel = row[inside].astype(np.int64) * grid.width_px + column[inside]
+    pixel, chosen = pixel[inside], chosen[inside]
     place = pixel[:, ::-1].astype(np.float64)
     steps = np.array([[_STEP_PX, 0.0], [0.0, _STEP_PX]])
     omega_u, omega_v = (
         (unproject(sensor, place + step)[0] - unproject(sensor, place - step)[0]) / (2 * _STEP_PX) for step in steps
     )
-    raw = _RawPixels(pixel, row * grid.width_px + column[inside] % grid.width_px, chosen, omega_u, omega_v)
+    raw = _RawPixels(pixel, panorama_pixel, chosen, omega_u, omega_v)
     for array in vars(raw).values():
         array.flags.writeable = False
     return raw
@@ -308,14 +308,10 @@ def _spline(image: Image, sensor: Sensor) -> Array:
     shape = (sensor.camera.height_px, sensor.camera.width_px)
     if image.shape != shape:
         raise ValueError(f"the image is {image.shape}, the sensor {shape} (rows, columns)")
-    rows, columns = _nearest_seen(sensor)
-    filled = np.asarray(image, dtype=np.float64)[rows, columns]
+    filled = np.asarray(image, dtype=np.float64)[_nearest_seen(sensor)]
     return np.asarray(ndimage.spline_filter(filled, order=5, mode="mirror"))
 
 
 @lru_cache(maxsize=4)
-def _nearest_seen(sensor: Sensor) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Row and column of the nearest seen pixel, for each pixel of the mirror image."""
-    _, seen = pixel_directions(sensor)
-    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    return rows, columns
+def _nearest_seen(sensor: Sensor) -> Indices:
+    return nearest_known(pixel_directions(sensor)[1])

@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.evaluation.statistics import resampled
 from harness.geometry.angles import Array
 
 BOOTSTRAP_DRAWS = 2000
@@ -186,7 +187,7 @@ def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:
         return None
     by_seed = table.groupby(level="seed", sort=True)
     sums, counts = by_seed.sum().to_numpy(), by_seed.size().to_numpy(dtype=np.float64)
-    weights = _resampled(len(counts))
+    weights = resampled(len(counts), BOOTSTRAP_DRAWS)
     draws = (weights @ sums) / (weights @ counts)[:, None]
     return table.columns.to_numpy(dtype=np.float64), draws[0], draws[1:]
 
@@ -220,7 +221,7 @@ def _within_conditions(x: pd.DataFrame, y: "pd.Series[float]", part: pd.DataFram
     full = sums.reindex(pd.MultiIndex.from_product([seeds, conditions]), fill_value=0.0)
     size = values.shape[1]
     stacked = full.to_numpy().reshape(len(seeds), len(conditions), size, size)
-    drawn = np.tensordot(_resampled(len(seeds)), stacked, axes=1)
+    drawn = np.tensordot(resampled(len(seeds), BOOTSTRAP_DRAWS), stacked, axes=1)
     number, first = drawn[..., :1, :1], drawn[..., :1, 1:]
     with np.errstate(invalid="ignore", divide="ignore"):
         scatter = np.nansum(drawn[..., 1:, 1:] - np.swapaxes(first, -1, -2) * first / number, axis=1)
@@ -242,13 +243,6 @@ def _interval(draws: Array, part: pd.DataFrame) -> list[float] | None:
     if part["seed"].nunique() < 2 or not draws.size:
         return None
     return [float(q) for q in np.quantile(draws, [0.025, 0.975])]
-
-
-def _resampled(seeds: int) -> Array:
-    """How often each seed counts `[1 + draws, seeds]`: once each in the first row, as drawn with replacement below."""
-    generator = np.random.default_rng(0)
-    drawn = generator.multinomial(seeds, np.full(seeds, 1 / seeds), size=BOOTSTRAP_DRAWS)
-    return np.concatenate([np.ones((1, seeds)), drawn.astype(np.float64)])
 
 
 def residuals(cells: pd.DataFrame, fit: dict[str, Any]) -> Iterator[tuple[float, float]]:

@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from harness.display import OneLine
@@ -76,6 +76,34 @@ def directions(grid: Grid) -> Array:
     unit = normalise(cylinder(grid))
     unit.flags.writeable = False
     return unit
+
+
+def pixel_of(grid: Grid, towards: ArrayLike) -> tuple[Array, Array]:
+    """Row and column `[...]` of directions `[..., 3]`, fractions; whole at the pixels' centres.
+
+    Rows lie within -0.5 .. height - 0.5 inside the panorama, and are infinite straight up and down. Columns lie within
+    -0.5 .. width - 0.5: the panorama is periodic in azimuth.
+    """
+    row, column = _from_the_corner(grid, towards)
+    return row - 0.5, column - 0.5
+
+
+def pixel_that_holds(grid: Grid, towards: ArrayLike) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
+    """Row and column `[...]` of the pixels that directions `[..., 3]` fall on, and whether they fall on any.
+
+    Pixels are half-open intervals of z and phi. A row that is not on the panorama is a float all the same, since it may
+    be infinite: index only with those that are.
+    """
+    row, column = (np.floor(each) for each in _from_the_corner(grid, towards))
+    return row, column.astype(np.intp) % grid.width_px, (row >= 0) & (row < grid.height_px)
+
+
+def _from_the_corner(grid: Grid, towards: ArrayLike) -> tuple[Array, Array]:
+    """Rows and columns, counted from the upper left corner of the upper left pixel."""
+    x, y, z = np.moveaxis(np.asarray(towards, dtype=np.float64), -1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        row = (grid.z_max - z / np.hypot(x, y)) / grid.z_pitch
+    return row, (np.arctan2(y, x) + np.pi) / grid.phi_pitch
 
 
 @dataclass(frozen=True, repr=False)

@@ -44,6 +44,12 @@ def exact_alpha_2(points_v1: ArrayLike, t_v1: ArrayLike) -> Array:
     return angle_between(np.asarray(points_v1, dtype=np.float64) - t_v1, t_v1)
 
 
+def alpha_2_at_range(directions: ArrayLike, range_m: float, t_v1: ArrayLike) -> Array:
+    """alpha_2 (radians) of points at one range along directions `[..., 3]`; at an infinite range that is alpha_1."""
+    x_1 = normalise(directions)
+    return angle_between(x_1, t_v1) if np.isinf(range_m) else exact_alpha_2(range_m * x_1, t_v1)
+
+
 def sensitivity_to_alpha_2(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> Array:
     """∂d_1/∂alpha_2 = -d_2²/(|t| sin alpha_1), metres per radian.
 

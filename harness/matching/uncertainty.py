@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, angular_step
-from harness.geometry.panorama import Panorama
+from harness.geometry.panorama import Panorama, pixel_of
 from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
 
@@ -67,10 +67,7 @@ def _seen_at(panorama: Panorama, curves: Curves, alpha_2: Array) -> Array:
     grid = panorama.grid
     t_hat = curves.t / np.linalg.norm(curves.t)
     direction = np.cos(alpha_2)[..., None] * t_hat + np.sin(alpha_2)[..., None] * curves.m
-    x, y, z = np.moveaxis(direction, -1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        row = (grid.z_max - z / np.hypot(x, y)) / grid.z_pitch - 0.5
-    column = (np.arctan2(y, x) + np.pi) / grid.phi_pitch - 0.5
+    row, column = pixel_of(grid, direction)
     inside = np.isfinite(row) & (row >= 0) & (row <= grid.height_px - 1)
     places = np.stack([np.where(inside, row, 0.0), np.where(inside, column, 0.0)])
     values = ndimage.map_coordinates(panorama.values.astype(np.float64), places, order=3, mode="grid-wrap")

@@ -18,9 +18,10 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
-from harness.geometry.triangulation import range_from_angles, sensitivity_to_alpha_2
-from harness.matching.interface import MatcherSettings, Matches, Reason
+from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
+from harness.matching.ranging import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -125,8 +126,7 @@ def estimate(
     pair = Pair((first.grey, second.grey), sensor, motion, grid or Grid())
     matches = matcher.match(pair)
     a_1 = alpha_1(pair.grid, motion.t_v1)
-    range_m = range_from_angles(a_1, matches.alpha_2, motion.baseline_m)
-    lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
+    range_m, reason = ranges_of(matches, a_1, motion.baseline_m)
     with np.errstate(invalid="ignore", divide="ignore"):
         law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, motion.baseline_m))
     return Estimate(
@@ -136,7 +136,7 @@ def estimate(
         matches=matches,
         range_m=range_m,
         sigma_m=np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan),
-        reason=np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons),
+        reason=reason,
     )
 
 

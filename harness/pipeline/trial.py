@@ -18,9 +18,9 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, sample_at
 from harness.geometry.panorama import Panorama, directions
 from harness.geometry.pose import Motion, Pose
-from harness.geometry.triangulation import range_from_angles
-from harness.matching.interface import Matches, Reason, Support
+from harness.matching.interface import Matches, Support
 from harness.matching.pair import Pair
+from harness.matching.ranging import ranges_of
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
@@ -201,10 +201,7 @@ MATCH = Stage(
 
 def _range(work: Work, _view: int) -> tuple[Array, NDArray[np.uint8]]:
     matches, told = work(MATCH), work.setup.told.motion
-    alpha_1 = _curves(work.trial, told).alpha_1
-    range_m = range_from_angles(alpha_1, matches.alpha_2, told.baseline_m)
-    lost = np.isnan(range_m) & (matches.reasons == Reason.MATCHED)
-    return range_m, np.where(lost, np.uint8(Reason.BEYOND_INFINITY), matches.reasons)
+    return ranges_of(matches, _curves(work.trial, told).alpha_1, told.baseline_m)
 
 
 RANGE = Stage("range", _range, after=(MATCH,), cached=False)

@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
 from harness.evaluation.limit import GROSS_PX
+from harness.evaluation.statistics import FEW_SEEDS
 from harness.matching.registry import method_of
 from harness.pipeline.trial import Outcome
 from harness.report import (
@@ -32,7 +33,6 @@ from harness.report.curve import Curve
 from harness.report.law import example
 from harness.report.law.sections import sections_of
 from harness.report.methods import Method, methods_of
-from harness.report.statistics import FEW_SEEDS
 from harness.report.sweep import Sweep, sweep_of, value_text
 from harness.report.theme import Picture
 from harness.runs.run import Result

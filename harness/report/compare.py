@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from harness.errors import InputError
+from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.build import template
 from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
-from harness.report.statistics import FEW_SEEDS, between, resampled
 from harness.report.sweep import in_words
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure

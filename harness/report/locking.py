@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 
 from harness.evaluation.metrics import FRACTION_BINS
+from harness.evaluation.statistics import mean_over_seeds
 from harness.report import theme
 from harness.report.data import Data
-from harness.report.statistics import mean_over_seeds
 from harness.report.sweep import Sweep, Way
 from harness.report.sweeps import SURFACES
 from harness.report.theme import FAINT, HALF, Picture

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from harness.evaluation.statistics import mean_over_seeds
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
-from harness.report.statistics import mean_over_seeds
 from harness.report.sweep import Sweep, Way
 from harness.runs.experiment import shown
 from harness.runs.run import Result

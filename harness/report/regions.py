@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from harness.evaluation.statistics import mean_over_seeds, weighted_median
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.methods import Method
-from harness.report.statistics import mean_over_seeds, weighted_median
 from harness.report.sweep import Sweep, Way
 from harness.report.theme import WIDE, Picture
 

@@ -10,10 +10,10 @@ from matplotlib.lines import Line2D
 
 from harness.evaluation.cells import NORMAL
 from harness.evaluation.regions import RANGE_RATIO
+from harness.evaluation.statistics import Curve, balanced, mean_over_seeds
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data
-from harness.report.statistics import Curve, balanced, mean_over_seeds
 from harness.report.sweep import Axis, Sweep, Way
 from harness.report.theme import FAINT, HALF, Picture
 

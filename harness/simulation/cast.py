@@ -4,23 +4,18 @@ Embree finds the triangle in float32; the point is then computed, and the triang
 of float32 is which surface a ray within about 1e-7 of an occluder's outline meets.
 """
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from harness.errors import InputError
 from harness.geometry.angles import Array
-from harness.machine import available_cpus
 from harness.simulation._rendering_kernels import verify_hits
 from harness.simulation.geometry import Geometry, Ints
+from harness.threads import in_threads
 
 _CHUNK = 1 << 15
-
-Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -106,16 +101,3 @@ def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, tri
             f"in direction ({d[0]:.4f}, {d[1]:.4f}, {d[2]:.4f}): close the scene or set closed = false",
             file=geometry.name,
         )
-
-
-def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int | None) -> None:
-    """Do independent pieces of work, which release the GIL, on some threads; all available CPUs when None."""
-    count = threads or available_cpus()
-    items = list(items)
-    if count == 1 or len(items) <= 1:
-        for item in items:
-            work(item)
-        return
-    with ThreadPoolExecutor(count) as pool:
-        for future in [pool.submit(work, item) for item in items]:
-            future.result()

@@ -26,9 +26,10 @@ from harness.simulation._rendering_kernels import (
     sample_positions,
     shade,
 )
-from harness.simulation.cast import cast, in_threads, nearest_triangles, rotated
+from harness.simulation.cast import cast, nearest_triangles, rotated
 from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_of, homographies
 from harness.simulation.scene import Scene
+from harness.threads import in_threads
 
 Image = NDArray[np.float32]
 

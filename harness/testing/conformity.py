@@ -18,7 +18,7 @@ from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion
-from harness.geometry.triangulation import exact_alpha_2, points
+from harness.geometry.triangulation import alpha_2_at_range
 from harness.matching.interface import Fault, MatcherSettings, Matches, faults
 from harness.matching.pair import Pair, sharing
 from harness.pipeline.specification import SecondView, Trial
@@ -338,8 +338,8 @@ def _limits(subject: Subject) -> str:
 
 
 def _alpha_2_at(pair: Pair, range_m: float) -> Array:
-    """alpha_2 of a thing that is as far away everywhere."""
-    return pair.alpha_1 if np.isinf(range_m) else exact_alpha_2(points(pair.directions, range_m), pair.t_v1)
+    """alpha_2 of a surface that is equally far away everywhere."""
+    return alpha_2_at_range(pair.directions, range_m, pair.t_v1)
 
 
 def _seam(subject: Subject) -> str:

@@ -12,7 +12,7 @@ from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import directions
-from harness.geometry.triangulation import exact_alpha_2
+from harness.geometry.triangulation import alpha_2_at_range, exact_alpha_2
 from harness.matching.interface import Matches
 from harness.matching.opencv.library import opencv, threads
 from harness.matching.opencv.rectify import (
@@ -77,7 +77,7 @@ def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches
     looking = directions(pair.grid)
     a_1 = alpha_1(pair.grid, pair.t_v1)
     a_2 = a_1 + on_panorama(rectified, disparity, looking) * step
-    near, far = (_alpha_2_at(looking, d, a_1, pair.t_v1) for d in (matcher.d_min_m, matcher.d_max_m))
+    near, far = (alpha_2_at_range(looking, d, pair.t_v1) for d in (matcher.d_min_m, matcher.d_max_m))
     return Matches(np.where((far <= a_2) & (a_2 <= near), a_2, np.nan))
 
 
@@ -157,11 +157,6 @@ def _engine(matcher: StereoBM | StereoSGBM, number: int, cv2: Any) -> Any:
 
 _MODES = {"sgbm": "SGBM", "hh": "HH", "3way": "SGBM_3WAY", "hh4": "HH4"}
 _PRE_FILTERS = {"xsobel": "XSOBEL", "normalized": "NORMALIZED_RESPONSE"}
-
-
-def _alpha_2_at(looking: Array, range_m: float, a_1: Array, t: Array) -> Array:
-    """alpha_2 of points at one range, which may be infinite."""
-    return a_1 if np.isinf(range_m) else exact_alpha_2(range_m * looking, t)
 
 
 def _ranges(cloud: Any, rectangle: Rectangle) -> Array:

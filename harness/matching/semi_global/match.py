@@ -23,13 +23,10 @@ most. (Where two ways around the whole row cost exactly the same, where it began
 Labels outside a pixel's search interval cost what they cost and cannot win; to forbid them was no better.
 """
 
-import itertools
 import math
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -46,6 +43,7 @@ from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
 from harness.matching.window.subpixel import refine
 from harness.spec import Positive
+from harness.threads import in_bands, in_threads
 
 PER_BIT = 2
 """Costs are counted in halves of a bit."""
@@ -301,8 +299,8 @@ def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, th
             costs,
         )
 
-    _in_bands(transform, places[0], threads)
-    _in_bands(compare, shape[0], threads)
+    in_bands(transform, places[0], threads, threads)
+    in_bands(compare, shape[0], threads, threads)
     grey = blurred[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
     p2 = jumps(grey, shape, matcher)
     best, nearby, second = aggregate(costs, geometry.k_0, curves.k_first, curves.k_last, p2, matcher, threads)
@@ -310,22 +308,6 @@ def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, th
     ahead = np.maximum(best, 0) + geometry.k_0
     kernels.seen_by_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, seen_1, seen_2)
     return Found(best, nearby, second, seen_1, seen_2)
-
-
-def _in_bands(work: Callable[[int, int], None], rows: int, threads: int) -> None:
-    """Call `work(first, end)` for bands of rows, at the same time."""
-    edges = np.linspace(0, rows, min(threads, rows) + 1).astype(int).tolist()
-    _at_once([partial(work, first, end) for first, end in itertools.pairwise(edges)], threads)
-
-
-def _at_once(works: Sequence[Callable[[], None]], threads: int) -> None:
-    if threads == 1:
-        for work in works:
-            work()
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        for done in [pool.submit(work) for work in works]:
-            done.result()
 
 
 class _Memory(threading.local):
@@ -435,8 +417,8 @@ def aggregate(
             second,
         )
 
-    _at_once([partial(first, side) for side in (0, 1)], threads)
-    _at_once([partial(then, side) for side in (0, 1)], threads)
+    in_threads(first, (0, 1), threads)
+    in_threads(then, (0, 1), threads)
     return best, nearby, second
 
 

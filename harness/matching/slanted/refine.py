@@ -30,10 +30,11 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from harness.camera.fill import nearest_known
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.camera.unified import to_unified, unified_lens
 from harness.geometry.angles import Array, angle_between, normalise
-from harness.geometry.panorama import Grid, directions
+from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
 from harness.matching.interface import Matches, Reason
@@ -168,9 +169,7 @@ class _View:
 
 
 def _view(image: Image, seen: Mask) -> _View:
-    # The B-spline's prefilter reaches beyond its 4x4 taps; black outside the rim would ring into the picture.
-    rows, columns = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    spline = ndimage.spline_filter(image[rows, columns], 3, output=np.float32, mode="mirror")
+    spline = ndimage.spline_filter(image[nearest_known(seen)], 3, output=np.float32, mode="mirror")
     return _View(np.ascontiguousarray(image, dtype=np.float32), np.where(seen, spline, np.float32(np.nan)))
 
 
@@ -179,14 +178,12 @@ def _start(alpha_2: Array, way: _Way, grid: Grid) -> Array:
 
     From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1).
     """
-    x, y, z = np.moveaxis(way.x, -1, 0)
+    row, column, inside = pixel_that_holds(grid, np.nan_to_num(way.x))
     with np.errstate(invalid="ignore", divide="ignore"):
-        row = np.floor((grid.z_max - z / np.hypot(x, y)) / grid.z_pitch)
-        column = np.floor((np.arctan2(y, x) + np.pi) / grid.phi_pitch)
         w = np.sin(alpha_2 - angle_between(directions(grid), way.t)) / (np.linalg.norm(way.t) * np.sin(alpha_2))
-        covered = way.seen & (row >= 0) & (row < grid.height_px)
+    covered = way.seen & inside
     field = np.full(way.seen.shape, np.nan)
-    field[covered] = w[row[covered].astype(np.intp), column[covered].astype(np.intp) % grid.width_px]
+    field[covered] = w[row[covered].astype(np.intp), column[covered]]
     return field
 
 

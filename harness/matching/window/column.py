@@ -21,7 +21,6 @@ nearest row, as bits cannot be interpolated.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -37,6 +36,7 @@ from harness.matching.window import _column_kernels as _kernels
 from harness.matching.window.census import census
 from harness.matching.window.centres import searchable, whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
+from harness.threads import in_bands
 
 PER_GREY = 8
 """Steps in a grey level: the rounding's error, 0.04 grey levels RMS, is far below the noise of any camera."""
@@ -64,7 +64,7 @@ def search(
     def work(column_first: int, column_end: int) -> None:
         compare(column_first, column_end, searched, reason, k, costs, before=matcher.neighbours)
 
-    _in_bands(work, first, matcher.window_px, threads)
+    _over_columns(work, first, matcher.window_px, threads)
     return WholePixelMatches(curves, k, costs, reason)
 
 
@@ -86,7 +86,7 @@ def costs_of_half_samples(
     def work(column_first: int, column_end: int) -> None:
         compare(column_first, column_end, matched, reason, k, between, before=2, find=False)
 
-    _in_bands(work, first, matcher.window_px, threads)
+    _over_columns(work, first, matcher.window_px, threads)
     costs = np.empty((*first.grid.shape, 7))
     costs[..., ::2] = between
     costs[..., 1::2] = whole.costs[..., matcher.neighbours - 1 : matcher.neighbours + 2]
@@ -106,16 +106,12 @@ def costs_along_curve(
     return ks, np.where(here < compare.none, here / compare.unit, np.nan)
 
 
-def _in_bands(work: Callable[[int, int], None], image: Panorama, window_px: int, threads: int) -> None:
+def _over_columns(work: Callable[[int, int], None], image: Panorama, window_px: int, threads: int) -> None:
     """Deal out the columns. Those before and after a band enter its windows too, so bands are few."""
     width = image.grid.width_px
-    if threads == 1:
-        work(0, width)
-        return
-    bands = min(2 * threads, max(1, width // (4 * window_px)))  # more than threads, to even out
-    edges = np.linspace(0, width, bands + 1).astype(int).tolist()
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, edges[:-1], edges[1:]))
+    # More bands than threads, to even out.
+    bands = 1 if threads == 1 else min(2 * threads, max(1, width // (4 * window_px)))
+    in_bands(work, width, bands, threads)
 
 
 def _whole_samples(first: Panorama, second: Panorama, curves: Curves, matcher: WindowMatcher) -> "_Comparison":

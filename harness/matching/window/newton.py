@@ -18,7 +18,7 @@ from harness.matching.interface import Reason
 from harness.matching.window import _newton_kernels as _kernels
 from harness.matching.window.centres import whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
-from harness.matching.window.square import deal_rows
+from harness.matching.window.square import in_interleaved_rows
 
 
 def gauss_newton(
@@ -103,7 +103,7 @@ def gauss_newton(
                 refined,
             )
 
-    deal_rows(work, grid.height_px, threads)
+    in_interleaved_rows(work, grid.height_px, threads)
     return offset, refined
 
 

@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from harness.matching.window import _square_kernels as _kernels
 from harness.matching.window.census import NEIGHBOURHOOD_PX, census
 from harness.matching.window.centres import searchable, whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
+from harness.threads import in_threads
 
 _KINDS = {"sad": _kernels.SAD, "ssd": _kernels.SSD, "zncc": _kernels.ZNCC, "census": _kernels.CENSUS}
 _MODES = {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}
@@ -74,7 +74,7 @@ def search(
             costs,
         )
 
-    deal_rows(work, grid.height_px, threads)
+    in_interleaved_rows(work, grid.height_px, threads)
     return WholePixelMatches(curves, k_best, costs, reason)
 
 
@@ -120,7 +120,7 @@ def costs_of_half_samples(
             costs,
         )
 
-    deal_rows(work, grid.height_px, threads)
+    in_interleaved_rows(work, grid.height_px, threads)
     return costs
 
 
@@ -163,14 +163,11 @@ def costs_along_curve(
     return ks, out
 
 
-def deal_rows(work: Callable[[NDArray[np.intp]], None], height: int, threads: int) -> None:
-    """Deal the rows out like cards: near rows cost more than far ones."""
+def in_interleaved_rows(work: Callable[[NDArray[np.intp]], None], height: int, threads: int) -> None:
+    """Interleave rows to balance the load: near rows cost more than far ones."""
     rows = np.arange(height)
-    if threads == 1:
-        work(rows)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, [np.ascontiguousarray(rows[i :: 4 * threads]) for i in range(4 * threads)]))
+    parts = 1 if threads == 1 else 4 * threads
+    in_threads(work, [np.ascontiguousarray(rows[i::parts]) for i in range(parts)], threads)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,11 +11,11 @@ from matplotlib.lines import Line2D
 
 from harness.evaluation.law_images import baseline_curve
 from harness.evaluation.regions import RANGE_RATIO
+from harness.evaluation.statistics import between
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.law.part import Part, is_of
-from harness.report.statistics import between
 from harness.report.sweep import Sweep, Way
 from harness.report.sweeps import SURFACES
 from harness.report.theme import Picture

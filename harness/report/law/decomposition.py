@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.evaluation.statistics import mean_over_seeds
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.law.part import Part, is_of
-from harness.report.statistics import mean_over_seeds
 from harness.report.sweep import Sweep
 from harness.report.sweeps import SURFACES, draw_line
 from harness.report.theme import Picture

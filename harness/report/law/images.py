@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 
 from harness.evaluation.law_images import LAWS, residuals
+from harness.evaluation.statistics import median_over_seeds
 from harness.report import theme
 from harness.report.data import Data, interval
 from harness.report.law import slopes
 from harness.report.law.part import LAW_NAMES, PLAIN_NAMES, Fit, Part, is_of
-from harness.report.statistics import median_over_seeds
 from harness.report.sweep import Sweep, Way, log_edges
 from harness.report.sweeps import SURFACES
 from harness.report.theme import FAINT, Picture
