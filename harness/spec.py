@@ -2,22 +2,28 @@
 
 import difflib
 import re
-import tomllib
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
+import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from harness.display import brief, shortened
 from harness.errors import InputError
+from harness.toml import levels, read_toml
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+LARGEST = 1e60
+"""Of all numbers with a unit, and of the inverses of positive ones: products of several neither overflow nor vanish."""
+Positive = Annotated[float, Field(gt=0, ge=1 / LARGEST, le=LARGEST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
+
+MOST_LEVELS = 32
+"""Tables and lists inside each other in a value of any type: `toml.MOST_LEVELS` with room for what is around it."""
 
 Place = tuple[int | str, ...]
 """Keys and list indices that lead to a value."""
@@ -63,27 +69,15 @@ class Spec(BaseModel, metaclass=_SpecType):
         """The keys and what the class adds to them: none of pydantic's own methods, which are there all the same."""
         return [name for name in super().__dir__() if name not in _PYDANTIC]
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, with some values changed; nothing that was worked out from the old ones (`cached_property`) stays."""
+        copied = super().model_copy(update=update, deep=deep)
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]
+        return copied
+
 
 S = TypeVar("S", bound=Spec)
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The table in a TOML file.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, is not readable, or is not TOML.
-    """
-    try:
-        with path.open("rb") as stream:
-            return tomllib.load(stream)
-    except FileNotFoundError:
-        raise InputError("no such file", file=path) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as a TOML text file ({error})", file=path) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"not valid TOML: {error}", file=path) from error
 
 
 def parse(
@@ -128,9 +122,101 @@ def load(model: type[S], path: Path) -> S:
 def dump_toml(spec: Spec) -> str:
     """The TOML text of a specification, every default written out; `parse` reads it back to an equal one.
 
-    TOML has no null: a None is left out, so only a key that is None by default may hold it.
+    Tables of any keys, such as an experiment's axes, keep their keys' order. TOML has no null: a None is left out, so
+    only a key that is None by default may hold it.
     """
-    return tomli_w.dumps(_without_none(spec.model_dump(mode="json")))
+    table = _without_none(as_table(spec))
+    given = [
+        name for name, field in type(spec).model_fields.items() if table.get(name) and _has_any_keys(field.annotation)
+    ]
+    parts = [tomli_w.dumps({name: value for name, value in table.items() if name not in given})]
+    for name in given:
+        several = isinstance(table[name], list)
+        for each in table[name] if several else [table[name]]:
+            lines = [f"{_word(key)} = {_in_line(value)}" for key, value in each.items()]
+            parts.append("\n".join([f"[[{name}]]" if several else f"[{name}]", *lines, ""]))
+    return "\n".join(parts)
+
+
+def _has_any_keys(annotation: Any) -> bool:
+    """Whether a key holds a table of any keys, or a list of such."""
+    if get_origin(annotation) is list:
+        return any(_has_any_keys(each) for each in _members(get_args(annotation)[0]))
+    return get_origin(annotation) is dict
+
+
+def _word(key: str) -> str:
+    """A key as TOML has it."""
+    return tomli_w.dumps({key: 0}).rpartition(" = ")[0]
+
+
+def _in_line(value: Any) -> str:
+    """A value in one line. TOML's own tables must follow all plain keys; in a line they keep their place."""
+    if isinstance(value, dict):
+        return (
+            f"{{ {', '.join(f'{_word(key)} = {_in_line(each)}' for key, each in value.items())} }}" if value else "{}"
+        )
+    if isinstance(value, list):
+        return f"[{', '.join(map(_in_line, value))}]"
+    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
+
+
+def as_table(spec: Spec, *, without: str = "") -> dict[str, Any]:
+    """A specification as plain data: dictionaries, lists, text, numbers (infinite ones too), truth values, None.
+
+    Not pydantic's own mode "json", which turns infinity into None inside values of any type.
+
+    Parameters
+    ----------
+    without
+        A key that is left out.
+    """
+    return {name: _as_plain(value) for name, value in spec.model_dump(exclude={without}).items()}
+
+
+def checked_plain(value: Any) -> Any:
+    """A value of any type as a specification may hold it: what TOML can write, so that it reads back the same.
+
+    Tuples become lists; a scalar of NumPy becomes a plain number; a specification becomes a table.
+
+    Raises
+    ------
+    ValueError
+        When there is something else in it, text that is no Unicode, or more than `MOST_LEVELS` levels.
+    """
+    if levels(value) > MOST_LEVELS:
+        raise ValueError(f"tables and lists are nested more than {MOST_LEVELS} deep")
+    return _checked_plain(value)
+
+
+def _checked_plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return _checked_plain(value.item())
+    if isinstance(value, BaseModel):
+        return _checked_plain(_without_none(value.model_dump()))
+    if isinstance(value, Mapping):
+        if not all(isinstance(name, str) for name in value):
+            raise ValueError("the keys of a table must be text")
+        return {_checked_plain(name): _checked_plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_checked_plain(each) for each in value]
+    if isinstance(value, str):
+        if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise ValueError(f"text must be Unicode without lone surrogates; found {value!a}")
+        return str(value)
+    if isinstance(value, bool | int | float):
+        return value
+    if value is None:
+        raise ValueError("none is no value that TOML can write; leave the key out")
+    raise ValueError(f"must be text, a number, true, false, a list or a table; found {_shown(value)}")
+
+
+def _as_plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _as_plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_plain(each) for each in value]
+    return value
 
 
 def nearest(word: str, choices: Sequence[str]) -> str:
@@ -154,7 +240,7 @@ def _dotted(place: Place, start: str = "") -> str | None:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
-            name = part if re.fullmatch(r"[\w-]+", part) else f'"{part}"'
+            name = _brief(part) if re.fullmatch(r"[\w-]+", part) else f'"{_brief(part)}"'
             text += f".{name}" if text else name
     return text or None
 
@@ -220,7 +306,7 @@ def _describe(problem: _Problem) -> tuple[Place, str]:
     if kind == "extra_forbidden":
         word = str(place[-1])
         valid = sorted({name for each in problem.parents for name in getattr(each, "model_fields", ())})
-        return place, f"unknown key '{word}'; {nearest(word, valid)}"
+        return place, f"unknown key '{_brief(word)}'; {nearest(word, valid)}"
     if kind == "missing" and isinstance(place[-1], int):
         wanted = max(len(get_args(each)) for each in problem.parents)
         return place[:-1], f"must be a list of {wanted}; found a list of {len(given)}"
@@ -232,9 +318,9 @@ def _describe(problem: _Problem) -> tuple[Place, str]:
         return (*place, tag), f"this key is missing; valid: {', '.join(valid)}"
     if kind == "union_tag_invalid":
         tag, word = context["discriminator"].strip("'"), str(context["tag"])
-        return (*place, tag), f"unknown {tag} '{word}'; {nearest(word, _words(context['expected_tags']))}"
+        return (*place, tag), f"unknown {tag} '{_brief(word)}'; {nearest(word, _words(context['expected_tags']))}"
     if kind == "literal_error" and isinstance(given, str):
-        return place, f"'{given}' is not valid; {nearest(given, _words(context['expected']))}"
+        return place, f"'{_brief(given)}' is not valid; {nearest(given, _words(context['expected']))}"
     if kind in ("value_error", "assertion_error"):
         return place, str(context["error"])
     return place, f"must be {_expected(problem)}; found {_shown(given)}"
@@ -267,6 +353,8 @@ _EXPECTED = {
 
 def _expected(problem: _Problem) -> str:
     error = problem.error
+    if error["type"] == "greater_than_equal" and error["ctx"]["ge"] == 1 / LARGEST and error["input"] <= 0:
+        return "above 0"  # what `Positive` is about
     if error["type"] in _EXPECTED:
         return _EXPECTED[error["type"]].format(**error.get("ctx", {}))
     return str(error["msg"]).removeprefix("Input should be ")
@@ -279,7 +367,12 @@ def _shown(value: Any) -> str:
         return "a table"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
-    return repr(value)
+    return _brief(repr(value))
+
+
+def _brief(text: str) -> str:
+    """A text that fits into a message."""
+    return text if len(text) <= 80 else f"{text[:60]}...{text[-15:]}"
 
 
 def _coerced(given: Any, taken: Any, place: Place = (), *, checked: dict[int, Any]) -> Iterator[tuple[Place, str]]:

@@ -19,7 +19,8 @@ from harness.simulation.texture import (
     lookup,
     texels_of,
 )
-from harness.spec import dump_toml, parse, read_toml
+from harness.spec import dump_toml, parse
+from harness.toml import read_toml
 
 GREY = GreyTexture(kind="grey", value=100)
 SHIPPED = ("box", "corridor", "room")

@@ -2,21 +2,21 @@
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, model_validator
+from pydantic import Field, JsonValue, field_validator, model_validator
 
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, epipolar_curves
 from harness.geometry.panorama import Grid
-from harness.spec import Positive, Spec
+from harness.spec import Positive, Spec, as_table, checked_plain
 
 if TYPE_CHECKING:
     from harness.matching.pair import Pair
@@ -138,8 +138,21 @@ class Parametrised(MatcherSettings):
     parameters: Annotated[dict[str, JsonValue], Field(default_factory=dict)]
     """What only the matcher itself understands: a table, handed on as it is."""
 
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _plain(cls, parameters: Any) -> Any:
+        return checked_plain(parameters) if isinstance(parameters, Mapping) else parameters
+
+    def __eq__(self, other: object) -> bool:
+        # By text, as NaN is not equal to itself, and 1 and 1.0 are two parameters.
+        return type(self) is type(other) and self._text == other._text
+
     def __hash__(self) -> int:
-        return hash(json.dumps(self.model_dump(mode="json"), sort_keys=True))
+        return hash(self._text)
+
+    @property
+    def _text(self) -> str:
+        return json.dumps(as_table(self), sort_keys=True)
 
 
 class Reason(IntEnum):

@@ -16,7 +16,7 @@ from harness.matching.window.settings import WindowMatcher
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator
 from harness.simulation.scene import Scene
-from harness.spec import Finite, Positive, Spec
+from harness.spec import Finite, Positive, Spec, as_table
 
 
 class SecondView(Spec):
@@ -164,7 +164,7 @@ class Trial(Spec):
         InputError
             When such a matcher cannot be found.
         """
-        settings = self.model_dump(mode="json") | {"scene": fingerprint(self.scene)}
+        settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]

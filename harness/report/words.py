@@ -14,6 +14,7 @@ from harness.pipeline.specification import Trial
 from harness.report.methods import Method
 from harness.report.sweep import Axis, Sweep, value_text
 from harness.runs.run import Result
+from harness.spec import as_table
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ UNITS = {"_m": "m", "_deg": "°", "_px": "px", "_mm": "mm", "_grey": "grey level
 
 def settings(trial: Trial) -> list[tuple[str, list[tuple[str, str, str]]]]:
     """All settings but the scene's objects by section: name, value, unit."""
-    table = trial.model_dump(mode="json")
+    table = as_table(trial)
     scene = table.pop("scene")
     sections = [("scene", [(key, _shown(scene[key]), "") for key in ("name", "description", "closed", "scale")])]
     sections += [(section, list(_flat(values))) for section, values in table.items() if isinstance(values, dict)]

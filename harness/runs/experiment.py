@@ -3,14 +3,13 @@
 import itertools
 import json
 import math
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from harness import shipped
 from harness.camera.sensor import load_sensor
@@ -22,9 +21,13 @@ from harness.matching.program import with_absolute_files
 from harness.matching.registry import Matcher
 from harness.pipeline.specification import Trial
 from harness.simulation.scene import load_scene
-from harness.spec import Spec, parse, read_toml
+from harness.spec import Spec, as_table, checked_plain, parse
+from harness.toml import parse_toml, read_toml
 
 _KIND = "matching.kind"
+
+MOST_TRIALS = 100_000
+"""Of an experiment: what can be planned within seconds."""
 
 Settings = dict[str, Any]
 """Dotted keys of a trial, such as `matching.window_px` or `scene.objects.0.size_m`, and their values."""
@@ -65,6 +68,11 @@ class Experiment(Spec):
 
     __str__ = __repr__
 
+    @field_validator("axes", "cases", mode="before")
+    @classmethod
+    def _plain(cls, given: Any) -> Any:
+        return checked_plain(given) if isinstance(given, Mapping | list | tuple) else given
+
     @cached_property
     def planned(self) -> tuple[Planned, ...]:
         """Every trial, case by case, in the order of the product, the last axis fastest.
@@ -72,10 +80,12 @@ class Experiment(Spec):
         Raises
         ------
         InputError
-            When a key is no key of a trial, a value is not valid there, a matcher from elsewhere is not there or does
-            not take its parameters, or two trials are the same. `error.key` is the place in the experiment.
+            When there are more than `MOST_TRIALS`, a key is no key of a trial, a value is not valid there, a matcher
+            from elsewhere is not there or does not take its parameters, or two trials are the same. `error.key` is the
+            place in the experiment.
         """
-        base = self.trial.model_dump(mode="json")
+        self._check_count()
+        base = as_table(self.trial)
         columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
         planned: dict[str, Planned] = {}
         checked: dict[int, Any] = {}
@@ -111,6 +121,18 @@ class Experiment(Spec):
     def trials(self) -> list[tuple[Settings, Trial]]:
         """Every trial with its place on the axes; see `planned`."""
         return [(each.place, each.trial) for each in self.planned]
+
+    def _check_count(self) -> None:
+        """Count before anything is enumerated."""
+        counts = {f"{len(self.cases)} cases": len(self.cases)} if self.cases else {}
+        counts |= {f"{key} ({len(values)} values)": len(values) for key, values in self.axes.items()}
+        total = math.prod(counts.values())
+        if total > MOST_TRIALS:
+            several = [text for text, count in counts.items() if count > 1]
+            raise InputError(
+                f"{total} trials are more than the {MOST_TRIALS} that an experiment may have: {' x '.join(several)}",
+                key="axes" if self.axes else "cases",
+            )
 
     def _settings(self) -> Iterator[tuple[int | None, Settings]]:
         """The number of the case, if there are any, and what changes in the base trial."""
@@ -243,7 +265,7 @@ def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:
     if not settings:
         return experiment
     settings = {key: _absolute(key, value, Path(), "--set") for key, value in settings.items()}
-    trial = parse(Trial, changed(experiment.trial.model_dump(mode="json"), settings, file="--set"), file="--set")
+    trial = parse(Trial, changed(as_table(experiment.trial), settings, file="--set"), file="--set")
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
     if _KIND in settings:  # what another matcher does not know cannot be varied
         axes = {key: values for key, values in axes.items() if _is_known(key, settings[_KIND])}
@@ -296,16 +318,18 @@ def _split(option: str, text: str) -> tuple[str, str]:
 def _value(text: str) -> Any:
     """A value of the command line: TOML, or else the text itself."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        table = parse_toml(f"value = {text}")
+    except ValueError:
         return text
+    return table["value"] if len(table) == 1 else text  # a line's end in it may begin another key
 
 
 def _values(text: str) -> list[Any]:
     try:
-        return list(tomllib.loads(f"values = [{text}]")["values"])
-    except tomllib.TOMLDecodeError:
-        return [_value(each.strip()) for each in text.split(",") if each.strip()]
+        table = parse_toml(f"values = [{text}]")
+    except ValueError:
+        table = {}
+    return table["values"] if len(table) == 1 else [_value(each.strip()) for each in text.split(",") if each.strip()]
 
 
 def _with_absolute_paths(experiment: Experiment, folder: Path, file: Path) -> Experiment:
@@ -421,10 +445,10 @@ def _read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, ke
     elif isinstance(scene, dict):
         resolved["scene"] = _absolute("", scene, folder, file or "")
     if isinstance(sensor, str):
-        resolved["sensor"] = load_sensor(folder / Path(sensor).expanduser()).model_dump(mode="json")
+        resolved["sensor"] = as_table(load_sensor(folder / Path(sensor).expanduser()))
     return resolved
 
 
 @lru_cache(maxsize=64)
 def _scene_table(path: str) -> Mapping[str, Any]:
-    return load_scene(path).model_dump(mode="json")
+    return as_table(load_scene(path))

@@ -31,7 +31,7 @@ from harness.runs.plan import Plan, plan
 from harness.runs.store import Finished, Foreign, Store
 from harness.runs.sweep import run_sweep
 from harness.simulation.fingerprint import fingerprint
-from harness.spec import dump_toml
+from harness.spec import as_table, dump_toml
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
@@ -98,7 +98,7 @@ class Result(OneLine):
     def places(self) -> list[Settings]:
         """Where the details lie on the axes."""
         columns = columns_of(self.experiment)
-        tables = [outcome.trial.model_dump(mode="json") for outcome in self.details]
+        tables = [as_table(outcome.trial) for outcome in self.details]
         return [{key: value_at(table, key) for key in columns} for table in tables]
 
 
@@ -130,7 +130,7 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
             file=folder,
         )
     store.set_fact("name", experiment.name)
-    store.set_fact("experiment", experiment.model_dump(mode="json"))
+    store.set_fact("experiment", as_table(experiment))
     return store
 
 

@@ -23,6 +23,7 @@ from harness.runs.store import Finished
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.mesh_file import companions
 from harness.simulation.scene import assets
+from harness.spec import as_table
 
 _CODE = code_hash()
 """Of the modules as they are loaded: taken now, as the files may be changed under a long run."""
@@ -62,7 +63,7 @@ def pack(
             raise InputError("is made of several files, which do not travel to workers; save it as GLB", file=path)
     return Batch(
         code=code_hash(),
-        trials=tuple((each.key, fingerprint(each.trial.scene), each.trial.model_dump(mode="json")) for each in trials),
+        trials=tuple((each.key, fingerprint(each.trial.scene), as_table(each.trial)) for each in trials),
         threads=threads,
         maps=None if maps is None else str(maps),
         files={str(path): path.read_bytes() for scene in scenes for path in assets(scene)},

@@ -15,7 +15,8 @@ from harness import shipped
 from harness.errors import InputError
 from harness.geometry.pose import Pose
 from harness.simulation.texture import Grey, ImageTexture, Texture
-from harness.spec import Finite, Positive, Spec, parse, read_toml
+from harness.spec import Finite, Positive, Spec, parse
+from harness.toml import read_toml
 
 Point = tuple[Finite, Finite, Finite]
 BOX_SIDES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
