@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help paper test lint docs lock install clean
+.PHONY: help paper test quick lint docs lock install clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*##/\1	/p' $(MAKEFILE_LIST)
@@ -14,8 +14,11 @@ help:  ## list the targets
 paper: $(STAMP)  ## reproduce the paper; the report is results/paper/report.html
 	$(BIN)/omnirange run paper
 
-test: $(STAMP)  ## run the tests
-	$(BIN)/python -m pytest
+test: $(STAMP)  ## run the tests, on all cores
+	$(BIN)/python -m pytest -n auto --dist loadfile
+
+quick: $(STAMP)  ## run the tests that are not slow; one that has become slow fails
+	$(BIN)/python -m pytest -n auto --dist loadfile -q -m "not slow" --most-cpu-s 2
 
 lint: $(STAMP)  ## style, formatting, types and the one-way imports
 	$(BIN)/ruff check .

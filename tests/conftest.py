@@ -1,4 +1,6 @@
-"""What many tests share: the paper's experiment, run once."""
+"""What many tests share: the paper's experiment, run once; and the rule that long tests are marked."""
+
+import os
 
 import pytest
 
@@ -11,3 +13,50 @@ def paper():
     from harness.runs.run import run_experiment
 
     return run_experiment(load_experiment("paper"))
+
+
+# --- A test is slow by measured time ------------------------------------------------------------------------------
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--most-cpu-s",
+        type=float,
+        metavar="SECONDS",
+        help="fail when a test that is not marked `slow` takes more CPU time than this, fixtures apart",
+    )
+
+
+def cpu_s():
+    """CPU time of this process and of the children that it has waited for: unlike the clock's, not the neighbours'."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    begin = cpu_s()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu_s", cpu_s() - begin))
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    most = config.getoption("--most-cpu-s")
+    if most is None:
+        return
+    for report, spent in unmarked(terminalreporter, most):
+        terminalreporter.write_line(f"not marked slow, {spent:.1f} s of CPU time: {report.nodeid}", red=True)
+
+
+def pytest_sessionfinish(session, exitstatus):
+    most = session.config.getoption("--most-cpu-s")
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if most is not None and reporter is not None and exitstatus == pytest.ExitCode.OK and unmarked(reporter, most):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def unmarked(reporter, most):
+    """Reports of tests that should be marked, with their time."""
+    passed = [(each, dict(each.user_properties).get("cpu_s", 0.0)) for each in reporter.stats.get("passed", ())]
+    return [(each, spent) for each, spent in passed if spent > most and "slow" not in each.keywords]
