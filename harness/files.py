@@ -138,3 +138,35 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def path_of(text: str, folder: Path = Path(), *, file: str | Path | None = None, key: str | None = None) -> Path:
+    """The path that a text names, `~` filled in, relative to a folder; whether anything is there is not asked.
+
+    Parameters
+    ----------
+    file, key
+        Where the text stands, for messages; without them the message begins with the text itself.
+
+    Raises
+    ------
+    InputError
+        When no file can have this name: a user that is not there, a null byte, too many letters, links in a circle.
+    """
+    try:
+        text.encode()
+        path = folder / Path(text).expanduser()
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        return path
+    except RuntimeError:
+        problem = f"there is no user {Path(text).parts[0].removeprefix('~')}, or no home folder"
+    except ValueError:
+        problem = "is not a file name: it has a null byte, or is no Unicode"
+    except OSError as error:
+        problem = f"cannot be used as a file name ({error.strerror})"
+    else:
+        return path
+    if file is None and key is None:
+        raise InputError(problem, file=_printable(text))
+    raise InputError(f"'{_printable(text)}': {problem}", file=file, key=key)

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 from harness.errors import InputError
+from harness.files import path_of
 
 Kind = Literal["scenes", "experiments"]
 
@@ -30,14 +31,12 @@ def find(kind: Kind, name_or_path: str, *, relative_to: Path | None = None) -> P
     Raises
     ------
     InputError
-        When there is no such file; the message lists the shipped names.
+        When there is no such file (the message lists the shipped names), or there can be none of this name.
     """
     if "/" not in name_or_path and "\\" not in name_or_path and not name_or_path.endswith(".toml"):
-        path = folder(kind) / f"{name_or_path}.toml"
+        path = path_of(f"{name_or_path}.toml", folder(kind))
     else:
-        path = Path(name_or_path).expanduser()
-        if not path.is_absolute() and relative_to is not None:
-            path = relative_to / path
+        path = path_of(name_or_path, relative_to or Path())
     if not path.is_file():
         known = ", ".join(names(kind))
         raise InputError(

@@ -1,6 +1,7 @@
 """How sub-commands are declared, and the settings that several of them have."""
 
 import argparse
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
+        # Of argparse: which words that begin with a dash are values and no options. Its own knows no 1e-3 and no inf.
+        self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong, and exit."""

@@ -24,6 +24,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 when all went well, 1 when a trial failed, 2 when something given is wrong (one line on stderr says what),
         130 after Ctrl-C.
     """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    for each in arguments:
+        if not _is_unicode(each):
+            print(f"omnirange: {each!a}: an argument must be UTF-8, without null bytes", file=sys.stderr)
+            return INPUT
     options = _parser().parse_args(arguments)
     try:
         return options.run(options) or OK
@@ -35,6 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nomnirange: interrupted; what was being written is left as it was before", file=sys.stderr)
         return INTERRUPTED
+
+
+def _is_unicode(text: str) -> bool:
+    """Whether it can be written into files and onto terminals: no bytes that were none of UTF-8."""
+    return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 def _parser() -> Parser:

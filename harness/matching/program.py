@@ -23,6 +23,7 @@ from pydantic import Field, JsonValue, field_validator
 
 from harness import machine
 from harness.errors import InputError
+from harness.files import path_of
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Pose
 from harness.io.view_folder import CAMERA, FILES, PANORAMA, pose_in, view_files
@@ -162,7 +163,7 @@ def with_absolute_files(command: Sequence[Any], folder: Path) -> list[Any]:
     The first word is looked for on the search path unless there is a slash in it, as a shell does.
     """
     return [
-        str((folder / Path(word).expanduser()).resolve())
+        str(path_of(word, folder, key="command").resolve())
         if isinstance(word, str) and word and _is_file_of(folder, word, first=i == 0)
         else word
         for i, word in enumerate(command)
@@ -173,8 +174,8 @@ def _is_file_of(folder: Path, word: str, *, first: bool) -> bool:
     if first:
         return "/" in word
     try:
-        return (folder / Path(word).expanduser()).is_file()
-    except (OSError, ValueError, RuntimeError):  # too long for a path, a null byte, a user that is not there
+        return path_of(word, folder).is_file()
+    except InputError:  # no word that could name a file
         return False
 
 

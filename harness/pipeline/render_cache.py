@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.errors import InputError
-from harness.files import PARTIAL, replace_file
+from harness.files import PARTIAL, path_of, replace_file
 from harness.pipeline.environment import render_hash
 from harness.spec import Spec
 
@@ -32,7 +32,7 @@ def cache_folder() -> Path:
     """`$OMNIRANGE_CACHE`, or `omnirange` in the user's cache folder."""
     given = os.environ.get("OMNIRANGE_CACHE")
     if given:
-        return Path(given).expanduser()
+        return path_of(given, key="OMNIRANGE_CACHE")
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnirange"
 
 

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -15,6 +16,7 @@ from harness import shipped
 from harness.camera.sensor import load_sensor
 from harness.display import shortened
 from harness.errors import InputError
+from harness.files import path_of
 from harness.matching import registry
 from harness.matching.interface import MatcherSettings
 from harness.matching.program import with_absolute_files
@@ -273,7 +275,7 @@ def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:
 
 
 def _with_axes(experiment: Experiment, axes: Sequence[str]) -> Experiment:
-    given = {key: _values(text) for key, text in (_split("--axis", each) for each in axes)}
+    given = {key: _values(text, key) for key, text in (_split("--axis", each) for each in axes)}
     for key, values in given.items():
         if not values:
             raise InputError("give at least one value", file="--axis", key=key)
@@ -300,7 +302,10 @@ def read_value(option: str, text: str) -> tuple[str, Any]:
         When it is not written so; names the option.
     """
     key, value = _split(option, text)
-    return key, _value(value)
+    try:
+        return key, _value(value)
+    except InputError as error:
+        raise InputError(error.problem, file=option, key=key) from error
 
 
 def _is_known(key: str, kind: Any) -> bool:
@@ -311,12 +316,18 @@ def _is_known(key: str, kind: Any) -> bool:
 def _split(option: str, text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not (key and equals):
-        raise InputError(f"must be written key=value; found '{text}'", key=option)
+        raise InputError(f"must be written key=value; found '{shortened(text)}'", key=option)
     return key.strip(), value.strip()
 
 
+_POINT_AT_AN_END = re.compile(r"[+-]?(?:\.\d+|\d+\.)(?:e[+-]?\d+)?", re.IGNORECASE)
+"""Numbers as people write them, which TOML does not allow: `.5`, `-2.`, `1.e-3`."""
+
+
 def _value(text: str) -> Any:
-    """A value of the command line: TOML, or else the text itself."""
+    """A value of the command line: TOML, a number, or else the text itself."""
+    if _POINT_AT_AN_END.fullmatch(text):
+        return float(text)
     try:
         table = parse_toml(f"value = {text}")
     except ValueError:
@@ -324,9 +335,11 @@ def _value(text: str) -> Any:
     return table["value"] if len(table) == 1 else text  # a line's end in it may begin another key
 
 
-def _values(text: str) -> list[Any]:
+def _values(text: str, key: str) -> list[Any]:
     try:
         table = parse_toml(f"values = [{text}]")
+    except InputError as error:
+        raise InputError(error.problem, file="--axis", key=key) from error
     except ValueError:
         table = {}
     return table["values"] if len(table) == 1 else [_value(each.strip()) for each in text.split(",") if each.strip()]
@@ -364,7 +377,7 @@ def _absolute(key: str, value: Any, folder: Path, file: str | Path, where: str |
         path = _scene_file(value, folder, file, where or key)
         return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
     if key == "sensor" or last == "file" or last.endswith("_file"):
-        return str((folder / Path(value).expanduser()).resolve())
+        return str(path_of(value, folder, file=file, key=where or key or None).resolve())
     return value
 
 
@@ -445,7 +458,7 @@ def _read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, ke
     elif isinstance(scene, dict):
         resolved["scene"] = _absolute("", scene, folder, file or "")
     if isinstance(sensor, str):
-        resolved["sensor"] = as_table(load_sensor(folder / Path(sensor).expanduser()))
+        resolved["sensor"] = as_table(load_sensor(path_of(sensor, folder, file=file, key=f"{where}sensor")))
     return resolved
 
 

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from harness.errors import InputError
 from harness.runs.experiment import Experiment
-from harness.spec import nearest
+from harness.spec import LARGEST, nearest
 
 UNITS = {
     "_per_px": "per pixel",
@@ -250,6 +250,7 @@ def _limits(metadata: Sequence[Any]) -> dict[str, float]:
 
 
 def _range_text(limits: dict[str, float]) -> list[str]:
+    limits = {name: limit for name, limit in limits.items() if limit not in (-LARGEST, 1 / LARGEST, LARGEST)}
     if limits.keys() == {"ge", "le"}:
         return [f"{_number(limits['ge'])} .. {_number(limits['le'])}"]
     return [_BOUNDS[name].format(_number(limit)) for name, limit in limits.items()]

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from harness import shipped
 from harness.errors import InputError
+from harness.files import path_of
 from harness.geometry.pose import Pose
 from harness.simulation.texture import Grey, ImageTexture, Texture
 from harness.spec import Finite, Positive, Spec, parse
@@ -185,7 +186,7 @@ def _with_absolute_files(value: Any, scene_path: Path, key: str) -> Any:
 
 
 def _existing(file: str, scene_path: Path, key: str) -> Path:
-    path = (scene_path.parent / Path(file).expanduser()).resolve()
+    path = path_of(file, scene_path.parent, file=scene_path, key=key).resolve()
     if not path.is_file():
         siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         close = difflib.get_close_matches(path.name, siblings, n=1, cutoff=0.5)
