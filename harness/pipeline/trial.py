@@ -25,7 +25,7 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
 from harness.simulation.exposure import with_exposure
-from harness.simulation.geometry import check_viewpoint, geometry_of
+from harness.simulation.geometry import check_viewpoint, geometry_near
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
@@ -339,8 +339,8 @@ def run_trial(
 
 def _check_view(scene: Scene, pose: Pose, key: str) -> None:
     """Refuse a view that stands where there is nothing to see, and say which one it is."""
-    geometry = geometry_of(scene)
+    geometry = geometry_near(scene, pose.position_m)
     try:
-        check_viewpoint(geometry, pose.position_m)
+        check_viewpoint(geometry, pose.position_m - geometry.centre)
     except InputError as error:
         raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error

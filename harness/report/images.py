@@ -12,7 +12,7 @@ from harness.geometry.panorama import Grid
 from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.report.theme import HALF, INK, WIDE, Picture
-from harness.simulation.geometry import Geometry, geometry_of
+from harness.simulation.geometry import Geometry, geometry_near
 from harness.simulation.texture import lookup
 
 _LEFT, _PLOT = 50, 845
@@ -22,7 +22,7 @@ _LEFT, _PLOT = 50, 845
 def environment(outcome: Outcome) -> Picture:
     """The scene from outside, near surfaces of a closed one cut away, with both viewpoints."""
     trial = outcome.trial
-    geometry = geometry_of(trial.scene)
+    geometry = geometry_near(trial.scene, trial.poses[0].position_m)
     camera = _Overview(geometry)
     width, height = HALF, 400
     fig = theme.figure(width, height)
@@ -34,7 +34,7 @@ def environment(outcome: Outcome) -> Picture:
     _draw_bounds(ax, camera, low, high)
 
     floor = low[2]
-    places = [np.asarray(pose.position_m) for pose in trial.poses]
+    places = [np.asarray(pose.position_m) - geometry.centre for pose in trial.poses]
     for number, place in enumerate(places, 1):
         foot = np.array([place[0], place[1], floor])
         ax.plot(*camera.project(np.stack([foot, place])).T, color="white", linewidth=3, solid_capstyle="butt")
@@ -53,7 +53,7 @@ def environment(outcome: Outcome) -> Picture:
         )
     ax.set_xlim(extent[0], extent[1])
     ax.set_ylim(extent[2], extent[3])
-    v1, v2 = (", ".join(f"{value:g}" for value in place.round(6)) for place in places)
+    v1, v2 = (", ".join(f"{value:.10g}" for value in (place + geometry.centre).round(6)) for place in places)
     alt = (
         f"The scene {trial.scene.name} from outside and above, {_size(low, high)} metres, nearest surfaces cut away, "
         f"with viewpoint v1 at ({v1}) m and v2 at ({v2}) m."

@@ -34,7 +34,7 @@ def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, thr
     Parameters
     ----------
     viewpoint
-        `[3]`, metres, in the world.
+        `[3]`, metres, from the geometry's centre.
     directions
         `[..., 3]`, unit length, in the world.
     threads
@@ -96,8 +96,9 @@ def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, tri
     escaped = np.flatnonzero(triangle < 0)
     if geometry.closed and escaped.size:
         d = np.asarray(directions)[escaped[0]]
+        x, y, z = origin + geometry.centre
         raise InputError(
-            f"{escaped.size} rays or more escape, one from ({origin[0]:g}, {origin[1]:g}, {origin[2]:g}) m "
+            f"{escaped.size} rays or more escape, one from ({x:.10g}, {y:.10g}, {z:.10g}) m "
             f"in direction ({d[0]:.4f}, {d[1]:.4f}, {d[2]:.4f}): close the scene or set closed = false",
             file=geometry.name,
         )

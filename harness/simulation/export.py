@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from harness.files import write
-from harness.simulation.geometry import geometry_of
+from harness.simulation.geometry import geometry_near, geometry_of
 from harness.simulation.mesh_file import Z_UP_FROM_Y_UP
 from harness.simulation.scene import Scene
 
@@ -26,7 +26,10 @@ def write_glb(scene: Scene, path: str | Path) -> None:
     import trimesh
     from PIL import Image
 
-    geometry = geometry_of(scene)
+    geometry = geometry_near(scene, geometry_of(scene).bounds.mean(axis=0))
+    # Positions are float32 and count from the centre; the move back is text, and exact.
+    to_world = np.eye(4)
+    to_world[:3, 3] = geometry.centre @ Z_UP_FROM_Y_UP
     face = geometry.face_of_triangle[:-1]
     homogeneous = np.concatenate([geometry.corners, np.ones((*geometry.corners.shape[:2], 1))], axis=-1)
     uv = np.einsum("tij,tkj->tki", geometry.uv_maps[face], homogeneous)
@@ -50,7 +53,7 @@ def write_glb(scene: Scene, path: str | Path) -> None:
             visual=visual.TextureVisuals(uv=uv[triangles].reshape(-1, 2), material=material),
             process=False,
         )
-        world.add_geometry(mesh, geom_name=name, node_name=name)
+        world.add_geometry(mesh, geom_name=name, node_name=name, transform=to_world)
     data = world.export(file_type="glb", include_normals=False, tree_postprocessor=_unlit)
     write(Path(path), data)
 

@@ -27,7 +27,7 @@ from harness.simulation._rendering_kernels import (
     shade,
 )
 from harness.simulation.cast import cast, nearest_triangles, rotated
-from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_of, homographies
+from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_near, geometry_of, homographies
 from harness.simulation.scene import Scene
 from harness.threads import in_threads
 
@@ -104,6 +104,7 @@ class _View:
 
     geometry: Geometry
     origin: Array
+    """`[3]`, metres, from the geometry's centre."""
     rotation: Array
     """World from view, `[3, 3]`."""
     H: Array
@@ -112,12 +113,13 @@ class _View:
 
 
 def _view(scene: Scene, pose: Pose) -> _View:
-    geometry = geometry_of(scene)
-    origin = np.asarray(pose.position_m, dtype=np.float64)
+    geometry = geometry_near(scene, pose.position_m)
+    origin = np.asarray(pose.position_m, dtype=np.float64) - geometry.centre
     check_viewpoint(geometry, origin)
     rotation = pose.R_world_from_view
     tiles = _tiles_of(scene)
-    return _View(geometry, origin, rotation, homographies(geometry, tiles.maps, origin, rotation), tiles)
+    maps = _maps_of_tiles(geometry, tiles)
+    return _View(geometry, origin, rotation, homographies(geometry, maps, origin, rotation), tiles)
 
 
 @dataclass(frozen=True)
@@ -129,8 +131,6 @@ class _Tiles:
     the second serves coordinates that round up to the tile's size."""
     place: NDArray[np.int64]
     """`[textures, 3]`: start, height and width of each, without the padding."""
-    maps: Array
-    """`[faces, 2, 4]`: the faces' texture maps, with v down, and both from the first texel's centre."""
 
 
 @lru_cache(maxsize=8)
@@ -141,12 +141,16 @@ def _tiles_of(scene: Scene) -> _Tiles:
         place.append((start, *texels.shape))
         padded.append(np.pad(texels, ((0, 2), (0, 2)), mode="wrap").ravel())
         start += padded[-1].size
-    places = np.array(place, dtype=np.int64)
-    size = places[geometry.texture_of_face]
+    return _Tiles(np.concatenate(padded), np.array(place, dtype=np.int64))
+
+
+def _maps_of_tiles(geometry: Geometry, tiles: _Tiles) -> Array:
+    """The faces' texture maps `[faces, 2, 4]`, with v down, and both from the first texel's centre."""
+    size = tiles.place[geometry.texture_of_face]
     maps = geometry.uv_maps * np.array([1.0, -1.0])[:, None]
     maps[:, 0, 3] -= 0.5 / size[:, 2]
     maps[:, 1, 3] += 1 - 0.5 / size[:, 1]
-    return _Tiles(np.concatenate(padded), places, maps)
+    return maps
 
 
 @dataclass(frozen=True)

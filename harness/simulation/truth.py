@@ -15,7 +15,7 @@ from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
 from harness.simulation._rendering_kernels import describe_surfaces, in_view, look_from, mark_jumps
 from harness.simulation.cast import cast, rotated
-from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_of
+from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_near
 from harness.simulation.scene import Scene
 
 Mask = NDArray[np.bool_]
@@ -84,7 +84,7 @@ def truth(
     """
     valid = np.asarray(valid, dtype=bool)
     directions = np.asarray(directions_v1, dtype=np.float64)
-    geometry = geometry_of(scene)
+    geometry = geometry_near(scene, pose_1.position_m)
     place = np.flatnonzero(valid)
     rays = rotated(directions.reshape(-1, 3)[place], pose_1.R_world_from_view)
     range_hit, face_hit = _seen(geometry, pose_1, rays, threads)
@@ -113,7 +113,7 @@ def truth(
         if not met.all():
             place, rays, range_hit, face_hit = place[met], rays[met], range_hit[met], face_hit[met]
         towards, distance = np.empty((place.size, 3)), np.empty(place.size)
-        look_from(np.asarray(pose_1.position_m), np.asarray(pose_2.position_m), rays, range_hit, towards, distance)
+        look_from(_from_centre(geometry, pose_1), _from_centre(geometry, pose_2), rays, range_hit, towards, distance)
         unoccluded.reshape(-1)[place] = _unoccluded(geometry, pose_2, towards, distance, face_hit, threads)
         if sensor_2 is not None:
             in_field_2.reshape(-1)[place] = on_sensor(sensor_2, pose_2, towards)
@@ -159,7 +159,7 @@ def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *,
     valid = np.asarray(valid, dtype=bool)
     range_m = np.full(valid.shape, np.nan)
     rays = rotated(np.asarray(directions, dtype=np.float64)[valid], pose.R_world_from_view)
-    range_m[valid], _ = _seen(geometry_of(scene), pose, rays, threads)
+    range_m[valid], _ = _seen(geometry_near(scene, pose.position_m), pose, rays, threads)
     return range_m
 
 
@@ -184,9 +184,14 @@ def discontinuities(range_m: Array, normal: Array, directions: Array, *, wrap_co
     return jump
 
 
+def _from_centre(geometry: Geometry, pose: Pose) -> Array:
+    return np.asarray(pose.position_m, dtype=np.float64) - geometry.centre
+
+
 def _seen(geometry: Geometry, pose: Pose, rays: Array, threads: int | None) -> tuple[Array, Ints]:
-    check_viewpoint(geometry, pose.position_m)
-    hits = cast(geometry, pose.position_m, rays, threads=threads)
+    origin = _from_centre(geometry, pose)
+    check_viewpoint(geometry, origin)
+    hits = cast(geometry, origin, rays, threads=threads)
     return hits.range_m, geometry.face_of_triangle[hits.triangle]
 
 
@@ -194,8 +199,9 @@ def _unoccluded(
     geometry: Geometry, pose_2: Pose, towards: Array, distance: Array, face: Ints, threads: int | None
 ) -> Mask:
     """Whether nothing stops the rays from view 2 towards points on faces at a distance."""
-    check_viewpoint(geometry, pose_2.position_m)
-    hits = cast(geometry, pose_2.position_m, towards, threads=threads)
+    origin = _from_centre(geometry, pose_2)
+    check_viewpoint(geometry, origin)
+    hits = cast(geometry, origin, towards, threads=threads)
     reached = geometry.face_of_triangle[hits.triangle] == face
     # In an open scene a ray may miss a point on the very outline: nothing stopped it before the point.
     return np.asarray(reached | ~(hits.range_m < (1 - OCCLUSION_TOLERANCE) * distance))
