@@ -41,7 +41,7 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
             # The size may be unknown (/proc) or have grown: what is read counts, and no more than the limit is.
             data = stream.read(limit_bytes + 1) if status.st_size <= limit_bytes else None
     except FileNotFoundError:
-        raise InputError(f"no such {what}", file=path) from None
+        raise InputError("no such file", file=_printable(path)) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=_printable(path)) from error
     except ValueError as error:  # a null byte or a lone surrogate

@@ -103,9 +103,9 @@ def test_a_grey_image_may_have_any_depth(tmp_path):
     eight = np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)
     Image.fromarray(eight).save(tmp_path / "eight.png")
     Image.fromarray(257 * eight.astype(np.uint16)).save(tmp_path / "sixteen.png")
-    Image.fromarray(eight.astype(np.float32)).save(tmp_path / "float.tiff")
+    Image.fromarray(eight.astype(np.float32) / 255).save(tmp_path / "float.tiff")
     for name in ("eight.png", "sixteen.png", "float.tiff"):
-        # Weights of luminance add up to one in single precision.
+        # Single precision of a share of white.
         assert np.allclose(read_photograph(tmp_path / name, SENSOR).grey, eight, atol=1e-3)
 
 

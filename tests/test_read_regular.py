@@ -25,7 +25,7 @@ def test_contents_up_to_the_limit(tmp_path):
 
 
 def test_only_regular_files(tmp_path):
-    assert "no such scene" in refusal(tmp_path / "none")
+    assert "no such file" in refusal(tmp_path / "none")
     assert "not a regular file" in refusal(tmp_path)
     (tmp_path / "loop").symlink_to("loop")
     assert "loop: cannot be read" in refusal(tmp_path / "loop")

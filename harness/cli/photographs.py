@@ -20,6 +20,14 @@ def add(commands: Commands) -> None:
     command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2, by the same sensor")
     command.add_argument("--sensor", type=Path, required=True, metavar="FILE", help="sensor TOML: mirror, camera, lens")
     command.add_argument(
+        "--bits",
+        type=int,
+        choices=range(8, 17),
+        metavar="N",
+        help="white is the level 2^N - 1 in both images, N from 8 to 16, as 10 or 12 for raw images in 16-bit files "
+        "(default: by the file's type, 255 for 8 bits, 65535 for 16 bits, 1 for floating point)",
+    )
+    command.add_argument(
         "--baseline",
         type=float,
         nargs=3,
@@ -67,9 +75,11 @@ def run(options: Namespace) -> None:
     if not motion.baseline_m > 0:
         raise InputError("must not be zero: two views from one place tell no range", file="--baseline")
     settings = own_settings(options.matcher, options.set)
-    photographs = [read_photograph(file, sensor) for file in (options.left, options.right)]
+    photographs = [read_photograph(file, sensor, options.bits) for file in (options.left, options.right)]
     found = estimate(photographs[0], photographs[1], sensor, motion, settings.matching, settings.panorama)
     write_estimate(found, options.out)
     write(options.out / "range.html", build_page(found))
+    for photograph in photographs:
+        print(f"{photograph.file}: {photograph.scale}")
     share = found.valid.mean()
     print(f"{share:.1%} of the panorama has a range; {options.out / 'range.html'}")

@@ -7,25 +7,22 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from scipy import ndimage
 
 from harness.camera.sensor import Sensor, project
 from harness.display import OneLine
-from harness.errors import InputError
-from harness.files import make_folder, write
+from harness.files import make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.io.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
 from harness.matching.ranging import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of red, green and blue (Rec. 709)."""
 
 WRITTEN = ("range.npy", "range_mm.png", "sigma_m.npy", "alpha_2.npy", "reason.npy", "points.ply")
 
@@ -39,6 +36,8 @@ class Photograph(OneLine):
     """`[height, width]`, 0 .. 255."""
     colour: NDArray[np.uint8]
     """`[height, width, 3]`."""
+    scale: str
+    """How the file's levels became grey, for people."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,37 +74,31 @@ class Estimate(OneLine):
         return np.clip(np.rint(np.stack(sampled, axis=-1)), 0, 255).astype(np.uint8)
 
 
-def read_photograph(file: Path, sensor: Sensor) -> Photograph:
-    """Read a mirror image of any common format; colour is matched by its luminance, 16 bits are brought to 0 .. 255.
+def read_photograph(file: Path, sensor: Sensor, bits: int | None = None) -> Photograph:
+    """Read a mirror image of any common format, see `harness.io.images`; colour is matched by its luma.
+
+    Parameters
+    ----------
+    bits
+        White is 2^bits - 1; the file's type decides when None.
 
     Raises
     ------
     InputError
-        When the file is missing or no image, or has not the sensor's size.
+        When the file is missing or no image, has not the sensor's size, or has levels outside 0 .. white.
     """
-    try:
-        with Image.open(file) as image:
-            image.load()
-            wide = image.mode.startswith("I") or image.mode == "F"
-            values = np.asarray(image if wide else image.convert("RGB"), dtype=np.float64)
-    except FileNotFoundError:
-        raise InputError("no such file", file=file) from None
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"cannot be read as an image ({error})", file=file) from error
     camera = sensor.camera
-    if values.shape[:2] != (camera.height_px, camera.width_px):
-        raise InputError(
-            f"the image is {values.shape[1]}x{values.shape[0]} pixels, the sensor "
-            f"{camera.width_px}x{camera.height_px}; give the sensor that took it with --sensor",
-            file=file,
-        )
-    if wide:
-        if not np.isfinite(values).all() or values.min() < 0 or values.max() > 65535:
-            raise InputError("grey levels must lie within 0 .. 65535", file=file)
-        values = np.repeat((values * (255 / 65535 if values.max() > 255 else 1.0))[..., None], 3, axis=-1)
-    grey = np.asarray(values @ _LUMINANCE, dtype=np.float32)
+    picture = decode(
+        read_regular(file, LIMIT_BYTES, "image"),
+        file,
+        white=None if bits is None else 2.0**bits - 1,
+        key="--bits",
+        size=(camera.width_px, camera.height_px),
+        size_hint=f"the sensor {camera.width_px}x{camera.height_px}; give the sensor that took it with --sensor",
+    )
+    grey = picture.grey()
     grey.flags.writeable = False
-    return Photograph(file, grey, np.clip(np.rint(values), 0, 255).astype(np.uint8))
+    return Photograph(file, grey, picture.colour(), picture.scale)
 
 
 def estimate(

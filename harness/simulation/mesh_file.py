@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from harness.errors import InputError
 from harness.geometry.angles import Array
-from harness.simulation.texture import Texels, luma
+from harness.io.images import Picture
+from harness.simulation.texture import Texels
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply")
 
@@ -109,4 +110,4 @@ def _part(mesh: Any, transform: Array, to_z_up: Array) -> MeshPart:
 def _image(mesh: Any) -> NDArray[np.float32] | None:
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    return None if image is None else luma(image)
+    return None if image is None else Picture(np.asarray(image.convert("RGB")), 255.0, "").grey()

@@ -2,18 +2,18 @@
 
 A texture is a tile that repeats; its texture coordinates (u, v) count repetitions, v upwards, and (0, 0) is the
 lower left corner of the lower left texel. Between the texels' centres, at (i + 0.5)/n, the grey is bilinear.
-Colours become luma (ITU-R BT.601, 0.299 R + 0.587 G + 0.114 B): matching is grey.
+Colours become luma, as in `harness.io.images`: matching is grey.
 """
 
 from functools import lru_cache
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from harness.errors import InputError
+from harness.files import read_regular
+from harness.io.images import LIMIT_BYTES, decode
 from harness.spec import Positive, Spec
 
 Texels = NDArray[np.float32]
@@ -29,10 +29,13 @@ class ImageTexture(Spec):
     """Path of the image, relative to the scene's file."""
     tile_m: Positive
     """Width of one tile on the surface, metres; its height follows from the image's shape."""
+    white: Positive | None = None
+    """Level in the file that is shown as 255; by default the largest of 8 or 16 bits, and 1 in floating point."""
 
     def texels(self) -> Texels:
         """Grey `[height, width]`, row 0 at the top."""
-        return read_image(Path(self.file))
+        data = read_regular(self.file, LIMIT_BYTES, "image")
+        return decode(data, self.file, white=self.white).grey()
 
 
 class BundledTexture(Spec):
@@ -128,35 +131,6 @@ def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTextur
     texels = texture.texels()
     texels.flags.writeable = False
     return texels
-
-
-def read_image(path: Path) -> Texels:
-    """Luma `[height, width]` in 0 .. 255 of an image file.
-
-    Raises
-    ------
-    InputError
-        When the file is missing or is not an image.
-    """
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            return luma(image)
-    except FileNotFoundError:
-        raise InputError("no such image", file=path) from None
-    except (OSError, ValueError, SyntaxError) as error:
-        raise InputError("cannot be read as an image; give a PNG or JPEG file", file=path) from error
-
-
-def luma(image: "Image.Image") -> Texels:  # type: ignore[name-defined]  # noqa: F821
-    """Luma `[height, width]` in 0 .. 255 of a Pillow image; 16-bit greys are scaled, transparency is ignored."""
-    if image.mode.startswith("I;16"):
-        return np.asarray(image, dtype=np.float32) / np.float32(257)
-    if image.mode in {"L", "F"}:
-        return np.array(image, dtype=np.float32)
-    rgb = np.asarray(image.convert("RGB"), dtype=np.float32)
-    return np.asarray(rgb @ np.array([0.299, 0.587, 0.114], dtype=np.float32), dtype=np.float32)
 
 
 def lookup(texels: Texels, uv: ArrayLike) -> NDArray[np.float64]:
