@@ -1,3 +1,148 @@
-"""A simulation-driven evaluation harness for omnidirectional (catadioptric) stereo."""
+"""omnirange: a simulation-driven evaluation harness for omnidirectional (catadioptric) stereo.
 
-__version__ = "0.1.0"
+It renders pairs of mirror images with exact ground truth, matches them, and reports how large the errors of the range
+are, where they come from, and whether they follow the law that theory predicts. The command line is `omnirange --help`.
+
+A tour
+------
+Run an experiment, look at its tables, and write its report:
+
+>>> import harness
+>>> result = harness.run("smoke", axes={"matching.window_px": [7]}, sets={"seed": 1, "view_2.baseline_m": 0.5})
+>>> result
+RunResult('smoke', 4 of 4 trials done)
+>>> len(result.trials), list(result.summary.index.names)
+(4, ['pixels', 'method'])
+>>> page = result.report("report.html")
+
+Every trial has its maps, arrays on the first view's panorama:
+
+>>> outcome = result.outcome({"noise.sigma_grey": 4.0, "matching.subpixel": "parabola"})
+>>> outcome.range_m.shape, outcome.range_error_m.shape, outcome.sigma_range_m.shape
+((50, 180), (50, 180), (50, 180))
+
+Render a view; estimate range from two images, rendered or photographed:
+
+>>> left, right = (harness.render("room", position_m=(x, 0, 1), samples=4) for x in (0, 0.5))
+>>> estimate = harness.estimate_range(left.image, right.image, left.sensor, (0.5, 0, 0), matcher="column")
+>>> estimate.range_m.shape, estimate.points_m.shape[1]
+((200, 720), 3)
+
+What there is
+-------------
+run, open_results
+    An experiment's trials: `RunResult` with `trials`, `summary`, `settings`, `outcome(...)`, `report(...)`.
+load_experiment, load_scene, load_sensor
+    From shipped names, files or tables: `Experiment`, `Scene`, `Sensor`.
+render, estimate_range
+    `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images.
+settings
+    What every key of an experiment means: a table.
+project, unproject, relative_motion
+    Directions to pixels and back; the `Motion` between two `Pose`s.
+Trial, TrialMaps, Grid, Panorama, Pair, Matches, Reason, Camera, Mirror, Lens, FieldOfView
+    The types that these take and give. A matcher of one's own takes a `Pair` and gives `Matches`.
+InputError
+    What is raised when something given is wrong: one line that says where, what, and what would be right.
+
+Angles are radians and lengths metres unless a name says otherwise (`yaw_deg`, `window_px`). Missing is NaN.
+Everything is loaded when it is first used: `import harness` takes no time.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from harness.version import __version__
+
+if TYPE_CHECKING:
+    from harness.api.loading import load_experiment, load_scene, load_sensor
+    from harness.api.ranging import RangeEstimate, estimate_range
+    from harness.api.results import RunResult, open_results
+    from harness.api.running import run
+    from harness.api.settings import settings
+    from harness.api.views import render
+    from harness.camera.lens import Lens
+    from harness.camera.mirror import Mirror
+    from harness.camera.sensor import Camera, FieldOfView, Sensor, project, unproject
+    from harness.errors import InputError
+    from harness.geometry.panorama import Grid, Panorama
+    from harness.geometry.pose import Motion, Pose, relative_motion
+    from harness.matching.interface import Matches, Reason
+    from harness.matching.pair import Pair
+    from harness.pipeline.maps import TrialMaps
+    from harness.pipeline.rendered_view import RenderedView
+    from harness.pipeline.specification import Trial
+    from harness.runs.experiment import Experiment
+    from harness.simulation.scene import Scene
+
+__all__ = [
+    "Camera",
+    "Experiment",
+    "FieldOfView",
+    "Grid",
+    "InputError",
+    "Lens",
+    "Matches",
+    "Mirror",
+    "Motion",
+    "Pair",
+    "Panorama",
+    "Pose",
+    "RangeEstimate",
+    "Reason",
+    "RenderedView",
+    "RunResult",
+    "Scene",
+    "Sensor",
+    "Trial",
+    "TrialMaps",
+    "__version__",
+    "estimate_range",
+    "load_experiment",
+    "load_scene",
+    "load_sensor",
+    "open_results",
+    "project",
+    "relative_motion",
+    "render",
+    "run",
+    "settings",
+    "unproject",
+]
+
+_MODULES = {
+    "api.loading": ("load_experiment", "load_scene", "load_sensor"),
+    "api.ranging": ("RangeEstimate", "estimate_range"),
+    "api.results": ("RunResult", "open_results"),
+    "api.running": ("run",),
+    "api.settings": ("settings",),
+    "api.views": ("render",),
+    "camera.lens": ("Lens",),
+    "camera.mirror": ("Mirror",),
+    "camera.sensor": ("Camera", "FieldOfView", "Sensor", "project", "unproject"),
+    "errors": ("InputError",),
+    "geometry.panorama": ("Grid", "Panorama"),
+    "geometry.pose": ("Motion", "Pose", "relative_motion"),
+    "matching.interface": ("Matches", "Reason"),
+    "matching.pair": ("Pair",),
+    "pipeline.maps": ("TrialMaps",),
+    "pipeline.rendered_view": ("RenderedView",),
+    "pipeline.specification": ("Trial",),
+    "runs.experiment": ("Experiment",),
+    "simulation.scene": ("Scene",),
+}
+"""Where the public names come from; each is loaded when it is first asked for (PEP 562)."""
+
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'harness' has no attribute '{name}'")
+    value = getattr(import_module(f"harness.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -99,7 +99,11 @@ def test_lock_covers_what_the_project_asks_for() -> None:
 
 
 def test_one_version() -> None:
-    assert PROJECT["project"]["version"] == harness.__version__
+    assert "version" not in PROJECT["project"]  # not stated twice
+    home = ROOT / PROJECT["tool"]["hatch"]["version"]["path"]
+    assert re.findall(r'^__version__ = "(.+)"$', home.read_text(encoding="utf-8"), re.MULTILINE) == [
+        harness.__version__
+    ]
 
 
 def test_warnings_are_errors() -> None:

@@ -4,12 +4,12 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from harness import __version__
 from harness.cli import cache, check, compare, render, report, run, settings
 from harness.cli import photographs as own_pair
 from harness.cli.exits import INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
 from harness.errors import InputError
+from harness.version import __version__
 
 _COMMANDS = (run, report, compare, cache, render, own_pair, check, settings)
 """In the order in which `--help` lists them."""

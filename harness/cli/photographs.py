@@ -57,29 +57,26 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> None:
     """Match, and write the folder."""
-    from harness.camera.sensor import load_sensor
+    import harness
     from harness.errors import InputError
-    from harness.files import write
-    from harness.geometry.pose import Pose, relative_motion
-    from harness.pipeline.photographs import estimate, read_photograph, write_estimate
-    from harness.report.photographs import build_page
     from harness.runs.photograph_settings import own_settings
     from harness.spec import parse
 
-    sensor = load_sensor(options.sensor)
+    sensor = harness.load_sensor(options.sensor)
     yaw, pitch, roll = options.rotation_deg
     second = parse(
-        Pose, {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}, file="--baseline"
+        harness.Pose,
+        {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll},
+        file="--baseline",
     )
-    motion = relative_motion(Pose(), second)
+    motion = harness.relative_motion(harness.Pose(), second)
     if not motion.baseline_m > 0:
         raise InputError("must not be zero: two views from one place tell no range", file="--baseline")
     settings = own_settings(options.matcher, options.set)
-    photographs = [read_photograph(file, sensor, options.bits) for file in (options.left, options.right)]
-    found = estimate(photographs[0], photographs[1], sensor, motion, settings.matching, settings.panorama)
-    write_estimate(found, options.out)
-    write(options.out / "range.html", build_page(found))
-    for photograph in photographs:
+    estimate = harness.estimate_range(
+        options.left, options.right, sensor, motion, settings.matching, grid=settings.panorama, bits=options.bits
+    )
+    estimate.write(options.out)
+    for photograph in estimate.photographs:
         print(f"{photograph.file}: {photograph.scale}")
-    share = found.valid.mean()
-    print(f"{share:.1%} of the panorama has a range; {options.out / 'range.html'}")
+    print(f"{estimate.valid.mean():.1%} of the panorama has a range; {options.out / 'range.html'}")

@@ -29,25 +29,16 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> None:
     """Render, and write the folder."""
-    from harness.camera.sensor import Sensor, load_sensor
-    from harness.geometry.pose import Pose
-    from harness.pipeline.render_folder import write_render
-    from harness.pipeline.specification import Rendering
-    from harness.simulation.scene import load_scene
-    from harness.spec import parse
+    import harness
 
-    scene = load_scene(str(shipped.find("scenes", options.scene)))
-    sensor = load_sensor(options.sensor) if options.sensor else Sensor()
-    samples = parse(Rendering, {"samples": options.samples}, file="--samples").samples
-    pose = parse(
-        Pose,
-        {
-            "position_m": options.at,
-            "yaw_deg": options.yaw_deg,
-            "pitch_deg": options.pitch_deg,
-            "roll_deg": options.roll_deg,
-        },
-        file="--at",
+    view = harness.render(
+        options.scene,
+        sensor=options.sensor,
+        position_m=options.at,
+        yaw_deg=options.yaw_deg,
+        pitch_deg=options.pitch_deg,
+        roll_deg=options.roll_deg,
+        samples=options.samples,
     )
-    write_render(scene, sensor, pose, options.out, samples=samples)
-    print(f"{scene.name} seen from {tuple(options.at)} m: {options.out}")
+    view.write(options.out)
+    print(f"{view.scene.name} seen from {tuple(options.at)} m: {options.out}")

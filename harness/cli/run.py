@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness import shipped
+from harness.api.progress import Progress, duration
 from harness.cli import options as declare
 from harness.cli.exits import INTERRUPTED, OK
-from harness.cli.progress import Progress, duration
 from harness.cli.results import say_foreign, show, write
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import harness
 from harness.machine import available_cpus, cpu_model
+from harness.version import __version__
 
-_ROOT = Path(harness.__file__).parent
+_ROOT = Path(__file__).parent.parent
 _LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "pydantic", "pillow")
 """Those that the pipeline computes with."""
 
@@ -23,7 +23,7 @@ _OPTIONAL = ("opencv-contrib-python-headless",)
 def environment() -> dict[str, Any]:
     """The program, the machine and the libraries."""
     return {
-        "omnirange": harness.__version__,
+        "omnirange": __version__,
         "source_sha256": source_hash(),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),

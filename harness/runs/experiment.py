@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -172,44 +172,89 @@ def text_of(value: Any) -> str:
 # --- Reading ------------------------------------------------------------------------------------------------------
 
 
-def load_experiment(name_or_path: str, sets: Sequence[str] = (), axes: Sequence[str] = ()) -> Experiment:
-    """Read an experiment by shipped name or path.
+Source = str | Path | Mapping[str, Any] | Experiment
+"""An experiment by shipped name or path, as a table like that of a file, or read already."""
+
+
+def load_experiment(
+    source: Source, sets: Sequence[str] | Mapping[str, Any] = (), axes: Sequence[str] | Mapping[str, Any] = ()
+) -> Experiment:
+    """Read an experiment.
 
     `trial.scene` may be a table, a shipped name or a path; `trial.sensor` a table or a path. Paths are relative to the
-    experiment's file, and absolute in what is returned.
+    experiment's file, or the working folder where there is none, and absolute in what is returned.
 
     Parameters
     ----------
     sets
-        `key=value`: settings of the base trial; an axis over the same key goes. With `matching.kind`, so do axes over
-        settings that this matcher has not got.
+        `key=value`, or keys and values: settings of the base trial; an axis over the same key is dropped. With
+        `matching.kind`, so are axes over settings that this matcher has not got.
     axes
-        `key=a,b,c`: further axes, or other values of one that is there. Values are as in TOML, or plain words. With an
-        axis over `matching.kind`, the experiment's own axes go that one of those matchers does not know.
+        `key=a,b,c`, or keys and lists of values: further axes, or other values of one that is there. In text, values
+        are as in TOML, or plain words. With an axis over `matching.kind`, the experiment's own axes are dropped that
+        one of those matchers does not know.
 
     Raises
     ------
     InputError
         Names the file or the option, the key and what would be right.
     """
-    file = shipped.find("experiments", name_or_path)
-    table = read_toml(file)
-    if isinstance(table.get("trial"), dict):
-        table["trial"] = _read_in(table["trial"], file.parent, file, "trial")
-        table["trial"] = {key: _of_matcher(key, value, file.parent) for key, value in table["trial"].items()}
-    experiment = _with_absolute_paths(parse(Experiment, table, file=file), file.parent, file)
-    changed = _with_axes(_with_sets(experiment, sets), axes)
+    experiment, file = _read_experiment(source)
+    set_option = "sets" if isinstance(sets, Mapping) else "--set"
+    axis_option = "axes" if isinstance(axes, Mapping) else "--axis"
+    if isinstance(sets, Mapping):
+        settings = {str(key): _plain(value) for key, value in sets.items()}
+    else:
+        settings = dict(read_value("--set", each) for each in sets)
+    if isinstance(axes, Mapping):
+        values = {str(key): _listed(str(key), each) for key, each in axes.items()}
+    else:
+        values = {key: _values(text, key) for key, text in (_split("--axis", each) for each in axes)}
+    changed = _with_axes(_with_sets(experiment, settings, set_option), values, axis_option)
     try:
         _ = changed.planned
     except InputError as error:
-        given = {f"axes.{each.partition('=')[0]}" for each in axes}
-        if error.key in given:
-            raise InputError(error.problem, file="--axis", key=error.key.removeprefix("axes.")) from error
-        for key in (each.partition("=")[0].strip() for each in sets):
+        if error.key in {f"axes.{key}" for key in values}:
+            raise InputError(error.problem, file=axis_option, key=error.key.removeprefix("axes.")) from error
+        for key in settings:
             if f"{error.key}.".startswith(f"trial.{key}."):
-                raise InputError(error.problem, file="--set", key=key) from error
+                raise InputError(error.problem, file=set_option, key=key) from error
         raise InputError(error.problem, file=file, key=error.key) from error
     return changed
+
+
+def _read_experiment(source: Source) -> tuple[Experiment, Path | None]:
+    """An experiment as it is given, and the file that it is from."""
+    if isinstance(source, Experiment):
+        return source, None
+    if isinstance(source, Mapping):
+        table, folder, file = dict(source), Path(), None
+    else:
+        file = shipped.find("experiments", str(source))
+        table, folder = read_toml(file), file.parent
+    if isinstance(table.get("trial"), dict):
+        trial = _read_in(table["trial"], folder, file, "trial")
+        table["trial"] = {key: _of_matcher(key, value, folder) for key, value in trial.items()}
+    return _with_absolute_paths(parse(Experiment, table, file=file), folder, file or ""), file
+
+
+def _plain(value: Any) -> Any:
+    """A value as TOML has it: NumPy's numbers and arrays as plain ones, tuples as lists, paths as text."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Spec):
+        return as_table(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _listed(key: str, values: Any) -> list[Any]:
+    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
+        raise InputError(f"must be a list of values; found {values!r}", file="axes", key=key)
+    return [_plain(each) for each in values]
 
 
 class _Matching(Spec):
@@ -259,30 +304,28 @@ def load_matcher(
     return matcher
 
 
-def _with_sets(experiment: Experiment, sets: Sequence[str]) -> Experiment:
-    settings = dict(read_value("--set", each) for each in sets)
+def _with_sets(experiment: Experiment, settings: Settings, option: str) -> Experiment:
     for number, case in enumerate(experiment.cases):
         for key in settings.keys() & case.keys():
-            raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--set", key=key)
+            raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file=option, key=key)
     if not settings:
         return experiment
-    settings = {key: _absolute(key, value, Path(), "--set") for key, value in settings.items()}
-    trial = parse(Trial, changed(as_table(experiment.trial), settings, file="--set"), file="--set")
+    settings = {key: _absolute(key, value, Path(), option) for key, value in settings.items()}
+    trial = parse(Trial, changed(as_table(experiment.trial), settings, file=option), file=option)
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
     if _KIND in settings:  # what another matcher does not know cannot be varied
         axes = {key: values for key, values in axes.items() if _is_known(key, settings[_KIND])}
     return experiment.model_copy(update={"trial": trial, "axes": axes})
 
 
-def _with_axes(experiment: Experiment, axes: Sequence[str]) -> Experiment:
-    given = {key: _values(text, key) for key, text in (_split("--axis", each) for each in axes)}
+def _with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: str) -> Experiment:
     for key, values in given.items():
         if not values:
-            raise InputError("give at least one value", file="--axis", key=key)
+            raise InputError("give at least one value", file=option, key=key)
         for number, case in enumerate(experiment.cases):
             if key in case:
-                raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file="--axis", key=key)
-    absolute = {key: [_absolute(key, value, Path(), "--axis") for value in values] for key, values in given.items()}
+                raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file=option, key=key)
+    absolute = {key: [_absolute(key, value, Path(), option) for value in values] for key, values in given.items()}
     merged = experiment.axes | absolute
     if _KIND in given:  # an axis of the experiment that one of these matchers does not know cannot be varied
         merged = {
@@ -345,11 +388,11 @@ def _values(text: str, key: str) -> list[Any]:
     return table["values"] if len(table) == 1 else [_value(each.strip()) for each in text.split(",") if each.strip()]
 
 
-def _with_absolute_paths(experiment: Experiment, folder: Path, file: Path) -> Experiment:
+def _with_absolute_paths(experiment: Experiment, folder: Path, file: str | Path) -> Experiment:
     for number, case in enumerate(experiment.cases):
         for key in case.keys() & experiment.axes.keys():
             raise InputError(
-                "this key is an axis too; give it in one of the two", file=file, key=f"cases[{number}].{key}"
+                "this key is an axis too; give it in one of the two", file=file or None, key=f"cases[{number}].{key}"
             )
     axes = {
         key: [_absolute(key, value, folder, file, f"axes.{key}") for value in values]

@@ -189,8 +189,17 @@ def result_of(experiment: Experiment, store: Store) -> Result:
     InputError
         When no trial is done.
     """
+    return result_from(experiment, rows_of(experiment, store))
+
+
+def rows_of(experiment: Experiment, store: Store) -> list[Row]:
+    """The rows of all trials that are finished, in the experiment's order."""
     finished = store.finished(each.key for each in experiment.planned)
-    rows = [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+    return [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+
+
+def result_from(experiment: Experiment, rows: list[Row]) -> Result:
+    """The result that rows add up to, see `result_of`."""
     done = [row for row in rows if row.state == "done"]
     if not done:
         raise InputError("no trial is done with the program as it is now, so there is nothing to report")
@@ -237,8 +246,7 @@ def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
     InputError
         When the folder cannot be written to.
     """
-    finished = store.finished(each.key for each in experiment.planned)
-    rows = [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
+    rows = rows_of(experiment, store)
     write(folder / "experiment.toml", dump_toml(experiment))
     write(folder / "trials.csv", _trials(experiment, rows))
     write(folder / "timings.csv", _timings(rows))

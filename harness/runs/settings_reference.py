@@ -149,7 +149,7 @@ def _of_field(key: str, field: FieldInfo, kinds: tuple[str, ...], expanded: dict
         key=key,
         kinds=kinds,
         type=described if first == key else f"table, with the keys of {first}",
-        unit=_unit_of(key),
+        unit=unit_of(key),
         default=_default_of(field, is_table=bool(tables)),
         meaning=" ".join((field.description or "").split()),
     )
@@ -197,7 +197,8 @@ def _plain(annotation: Any) -> Any:
     return annotation
 
 
-def _unit_of(key: str) -> str:
+def unit_of(key: str) -> str:
+    """The unit that the end of a key's name stands for; empty where there is none."""
     return next((unit for ending, unit in UNITS.items() if key.endswith(ending)), "")
 
 

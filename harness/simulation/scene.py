@@ -5,7 +5,7 @@ through TOML.
 """
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -144,17 +144,20 @@ class Scene(Spec):
     """The objects: boxes, planes and meshes."""
 
 
-def load_scene(name_or_path: str) -> Scene:
-    """Read a scene: a shipped name or the path of a TOML file.
+def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
+    """Read a scene: a shipped name, the path of a TOML file, or a table like that of a file.
 
-    Paths of meshes and images are relative to the scene's file, and absolute in what is returned.
+    Paths of meshes and images are relative to the scene's file, or the working folder where there is none, and
+    absolute in what is returned.
 
     Raises
     ------
     InputError
         Names the file, the key and what would be right.
     """
-    path = shipped.find("scenes", name_or_path)
+    if isinstance(source, Mapping):
+        return parse(Scene, _with_absolute_files(dict(source), Path("scene"), ""), file="scene")
+    path = shipped.find("scenes", str(source))
     table = _with_absolute_files(read_toml(path), path, "")
     return parse(Scene, table, file=path)
 

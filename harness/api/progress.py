@@ -8,10 +8,22 @@ if TYPE_CHECKING:
     from harness.runs.store import Finished
 
 _LINE_EVERY_S = 60.0
+_NOTEBOOK_EVERY_S = 0.5
+"""A notebook has one line that is written over; each time is a message to the browser."""
+
+
+def someone_watches() -> bool:
+    """Whether what is printed goes to a terminal or a notebook."""
+    from rich.console import Console
+
+    console = Console()
+    return console.is_terminal or console.is_jupyter
 
 
 class Progress:
-    """Trials done, failures, rate and time left: a bar on a terminal; elsewhere a line a minute, and one at the end."""
+    """Trials done, failures, rate and time left: a bar on a terminal, a line that changes in a notebook;
+    elsewhere a line a minute, and one at the end.
+    """
 
     def __init__(self, name: str, total: int, done: int) -> None:
         from rich import progress as bar
@@ -21,6 +33,8 @@ class Progress:
         self._done, self._failed = done, 0
         self._begun = self._said = time.monotonic()
         self._console = Console()
+        self._is_notebook = self._console.is_jupyter
+        self._longest = 0
         self._bar = bar.Progress(
             bar.TextColumn("{task.description}"),
             bar.BarColumn(bar_width=24),
@@ -56,9 +70,18 @@ class Progress:
         failed = f", {self._failed} failed" if self._failed else ""
         pace = f"{failed.lstrip(', ')} {rate:.1f}/s, {duration((self._total - self._done) / rate)} left".lstrip()
         self._bar.update(self._task, completed=self._done, pace=pace)
-        if not self._console.is_terminal and time.monotonic() - self._said > _LINE_EVERY_S:
+        if self._is_notebook:
+            self._write_over(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}")
+        elif not self._console.is_terminal and time.monotonic() - self._said > _LINE_EVERY_S:
             self._said = time.monotonic()
             print(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}", flush=True)
+
+    def _write_over(self, text: str) -> None:
+        """Show a line in place of the one before, if that has been there long enough to be read."""
+        if time.monotonic() - self._said > _NOTEBOOK_EVERY_S:
+            self._said = time.monotonic()
+            self._longest = max(self._longest, len(text))
+            print(f"\r{text:<{self._longest}}", end="", flush=True)
 
     def finish(self) -> None:
         """Say how many trials were run, and how long it took."""
@@ -70,6 +93,8 @@ class Progress:
         seconds = time.monotonic() - self._begun
         failed = f", {self._failed} of them failed" if self._failed else ""
         before = f", {self._before} done before" if self._before else ""
+        if self._longest:  # the line in a notebook gives way to the last one
+            print(f"\r{'':<{self._longest}}\r", end="")
         print(
             f"{self._name}: {ran} of {self._total} trials run{failed}, in {duration(seconds)} "
             f"({ran / seconds:.1f} trials/s){before}",

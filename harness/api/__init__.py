@@ -1,0 +1,1 @@
+"""The functions that `import harness` offers, and the objects that they return."""

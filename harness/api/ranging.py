@@ -1,0 +1,176 @@
+"""Range from two images."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from harness.api.loading import load_sensor
+from harness.camera.sensor import Sensor
+from harness.display import brief, coloured, grey, html_figure
+from harness.errors import InputError
+from harness.files import write
+from harness.geometry.panorama import Grid
+from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.io.images import Picture
+from harness.matching.interface import MatcherSettings
+from harness.pipeline.maps import range_limits
+from harness.pipeline.photographs import Estimate, Photograph, estimate, read_photograph, write_estimate
+from harness.runs.photograph_settings import OwnSettings
+from harness.spec import parse
+
+Image = str | Path | NDArray[Any]
+"""The path of an image file, or grey levels or colours: `[height, width]` or `[height, width, 3]`."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeEstimate(Estimate):
+    """Range from a pair of images; arrays on view 1's panorama, `[height, width]`. Missing is NaN.
+
+    `range_m` and its predicted standard deviation `sigma_m`, metres; `reason`, why there is no range (0: there is one);
+    `matches` with `alpha_2`; `points_m` and `colours` of the point cloud.
+    """
+
+    def write(self, folder: str | Path) -> None:
+        """Write arrays, point cloud and a page, `range.html`, into a folder.
+
+        Parameters
+        ----------
+        folder
+            Made if it is not there.
+
+        Raises
+        ------
+        InputError
+            When the folder cannot be written to.
+        """
+        from harness.report.photographs import build_page
+
+        write_estimate(self, Path(folder))
+        write(Path(folder) / "range.html", build_page(self))
+
+    def _repr_html_(self) -> str:
+        """The first panorama and the range, as one sees them from inside: azimuth descends to the right."""
+        low, high = range_limits(self.range_m)
+        pictures = {
+            "view 1": grey(self.pair.panoramas()[0].values[:, ::-1]),
+            f"range, {low:.2g} (dark) to {high:.2g} m": coloured(self.range_m[:, ::-1], low, high),
+        }
+        return html_figure(pictures, f"{self.valid.mean():.1%} of the panorama has a range")
+
+
+def estimate_range(
+    left: Image,
+    right: Image,
+    sensor: str | Path | Mapping[str, Any] | Sensor,
+    motion: Motion | Pose | Sequence[float],
+    matcher: str | Mapping[str, Any] | MatcherSettings = "slanted",
+    *,
+    grid: Grid | None = None,
+    bits: int | None = None,
+) -> RangeEstimate:
+    """Match two mirror images and triangulate. No scene and no truth are needed.
+
+    Parameters
+    ----------
+    left, right
+        Mirror images of view 1 and view 2, by one sensor: paths of image files, or arrays of the sensor's size,
+        `[height, width]` or `[height, width, 3]`, both of one type: uint8; uint16, whose full scale is 65535; or
+        floats, finite grey levels of 0 .. 255.
+    sensor
+        The path of a TOML file, a table, or a sensor.
+    motion
+        From view 1 to view 2: a `Motion`, view 2's pose in view 1's frame, or the position (x, y, z) of viewpoint 2 in
+        view 1's frame, metres, for views that are turned alike.
+    matcher
+        A kind of matcher, a table with `kind` and its settings, or the settings of a matcher.
+    grid
+        The panorama's pixels; 720 x 200 when None.
+    bits
+        White is 2^bits - 1 in files and in arrays of uint16, such as 12 of a camera that stores 12 bits in 16; when
+        None the type decides.
+
+    Returns
+    -------
+    RangeEstimate
+        `range_m`, `sigma_m`, `reason`, `points_m`, `colours`; `write(folder)`.
+
+    Raises
+    ------
+    InputError
+        One line that names the argument or the file and what would be right.
+
+    Examples
+    --------
+    >>> import harness
+    >>> import numpy as np
+    >>> left, right = (harness.render("box", position_m=(x, 0, 1), samples=4) for x in (0, 0.5))
+    >>> estimate = harness.estimate_range(left.image, right.image, left.sensor, (0.5, 0, 0), matcher="column")
+    >>> error_m = estimate.range_m - left.panorama_range_m
+    >>> bool(np.nanmedian(np.abs(error_m)) < 0.2)
+    True
+    """
+    sensor = load_sensor(sensor)
+    if isinstance(left, np.ndarray) and isinstance(right, np.ndarray) and left.dtype != right.dtype:
+        raise InputError(f"must be of one type; found {left.dtype} and {right.dtype}", key="left, right")
+    first, second = (_photograph(image, sensor, name, bits) for image, name in ((left, "left"), (right, "right")))
+    found = estimate(first, second, sensor, _motion(motion), _matcher(matcher), grid)
+    return RangeEstimate(**{each.name: getattr(found, each.name) for each in fields(found)})
+
+
+def _matcher(matcher: str | Mapping[str, Any] | MatcherSettings) -> MatcherSettings:
+    if isinstance(matcher, MatcherSettings):
+        return matcher
+    table = {"kind": matcher} if isinstance(matcher, str) else dict(matcher)
+    return parse(OwnSettings, {"matching": table}, file="matcher").matching
+
+
+def _motion(motion: Motion | Pose | Sequence[float] | ArrayLike) -> Motion:
+    if isinstance(motion, Pose):
+        motion = relative_motion(Pose(), motion)
+    if not isinstance(motion, Motion):
+        motion = Motion(np.eye(3), _vector(motion))
+    if not 0 < motion.baseline_m < np.inf:
+        raise InputError("the baseline must not be zero: two views from one place tell no range", key="motion")
+    return motion
+
+
+def _vector(given: Any) -> NDArray[np.float64]:
+    try:
+        vector = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        text = f"must be a Motion, a Pose or three finite numbers, metres; found {brief(given)}"
+        raise InputError(text, key="motion")
+    return vector
+
+
+def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Photograph:
+    """An image from a file, or from an array that was checked."""
+    if isinstance(image, str | Path):
+        return read_photograph(Path(image), sensor, bits)
+    if not isinstance(image, np.ndarray):
+        raise InputError(f"must be a path or an array; found {type(image).__name__}", key=name)
+    rows, columns = sensor.camera.height_px, sensor.camera.width_px
+    if image.shape not in ((rows, columns), (rows, columns, 3)):
+        raise InputError(
+            f"must have the sensor's shape, ({rows}, {columns}) or ({rows}, {columns}, 3); found {image.shape}",
+            key=name,
+        )
+    if image.dtype not in (np.uint8, np.uint16) and not np.issubdtype(image.dtype, np.floating):
+        raise InputError(
+            f"must be of type uint8, uint16, or floats of grey levels 0 .. 255; found {image.dtype}", key=name
+        )
+    white = 255.0 if image.dtype != np.uint16 else 65535.0 if bits is None else 2.0**bits - 1
+    if not np.isfinite(image).all() or image.min() < 0 or image.max() > white:
+        raise InputError(f"grey levels must be finite and lie within 0 .. {white:g}", key=name)
+    if np.issubdtype(image.dtype, np.floating) and 0 < image.max() <= 1:
+        raise InputError("grey levels are of 0 .. 255, and none here is above 1; multiply by 255", key=name)
+    picture = Picture(image, white, f"an array of {image.dtype}, white is {white:g}")
+    grey_levels = picture.grey()
+    grey_levels.flags.writeable = False
+    return Photograph(Path(name), grey_levels, picture.colour(), picture.scale)

@@ -1,0 +1,270 @@
+"""The results of an experiment: tables of its trials, the maps of each, and the report."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from harness.errors import InputError
+from harness.files import write
+from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
+from harness.runs.experiment import Experiment, value_at
+from harness.runs.run import DATABASE, Result, Row, columns_of, result_from, rows_of, write_result
+from harness.runs.settings_reference import unit_of
+from harness.runs.store import Store
+from harness.runs.worker import run_here
+from harness.spec import as_table, parse
+
+_MOST_ROWS = 20
+"""Of a table in a notebook."""
+
+_SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "range_rmse_m")
+
+
+class RunResult:
+    """The trials of an experiment that are finished, and all that follows from them.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        What was run.
+    folder : pathlib.Path or None
+        Where the run is kept; None for a run in memory.
+    """
+
+    def __init__(self, experiment: Experiment, rows: list[Row], folder: Path | None = None) -> None:
+        self.experiment = experiment
+        self.folder = folder
+        self._rows = rows
+
+    def __repr__(self) -> str:
+        done = sum(row.state == "done" for row in self._rows)
+        failed = len(self._rows) - done
+        where = f", in {self.folder}" if self.folder else ""
+        total = len(self.experiment.planned)
+        return (
+            f"RunResult({self.experiment.name!r}, {done} of {total} trials done"
+            f"{f', {failed} failed' if failed else ''}{where})"
+        )
+
+    def _repr_html_(self) -> str:
+        """The main figures of the first trials."""
+        from html import escape
+
+        trials = self.trials
+        columns = [*columns_of(self.experiment), *(name for name in _SHOWN if name in trials)]
+        rest = f"<div>and {len(trials) - _MOST_ROWS} more</div>" if len(trials) > _MOST_ROWS else ""
+        table = trials[columns].head(_MOST_ROWS).to_html(float_format=lambda value: f"{value:.4g}")
+        return f"<div><b>{escape(repr(self))}</b></div>{table}{rest}"
+
+    @cached_property
+    def trials(self) -> pd.DataFrame:
+        """One row for each finished trial, indexed by its key: its state, the keys that vary, and its figures."""
+        table = [
+            {"key": row.planned.key, "state": row.state, **row.place, **row.payload.get("figures", {})}
+            for row in self._rows
+        ]
+        return pd.DataFrame(table).set_index("key")
+
+    @cached_property
+    def timings(self) -> pd.DataFrame:
+        """Seconds that each stage of each trial took, indexed by the trial's key."""
+        import json
+
+        done = [row for row in self._rows if row.state == "done"]
+        table = [{"key": row.planned.key, **json.loads(row.finished.seconds)} for row in done]
+        return pd.DataFrame(table).set_index("key")
+
+    @property
+    def failures(self) -> pd.DataFrame:
+        """The trials that failed, indexed by key: the keys that vary, the message and the traceback."""
+        table = [
+            {
+                "key": row.planned.key,
+                **row.place,
+                "message": row.finished.message,
+                "traceback": row.finished.traceback,
+            }
+            for row in self._rows
+            if row.state == "failed"
+        ]
+        columns = ["key", *columns_of(self.experiment), "message", "traceback"]
+        return pd.DataFrame(table, columns=columns).set_index("key")
+
+    @property
+    def cells(self) -> pd.DataFrame:
+        """The errors of every trial in cells of surface, direction and range: what the law's test is made from."""
+        return self._result.cells
+
+    @cached_property
+    def summary(self) -> pd.DataFrame:
+        """The main figures of the base trial by every method, over the pixels that all methods matched.
+
+        Indexed by `pixels` (`walls`, `all`) and `method`; the columns are those of `summary.json`.
+        """
+        parts = (("walls", "comparison_wall"), ("all", "comparison"))
+        table = [
+            {"pixels": pixels, "method": method, **figures}
+            for pixels, key in parts
+            for method, figures in self._result.summary[key].items()
+        ]
+        return pd.DataFrame(table).set_index(["pixels", "method"])
+
+    @property
+    def law(self) -> dict[str, Any] | None:
+        """The test of the sensitivity law, as in `summary.json`; None where trials do not differ enough for one."""
+        return self._result.summary.get("law")
+
+    @property
+    def limit(self) -> pd.DataFrame:
+        """Each method's spread over draws of the noise against the Cramér-Rao bound; empty if pixels were not kept."""
+        return pd.DataFrame(self._result.summary.get("limit", []))
+
+    @property
+    def settings(self) -> pd.DataFrame:
+        """The settings of the base trial, indexed by key: value and unit."""
+        base = as_table(self.experiment.trial)
+        table = [{"key": key, "value": value_at(base, key), "unit": unit_of(key)} for key in _leaves(base)]
+        return pd.DataFrame(table).set_index("key")
+
+    @property
+    def environment(self) -> dict[str, Any]:
+        """Versions, CPU, and hashes of source and scenes, as they are now."""
+        return self._result.environment
+
+    def outcome(self, trial: str | int | Mapping[str, Any] | None = None) -> TrialMaps:
+        """The maps of one trial: read if the run kept them, else computed again.
+
+        Parameters
+        ----------
+        trial
+            The trial's key, its number in the experiment's order, or values of the keys that vary, as many as tell it
+            apart; the first trial when None.
+
+        Returns
+        -------
+        TrialMaps
+            `range_m`, `true_range_m`, `range_error_m`, `alpha_2`, `sigma_alpha_2` ... as arrays; `to_xarray()`.
+
+        Raises
+        ------
+        InputError
+            When no trial, or more than one, is meant, or the trial cannot be carried out.
+
+        Examples
+        --------
+        >>> import harness
+        >>> result = harness.run("smoke", sets={"view_2.baseline_m": 0.5, "noise.sigma_grey": 0, "seed": 1})
+        >>> outcome = result.outcome({"matching.window_px": 7, "matching.subpixel": "none"})
+        >>> outcome.range_m.shape
+        (50, 180)
+        """
+        planned = self._planned(trial)
+        kept = None if self.folder is None else read_maps(self.folder / FOLDER, planned.trial)
+        return kept or maps_of(run_here(planned.trial))
+
+    def report(self, file: str | Path | None = None) -> Path:
+        """Write the report: one HTML file that needs nothing else.
+
+        Parameters
+        ----------
+        file
+            Where to; when None into the run's folder, with `summary.json` and `environment.json` beside it.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            When no trial is done, the file cannot be written, or a run in memory has no folder.
+        """
+        from harness.report.build import build_report
+
+        if file is not None:
+            write(Path(file), build_report(self._result))
+            return Path(file)
+        if self.folder is None:
+            raise InputError("the run is in memory: say where the report is to be written", key="file")
+        page = build_report(self._result)
+        with Store(self.folder / DATABASE) as store:
+            write_result(self._result, page, store, self.folder)
+        return self.folder / "report.html"
+
+    @cached_property
+    def _result(self) -> Result:
+        return result_from(self.experiment, self._rows)
+
+    def _planned(self, trial: str | int | Mapping[str, Any] | None) -> Any:
+        every = self.experiment.planned
+        if trial is None:
+            return every[0]
+        if isinstance(trial, str):
+            found = [each for each in every if each.key == trial]
+        elif isinstance(trial, Mapping):
+            for key in trial.keys() - every[0].place.keys():
+                varied = ", ".join(every[0].place) or "none"
+                raise InputError(f"'{key}' is not a key that varies; those are: {varied}", key="trial")
+            found = [each for each in every if all(each.place[key] == value for key, value in trial.items())]
+        else:
+            if not -len(every) <= trial < len(every):
+                raise InputError(f"there is no trial {trial}: there are {len(every)}, the first is 0", key="trial")
+            return every[trial]
+        if len(found) != 1:
+            count = f"{len(found)} trials are meant; give more of the keys" if found else "there is no such trial"
+            raise InputError(f"{count} ({', '.join(every[0].place) or 'one trial'}); found {trial!r}", key="trial")
+        return found[0]
+
+
+def open_results(folder: str | Path) -> RunResult:
+    """The results of a run in a folder.
+
+    Parameters
+    ----------
+    folder
+        The output folder of `omnirange run` or `harness.run`.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    InputError
+        When the folder holds no run, or no trial of it was made by the program as it is now.
+
+    Examples
+    --------
+    >>> import harness
+    >>> harness.open_results("nowhere")
+    Traceback (most recent call last):
+        ...
+    harness.errors.InputError: nowhere: holds no run: there is no run.sqlite in it
+    """
+    folder = Path(folder)
+    database = folder / DATABASE
+    if not database.is_file():
+        raise InputError(f"holds no run: there is no {DATABASE} in it", file=folder)
+    with Store(database) as store:
+        experiment = parse(Experiment, store.fact("experiment"), file=database)
+        rows = rows_of(experiment, store)
+    if not rows:
+        raise InputError(
+            "no trial was made by the program, libraries and scenes as they are now; run the experiment again",
+            file=folder,
+        )
+    return RunResult(experiment, rows, folder)
+
+
+def _leaves(table: Mapping[str, Any], stem: str = "") -> list[str]:
+    keys: list[str] = []
+    for name, value in table.items():
+        items = value if isinstance(value, Mapping) else {}
+        if isinstance(value, list) and value and isinstance(value[0], Mapping):
+            items = {str(number): each for number, each in enumerate(value)}
+        keys += _leaves(items, f"{stem}{name}.") if items else [f"{stem}{name}"]
+    return keys

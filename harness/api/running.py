@@ -1,0 +1,99 @@
+"""Running an experiment."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from harness.api.loading import load_experiment
+from harness.api.progress import Progress, someone_watches
+from harness.api.results import RunResult
+from harness.errors import InputError
+from harness.files import make_folder
+from harness.pipeline.maps import FOLDER, prepare_folder
+from harness.runs.executors import workplace
+from harness.runs.experiment import Experiment
+from harness.runs.run import open_run, rows_of, standing, sweep, write_tables
+from harness.runs.store import Store
+
+
+def run(
+    experiment: str | Path | Mapping[str, Any] | Experiment,
+    *,
+    axes: Mapping[str, Sequence[Any]] | None = None,
+    sets: Mapping[str, Any] | None = None,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    keep_arrays: bool = False,
+    progress: bool | None = None,
+) -> RunResult:
+    """Run the trials of an experiment that are not done.
+
+    Parameters
+    ----------
+    experiment
+        A shipped name, the path of a TOML file, a table like that of a file, or an experiment.
+    axes
+        Dotted keys of a trial and the values that each takes: further axes, or other values of one that is there.
+    sets
+        Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
+    out
+        The run's folder: trials are stored there as they finish, and the same call goes on where it was stopped. When
+        None, the run is in memory.
+    workers
+        Processes; as many as pay when None.
+    keep_arrays
+        Whether to keep every trial's maps in `out`, from where `result.outcome` reads them.
+    progress
+        Whether to show how far the run is; when None, in a terminal and in a notebook.
+
+    Returns
+    -------
+    RunResult
+        `trials`, `summary`, `settings` as tables; `outcome(...)`, `report(...)`.
+
+    Raises
+    ------
+    InputError
+        When something given is wrong, or no trial could be carried out: the first one's message.
+
+    Examples
+    --------
+    >>> import harness
+    >>> result = harness.run("smoke", sets={"view_2.baseline_m": 0.5, "noise.sigma_grey": 0, "seed": 1})
+    >>> result
+    RunResult('smoke', 4 of 4 trials done)
+    >>> result.trials[["matching.window_px", "matching.subpixel", "density"]].round(3).reset_index(drop=True)
+       matching.window_px matching.subpixel  density
+    0                   5              none    0.772
+    1                   5          parabola    0.772
+    2                   7              none    0.738
+    3                   7          parabola    0.738
+    """
+    experiment = load_experiment(experiment, axes=axes, sets=sets)
+    if workers is not None and workers < 1:
+        raise InputError(f"must be at least 1; found {workers}", key="workers")
+    if keep_arrays and out is None:
+        raise InputError("needs a folder to keep them in; give out as well", key="keep_arrays")
+    folder = None if out is None else Path(out)
+    with ExitStack() as stack:
+        if folder is not None:
+            make_folder(folder)
+        store = stack.enter_context(Store() if folder is None else open_run(experiment, folder))
+        maps = prepare_folder(folder / FOLDER) if folder is not None and keep_arrays else None
+        before = standing(experiment, store, maps)
+        left = before.plan
+        if left.trials:
+            bar = None
+            if someone_watches() if progress is None else progress:
+                bar = stack.enter_context(Progress(experiment.name, before.total, before.done))
+            place = workplace(left.total_s, len(left.trials), workers)
+            sweep(left, store, place, bar.update if bar else lambda _: None, maps)
+            if bar:
+                bar.finish()
+        rows = rows_of(experiment, store)
+        if folder is not None:
+            write_tables(experiment, store, folder)
+    if all(row.state == "failed" for row in rows):
+        raise InputError(rows[0].finished.message)
+    return RunResult(experiment, rows, folder)

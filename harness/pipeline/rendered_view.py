@@ -1,0 +1,111 @@
+"""One view of a scene with its truth, and as a folder that can be used without this program."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.sensor import Sensor, in_field, pixel_directions
+from harness.camera.unwrap import unwrap
+from harness.display import OneLine, grey, html_figure
+from harness.files import make_folder, write
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid, Panorama, directions
+from harness.geometry.pose import Pose
+from harness.io.view_folder import CAMERA, FILES, PANORAMA, npy, view_files
+from harness.simulation.export import write_glb
+from harness.simulation.render import render
+from harness.simulation.scene import Scene
+from harness.simulation.truth import truth
+
+README = f"""\
+One view of the scene "{{scene}}".
+
+{FILES}\
+range.npy             range along the ray of each pixel's centre, float64 metres, NaN outside the image circle
+panorama_range.npy    range along the ray of each panorama pixel's centre, float64 metres
+scene.glb             the scene as glTF 2.0 with textures; glTF's y is our z, glTF's -z is our y
+
+Range is the Euclidean distance from the effective viewpoint (the mirror's inner focus), not a depth along an axis.
+{CAMERA}
+{PANORAMA}"""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RenderedView(OneLine):
+    """One view of a scene with its truth. Missing is NaN."""
+
+    image: NDArray[np.float32]
+    """`[sensor height, sensor width]`: the mirror image, grey levels of 0 .. 255; 0 where the sensor sees nothing."""
+    range_m: Array
+    """`[sensor height, sensor width]`: range along the ray of each pixel's centre, metres; NaN outside the image
+    circle."""
+    panorama: NDArray[np.float32]
+    """`[height, width]` of the grid: the mirror image on the cylinder; NaN where the sensor sees nothing."""
+    panorama_range_m: Array
+    """`[height, width]` of the grid: range along the ray of each panorama pixel's centre, metres."""
+    scene: Scene
+    sensor: Sensor
+    pose: Pose
+    grid: Grid
+
+    def write(self, folder: str | Path) -> None:
+        """Write the view into a folder that can be used without this program: see its README.txt.
+
+        Parameters
+        ----------
+        folder
+            Made if it is not there.
+
+        Raises
+        ------
+        InputError
+            When the folder cannot be written to.
+        """
+        folder = Path(folder)
+        make_folder(folder)
+        panorama = Panorama(self.grid, self.panorama, np.isfinite(self.panorama))
+        for name, data in view_files(self.image, panorama, self.sensor, self.pose).items():
+            write(folder / name, data)
+        write(folder / "range.npy", npy(self.range_m))
+        write(folder / "panorama_range.npy", npy(self.panorama_range_m))
+        write_glb(self.scene, folder / "scene.glb")
+        write(folder / "README.txt", README.format(scene=self.scene.name))
+
+    def _repr_html_(self) -> str:
+        """The mirror image and the panorama as one sees it from inside: azimuth descends to the right."""
+        pictures = {"mirror image": grey(self.image), "panorama": grey(self.panorama[:, ::-1])}
+        return html_figure(pictures, f"{self.scene.name}, seen from {self.pose.position_m} m")
+
+
+def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid: Grid | None = None) -> RenderedView:
+    """Render one view with its truth.
+
+    Parameters
+    ----------
+    samples
+        Rays in each pixel, a square number.
+    grid
+        Of the panorama.
+
+    Raises
+    ------
+    InputError
+        When the view cannot see the scene.
+    """
+    grid = grid or Grid()
+    image = render(scene, sensor, pose, samples)
+    rays, inside = pixel_directions(sensor)
+    around = directions(grid)
+    unwrapped = unwrap(image, sensor, grid)
+    return RenderedView(
+        image=image,
+        range_m=truth(scene, pose, rays, inside, wrap_columns=False).range_m,
+        panorama=np.where(unwrapped.valid, unwrapped.values, np.float32(np.nan)),
+        panorama_range_m=truth(scene, pose, around, in_field(sensor, around)).range_m,
+        scene=scene,
+        sensor=sensor,
+        pose=pose,
+        grid=grid,
+    )
