@@ -9,7 +9,6 @@ DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS / "_extensions")]  # the package as it stands here, and what follows below
 
 import harness  # noqa: E402 - found on the path above
-from harness.runs.settings_reference import find_settings, settings_markdown  # noqa: E402
 
 # Commands on the pages run with this interpreter's own `omnirange`, on a terminal of a width that pages can show.
 os.environ["PATH"] = str(Path(sys.executable).parent) + os.pathsep + os.environ["PATH"]
@@ -29,6 +28,7 @@ extensions = [
     "sphinxcontrib.programoutput",
     "docstrings",
     "offline_math",
+    "settings_page",
 ]
 exclude_patterns = [
     "_build",
@@ -45,8 +45,7 @@ myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "description"
-autodoc_typehints_description_target = "documented"
+autodoc_typehints = "none"  # shapes and units are in the text; `ArrayLike` written out says less
 autodoc_default_options = {"exclude-members": "model_config, model_post_init"}
 napoleon_google_docstring = False
 autosummary_generate = True
@@ -58,6 +57,7 @@ programoutput_prompt_template = "$ {command}\n{output}"
 
 html_theme = "pydata_sphinx_theme"
 html_title = "omnirange"
+html_sidebars = {"quick-start": [], "concepts": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
@@ -79,11 +79,10 @@ html_last_updated_fmt = None
 
 
 def prepare(app: object) -> None:  # noqa: ARG001 - Sphinx gives the application
-    """Write the settings reference, and a fresh folder with the pages' files, where their commands run."""
-    generated = DOCS / "generated"
-    shutil.rmtree(generated / "work", ignore_errors=True)
-    shutil.copytree(DOCS / "how-to" / "files", generated / "work")
-    (generated / "settings.md").write_text(settings_markdown(find_settings(None)), encoding="utf-8")
+    """Make a fresh folder with the pages' files, where their commands run."""
+    work = DOCS / "generated" / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(DOCS / "how-to" / "files", work)
 
 
 def setup(app: object) -> None:

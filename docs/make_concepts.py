@@ -52,7 +52,7 @@ def line(axes: Axes, points: np.ndarray, color: str, **style: object) -> None:
     axes.plot(*flat(points).T, color=color, solid_capstyle="round", **{"linewidth": 1.6, **style})
 
 
-def label(axes: Axes, at: tuple[float, float], text: str, color: str = INK, size: float = 21) -> None:
+def label(axes: Axes, at: tuple[float, float], text: str, color: str = INK, size: float = 26) -> None:
     """Text in the middle of a place, with a margin that keeps lines away from it."""
     written = axes.text(*at, text, color=color, fontsize=size, ha="center", va="center", zorder=30)
     written.set_path_effects([patheffects.withStroke(linewidth=4, foreground="white")])
@@ -143,7 +143,7 @@ def words(axes: Axes) -> None:
     label(axes, beside(point, -0.04, 0.085), "$p$")
     middle = ALPHA_2 - ERROR / 2
     label(axes, beside(V2 + towards(middle, 0.86), 0.17, -0.01), r"$\delta\alpha_2$", OFF)
-    label(axes, beside(in_plane(1.7, -0.29), 0, 0), "epipolar plane", "#2b6c94", 16)
+    label(axes, beside(in_plane(1.7, -0.29), 0, 0), "epipolar plane", "#2b6c94", 20)
 
 
 def magnified(axes: Axes, centre: np.ndarray, radius: float) -> None:
@@ -179,8 +179,8 @@ def magnified(axes: Axes, centre: np.ndarray, radius: float) -> None:
         axes.plot(*at, "o", color=color, markersize=7, markeredgecolor="white", zorder=20)
     label(axes, tuple(np.add(start, [-0.075, 0.045])), "$p$")
     label(axes, tuple(np.add((start + end) / 2, [-0.09, 0.06])), r"$\delta d_1$", OFF)
-    label(axes, tuple(np.add(foot, [0.185, -0.01])), r"$d_2\,\delta\alpha_2$", OFF, 18)
-    label(axes, tuple(np.add(bend[-1], [0.19, 0.0])), r"$\alpha_2-\alpha_1$", INK, 18)
+    label(axes, tuple(np.add(foot, [0.185, -0.01])), r"$d_2\,\delta\alpha_2$", OFF, 22)
+    label(axes, tuple(np.add(bend[-1], [0.19, 0.0])), r"$\alpha_2-\alpha_1$", INK, 22)
 
 
 def lens(axes: Axes, at: np.ndarray, radius: float, shown_at: np.ndarray, shown_radius: float) -> None:
