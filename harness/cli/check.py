@@ -4,6 +4,7 @@ import os
 import sys
 from argparse import Namespace
 
+from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_changes
 
@@ -17,11 +18,12 @@ def add(commands: Commands) -> None:
         description="Try a matcher out on small scenes, and say what it does that a matcher must not do.",
         epilog="docs/matchers.md says how to write one",
     )
-    command.add_argument(
+    matcher = command.add_argument(
         "matcher",
         metavar="KIND",
         help="package.module:function, the name of a matcher, or a TOML file with a table [matching]",
     )
+    completers.offer(matcher, completers.kinds, completers.files(".toml"))
     add_changes(command, axes=False)
 
 

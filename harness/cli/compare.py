@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from harness.cli import completers
 from harness.cli.options import Commands, add_out
 from harness.cli.tables import differences_table
 
@@ -15,7 +16,10 @@ def add(commands: Commands) -> None:
         brief="put runs side by side",
         description="Pair the trials of runs by their settings, print how their main figures differ and write a page.",
     )
-    command.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="output folders of runs; two or more")
+    runs = command.add_argument(
+        "folders", type=Path, nargs="+", metavar="DIR", help="output folders of runs; two or more"
+    )
+    completers.offer(runs, completers.folders)
     add_out(command, "the page (default: comparison.html in the last DIR)", metavar="FILE")
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+from harness.cli import completers
 from harness.cli.exits import INPUT
 
 
@@ -60,27 +61,31 @@ class Commands:
 
 def add_experiment(command: Parser) -> None:
     """`experiment`: a name or a path."""
-    command.add_argument("experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file")
+    what = command.add_argument("experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file")
+    completers.offer(what, completers.experiments, completers.files(".toml"))
 
 
 def add_out(command: Parser, what: str = "output folder", *, metavar: str = "DIR", required: bool = False) -> None:
     """`--out` as `out`: a path; None where it may be left out and is."""
-    command.add_argument("--out", type=Path, metavar=metavar, required=required, help=what)
+    out = command.add_argument("--out", type=Path, metavar=metavar, required=required, help=what)
+    completers.offer(out, completers.folders if metavar == "DIR" else completers.files())
 
 
 def add_changes(command: Parser, *, axes: bool = True) -> None:
     """`--set` and `--axis` as `set` and `axis`: lists of text, for `load_experiment` to read."""
-    command.add_argument(
+    changed = command.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the base trial; repeatable"
     )
+    completers.offer(changed, completers.changes)
     if axes:
-        command.add_argument(
+        varied = command.add_argument(
             "--axis",
             action="append",
             default=[],
             metavar="KEY=A,B,C",
             help="vary a setting, beside the axes; repeatable",
         )
+        completers.offer(varied, completers.changes)
 
 
 def add_workplace(command: Parser) -> None:

@@ -1,17 +1,18 @@
 """The command `omnirange`: its sub-commands, and what becomes of their errors."""
 
+import os
 import sys
 import traceback
 from collections.abc import Sequence
 
-from harness.cli import cache, check, compare, render, report, run, settings
+from harness.cli import cache, check, compare, completion, render, report, run, settings
 from harness.cli import photographs as own_pair
 from harness.cli.exits import INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
 from harness.errors import InputError
 from harness.version import __version__
 
-_COMMANDS = (run, report, compare, cache, render, own_pair, check, settings)
+_COMMANDS = (run, report, compare, cache, render, own_pair, check, settings, completion)
 """In the order in which `--help` lists them."""
 
 
@@ -24,6 +25,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 when all went well, 1 when a trial failed, 2 when something given is wrong (one line on stderr says what),
         130 after Ctrl-C.
     """
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may follow; answered, and the program ends
+        import argcomplete
+
+        argcomplete.autocomplete(_parser())
     arguments = sys.argv[1:] if arguments is None else arguments
     for each in arguments:
         if not _is_unicode(each):

@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from harness.cli import completers
 from harness.cli.options import Commands, add_out
 
 
@@ -43,7 +44,10 @@ def add(commands: Commands) -> None:
         metavar=("YAW", "PITCH", "ROLL"),
         help="how view 2 is turned against view 1: about z, then y, then x (0 0 0)",
     )
-    command.add_argument("--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)")
+    matcher = command.add_argument(
+        "--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)"
+    )
+    completers.offer(matcher, completers.kinds)
     command.add_argument(
         "--set",
         action="append",

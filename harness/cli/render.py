@@ -4,6 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from harness import shipped
+from harness.cli import completers
 from harness.cli.options import Commands, add_out
 
 
@@ -16,7 +17,8 @@ def add(commands: Commands) -> None:
         description="Render one view of a scene into a folder that can be used without this program.",
         epilog=f"shipped scenes: {', '.join(shipped.names('scenes'))}",
     )
-    command.add_argument("scene", metavar="SCENE", help="a shipped scene's name, or a TOML file")
+    scene = command.add_argument("scene", metavar="SCENE", help="a shipped scene's name, or a TOML file")
+    completers.offer(scene, completers.scenes, completers.files(".toml"))
     command.add_argument("--sensor", type=Path, metavar="FILE", help="sensor TOML (default: the paper experiment's)")
     command.add_argument(
         "--at", type=float, nargs=3, required=True, metavar=("X", "Y", "Z"), help="viewpoint in the world, metres"

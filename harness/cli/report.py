@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from harness.cli import completers
 from harness.cli.options import Commands
 from harness.cli.results import say_foreign, write
 from harness.errors import InputError
@@ -16,7 +17,8 @@ def add(commands: Commands) -> None:
         brief="write a run's report anew",
         description="Write the tables, the summary and the report of a run anew, from its folder alone.",
     )
-    command.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
+    finished = command.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
+    completers.offer(finished, completers.folders)
 
 
 def run(options: Namespace) -> int:

@@ -5,6 +5,7 @@ import textwrap
 from argparse import Namespace
 from typing import TYPE_CHECKING
 
+from harness.cli import completers
 from harness.cli.options import Commands
 
 if TYPE_CHECKING:
@@ -23,9 +24,10 @@ def add(commands: Commands) -> None:
         "matcher, object or texture that have them.",
         epilog="examples: omnirange settings matching.window_px; omnirange settings sensor.camera",
     )
-    command.add_argument(
+    key = command.add_argument(
         "key", nargs="?", metavar="KEY", help="a key, a table or the last part of a key (default: all settings)"
     )
+    completers.offer(key, completers.keys)
     command.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 

@@ -1,0 +1,28 @@
+"""`omnirange completion`: what makes a shell complete the program's commands, options and names."""
+
+from argparse import Namespace
+
+from harness.cli.options import Commands
+
+SHELLS = ("bash", "zsh", "fish")
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "completion",
+        run,
+        brief="print what makes a shell complete omnirange",
+        description="Print a script with which a shell completes commands, options, the names of experiments and "
+        "scenes, kinds of matcher, and keys.",
+        epilog='bash: eval "$(omnirange completion bash)" in ~/.bashrc; zsh: with zsh instead, in ~/.zshrc after compinit; '
+        "fish: omnirange completion fish > ~/.config/fish/completions/omnirange.fish",
+    )
+    command.add_argument("shell", choices=SHELLS, help="the shell that is to read it")
+
+
+def run(options: Namespace) -> None:
+    """Print the script."""
+    from argcomplete.shell_integration import shellcode
+
+    print(shellcode(["omnirange"], shell=options.shell))
