@@ -24,7 +24,7 @@ def write(
     InputError
         Where no trial could be carried out because of what was `given`: the user's to mend, like a wrong key.
     """
-    from harness.runs.run import result_of, standing, write_result, write_tables
+    from harness.runs.run import result_of, standing, write_report, write_summary, write_tables
 
     write_tables(experiment, store, folder)
     now = standing(experiment, store)
@@ -32,11 +32,15 @@ def write(
         from harness.report.build import build_report
 
         result = result_of(experiment, store)
+        write_summary(result, folder)  # before the report: what can be read without it is not lost with it
+        not_drawn: list[str] = []
         gc.freeze()  # rows are millions of objects that stay: not to be searched again while figures are drawn
         try:
-            write_result(result, build_report(result), store, folder)
+            write_report(result, build_report(result, not_drawn), store, folder)
         finally:
             gc.unfreeze()
+        for failure in not_drawn:
+            print(f"omnirange: a figure of the report could not be drawn: {failure}", file=sys.stderr)
         show(result.summary, folder)
     if not now.failed:
         return OK

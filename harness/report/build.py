@@ -60,19 +60,26 @@ class Figures:
     """Where the maps of `errors` are clipped."""
 
 
-def build_report(result: Result) -> str:
+def build_report(result: Result, failures: list[str] | None = None) -> str:
     """The report of a finished experiment as HTML text, the same for the same result.
 
     What is said of all trials comes from their rows. The base trial is shown in detail, once for each method.
+
+    Parameters
+    ----------
+    failures
+        Gets a line for each panel that could not be drawn; the page says so in its place.
     """
     methods = methods_of(result.outcomes)
     outcome = methods[0].outcome
     reference = outcome.reference
     swept = sweep_of(result)
     column_deg = float(np.degrees(outcome.trial.panorama.phi_pitch))
-    with theme.style():
+    with theme.style() as missing:
         figures = draw(methods)
         over_all = _over_all_trials(result, swept, methods, column_deg)
+    if failures is not None:
+        failures.extend(missing)
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,

@@ -144,7 +144,8 @@ def build_comparison(*folders: Path) -> Comparison:
     runs = [_read(folder, name) for folder, name in zip(folders, names, strict=True)]
     pairings = [_pair(runs[0], other) for other in runs[1:]]
     with theme.style():
-        pictures = [_picture(pairing) for pairing in pairings]
+        compared = [[each for each in pairing.differences if each.first] for pairing in pairings]
+        pictures = [_picture(shown) if shown else None for shown in compared]
     html = template("compare.html.j2").render(
         runs=runs,
         pairings=[
@@ -391,11 +392,9 @@ def _table(pairing: Pairing) -> Table:
     return Table(head, rows, data)
 
 
-def _picture(pairing: Pairing) -> Picture | None:
+@theme.panel
+def _picture(shown: list[Difference]) -> Picture:
     """Differences as shares of the first run's figure, so that all fit on one axis."""
-    shown = [each for each in pairing.differences if each.first]
-    if not shown:
-        return None
     steps = list(dict.fromkeys(each.step for each in shown))
     names = list(dict.fromkeys(each.figure for each in shown))
     colours = {"none": theme.PIXEL, "parabola": theme.SUBPIXEL}
@@ -417,7 +416,7 @@ def _picture(pairing: Pairing) -> Picture | None:
         colour = colours.get(step) or next(spare)
         label = _STEPS.get(step, step) or "all pairs"
         ax.hlines(y, spans[:, 0], spans[:, 1], color=colour, linewidth=1.6)
-        ax.plot(share, y, "o", color=colour, markersize=5, label=label)
+        ax.plot(share, y, "o", color=colour, markersize=5, label=theme.plain(label))
         told += [
             f"{FIGURES[each.figure][0]}, {label} {figure(value, '+.0f')} %"
             for each, value in zip(mine, share, strict=True)

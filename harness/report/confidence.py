@@ -58,6 +58,7 @@ def _domain_error(method: Method) -> Array:
     return domain_errors_px(method.outcome)
 
 
+@theme.panel
 def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> Picture:
     fig, ax = _axes("least confident pixels left out (%)", "mean |disparity error| of the rest (px)")
     told, values = [], []
@@ -65,7 +66,7 @@ def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> 
         curve = sparsification(_domain_error(method), confidence)
         if not curve.pixels:
             continue
-        ax.plot(100 * curve.removed, curve.remaining, color=method.colour, label=method.label)
+        ax.plot(100 * curve.removed, curve.remaining, color=method.colour, label=theme.plain(method.label))
         ax.plot(100 * curve.removed, curve.oracle, color=method.colour, linewidth=0.9, linestyle=(0, (3, 2)))
         for name, line in (("remaining_px", curve.remaining), ("oracle_px", curve.oracle)):
             rows += [[method.label, name, *each] for each in zip(curve.removed[::5], line[::5], strict=True)]
@@ -84,6 +85,7 @@ def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> 
     return theme.picture(fig, alt, "(a) sparsification (dashed: in the order of the true errors)")
 
 
+@theme.panel
 def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
     """The distribution of |error|/sigma against that of a normal variable."""
     from scipy import stats
@@ -101,7 +103,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
         if not scaled.size:
             continue
         share = np.searchsorted(scaled, x, side="right") / scaled.size
-        ax.plot(x, 100 * share, color=method.colour, label=method.label)
+        ax.plot(x, 100 * share, color=method.colour, label=theme.plain(method.label))
         rows += [[method.label, "below_sigmas", *each] for each in zip(x[::4], share[::4], strict=True)]
         told.append(f"{method.label} {100 * share[20]:.0f} % within one")
     ax.set_xlim(0, 4)
@@ -125,13 +127,14 @@ def _blank_walls(sure: list[tuple[Method, Array]]) -> list[tuple[Method, Roc]]:
     return found
 
 
+@theme.panel
 def _roc(warned: list[tuple[Method, Roc]], rows: list[list[Any]], title: str) -> Picture:
     fig, ax = _axes("pixels with texture left out (%)", "pixels without texture left out (%)")
     ax.plot([0, 100], [0, 100], color=theme.FAINT, linewidth=0.8, linestyle=(0, (3, 2)), label="chance")
     told = []
     for method, found in warned:
         some = np.unique(np.linspace(0, found.lost.size - 1, 300).astype(int))
-        ax.plot(100 * found.lost[some], 100 * found.caught[some], color=method.colour, label=method.label)
+        ax.plot(100 * found.lost[some], 100 * found.caught[some], color=method.colour, label=theme.plain(method.label))
         few = some[::10]
         rows += [[method.label, "roc", *each] for each in zip(found.lost[few], found.caught[few], strict=True)]
         told.append(f"{method.label} area {found.auc:.3f}")

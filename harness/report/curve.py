@@ -115,9 +115,12 @@ def cost_along_curve(outcome: Outcome, curve: Curve) -> list[Picture]:
     unit = _UNITS[matcher.cost]
     cost = f"{matcher.cost.upper()} over {matcher.window_px} × {matcher.window_px} px ({unit})"
     angle = r"$\varphi_2$ (°)" if outcome.curves.sampling == "phi" else r"$\alpha_2$ (°)"
-    near_name = f"{int(curve.near.sum())} samples of the fit"
-    x, y = curve.parabola()
+    return [_whole_interval(curve, angle, cost), _around_minimum(curve, angle, cost)]
 
+
+@theme.panel
+def _whole_interval(curve: Curve, angle: str, cost: str) -> Picture:
+    x, y = curve.parabola()
     fig = theme.figure(HALF, 350)
     ax = theme.axes(fig, 62, 66, HALF - 74, 236)
     ax.plot(curve.angle_deg, curve.costs, color=FAINT, linewidth=0.7, zorder=1)
@@ -127,13 +130,18 @@ def cost_along_curve(outcome: Outcome, curve: Curve) -> list[Picture]:
     _finish(ax, angle, cost)
     ax.set_ylim(0, None)
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=3, columnspacing=1.2, borderaxespad=0.2)
-    whole = theme.picture(
+    return theme.picture(
         fig,
         f"Matching cost of one pixel over its whole search interval of {curve.costs.size} samples, lowest at "
         f"{curve.best_deg:.2f} degrees; the true position is {curve.true_deg:.2f} degrees.",
         "(a) the whole search interval",
     )
 
+
+@theme.panel
+def _around_minimum(curve: Curve, angle: str, cost: str) -> Picture:
+    near_name = f"{int(curve.near.sum())} samples of the fit"
+    x, y = curve.parabola()
     fig = theme.figure(HALF, 350)
     ax = theme.axes(fig, 62, 66, HALF - 74, 236)
     ax.plot(x, y, color=theme.SUBPIXEL, label="least-squares parabola", zorder=2)
@@ -164,14 +172,13 @@ def cost_along_curve(outcome: Outcome, curve: Curve) -> list[Picture]:
     ax.set_ylim(0, 1.1 * top)
     _finish(ax, angle, cost)
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=2, columnspacing=1.2, borderaxespad=0.2)
-    detail = theme.picture(
+    return theme.picture(
         fig,
         f"The same cost around its minimum with a parabola fitted to {int(curve.near.sum())} samples. Pixel-level "
         f"minimum at {curve.best_deg:.3f} degrees, sub-pixel minimum at {curve.minimum_deg:.3f}, true position at "
         f"{curve.true_deg:.3f}.",
         "(b) around the minimum",
     )
-    return [whole, detail]
 
 
 def _finish(ax: Axes, angle: str, cost: str) -> None:

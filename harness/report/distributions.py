@@ -26,6 +26,7 @@ def cumulative(methods: list[Method]) -> list[Picture]:
     ]
 
 
+@theme.panel
 def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
     """Histogram of the signed disparity error on walls, or on all other surfaces."""
     fig = theme.figure(HALF, 320)
@@ -39,7 +40,9 @@ def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
         error = method.outcome.errors.disparity_px[there]
         if error.size:
             share, _ = np.histogram(error, edges)
-            ax.stairs(100 * share / error.size, edges, color=method.colour, linewidth=1.3, label=method.label)
+            ax.stairs(
+                100 * share / error.size, edges, color=method.colour, linewidth=1.3, label=theme.plain(method.label)
+            )
             inside = 100 * float(np.mean(np.abs(error) <= edges[-1]))
             means.append(f"{method.label} mean {np.mean(error):+.3f} px, {inside:.0f} % within the axes")
     ax.set_xlim(edges[0], edges[-1])
@@ -86,6 +89,7 @@ def histograms(methods: list[Method]) -> Iterator[list[Any]]:
                 )
 
 
+@theme.panel
 def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title: str, label: str) -> Picture:
     # More curves than two methods have leave no room for a legend among them; the dashes are in the caption.
     many = len(methods) > 2
@@ -103,7 +107,7 @@ def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title
             if not error.size:
                 continue
             said = method.label if many else f"{method.label}, {surface}"
-            _draw(ax, error, colour=method.colour, linestyle=dashes, label=said)
+            _draw(ax, error, colour=method.colour, linestyle=dashes, label=theme.plain(said))
             lowest = min(lowest, float(np.percentile(error, 2)))
             medians.append(f"{method.label} on {surface} {np.median(error):.3g} {unit}")
     ax.set_xscale("log")

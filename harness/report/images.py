@@ -19,6 +19,7 @@ _LEFT, _PLOT = 50, 845
 """Where panoramas begin and how wide they are, CSS pixels: all of them line up."""
 
 
+@theme.panel
 def environment(outcome: Outcome) -> Picture:
     """The scene from outside, near surfaces of a closed one cut away, with both viewpoints."""
     trial = outcome.trial
@@ -61,6 +62,7 @@ def environment(outcome: Outcome) -> Picture:
     return theme.picture(fig, alt, "(a) environment")
 
 
+@theme.panel
 def mirror_image(outcome: Outcome) -> Picture:
     """View 1's mirror image as the camera takes it."""
     image = outcome.images[0]
@@ -76,6 +78,7 @@ def mirror_image(outcome: Outcome) -> Picture:
     return theme.picture(fig, alt, "(b) hyperboloid mirror image of view 1")
 
 
+@theme.panel
 def panorama(outcome: Outcome) -> Picture:
     """View 1's panorama, unmirrored."""
     grid = outcome.trial.panorama
@@ -89,6 +92,7 @@ def panorama(outcome: Outcome) -> Picture:
     return theme.picture(fig, alt, "(c) panorama of view 1")
 
 
+@theme.panel
 def filtered(outcome: Outcome) -> Picture:
     """View 1's panorama after the Laplacian of Gaussian, which is what is matched."""
     grid, sigma = outcome.trial.panorama, outcome.trial.filter.log_sigma_px

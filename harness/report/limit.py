@@ -87,6 +87,7 @@ def _line(entries: list[Entry], value: Callable[[Entry], float | None]) -> tuple
     return [x for x, _ in known], [y for _, y in known]
 
 
+@theme.panel
 def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
     fig, ax = _axes("standard deviation / bound")
     ax.axhline(1, color=theme.TRUTH, linewidth=1.0, zorder=1)
@@ -95,7 +96,15 @@ def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
         x, y = _line(entries, lambda entry: entry["std_over_bound"])
         if not x:
             continue
-        ax.plot(x, y, color=way.colour, linestyle=way.stroke, marker=way.marker, markersize=4.5, label=way.label)
+        ax.plot(
+            x,
+            y,
+            color=way.colour,
+            linestyle=way.stroke,
+            marker=way.marker,
+            markersize=4.5,
+            label=theme.plain(way.label),
+        )
         ends = [each["std_over_bound_quartiles"] for each in entries if each["std_over_bound"]]
         low, high = (np.array([end[i] for end in ends]) for i in (0, 1))
         ax.vlines(x, low, high, color=way.colour, linewidth=0.8, alpha=0.6)
@@ -111,6 +120,7 @@ def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
     return theme.picture(fig, alt, "(a) efficiency: medians, strokes from quartile to quartile")
 
 
+@theme.panel
 def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
     fig, ax = _axes("disparity (px)")
     told, values = [], []
@@ -119,7 +129,7 @@ def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
         if not x:
             continue
         style = {"color": way.colour, "markersize": 4.5}
-        ax.plot(x, std, linestyle=way.stroke, marker=way.marker, label=way.label, **style)
+        ax.plot(x, std, linestyle=way.stroke, marker=way.marker, label=theme.plain(way.label), **style)
         x_bias, bias = _line(entries, lambda entry: entry["bias_px"])
         ax.plot(x_bias, bias, linestyle=(0, (1, 1.5)), linewidth=1.0, **style)
         x_bound, bound = _line(entries, lambda entry: entry["bound_px"])

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from harness.evaluation.metrics import FRACTION_BINS
-from harness.evaluation.statistics import mean_over_seeds
+from harness.evaluation.statistics import Curve, mean_over_seeds
 from harness.report import theme
 from harness.report.data import Data
 from harness.report.sweep import Sweep, Way
@@ -23,9 +23,6 @@ def histograms(sweep: Sweep) -> tuple[list[Picture], Data, dict[str, dict[str, f
     pictures, data, near
         The last for each sub-pixel way and surface: the share within 0.11 samples of a whole one.
     """
-    order = np.append(np.argsort(MIDDLE), np.argmin(MIDDLE))  # the first bin again as the last: positions are periodic
-    at = np.append(MIDDLE[order[:-1]], 0.5)
-    edges = np.append(at - 0.5 / FRACTION_BINS, 0.5 + 0.5 / FRACTION_BINS)
     refined = [way for way in sweep.ways if way.subpixel != "none"]
     curves = {
         (way, surface): mean_over_seeds(shares)
@@ -35,47 +32,59 @@ def histograms(sweep: Sweep) -> tuple[list[Picture], Data, dict[str, dict[str, f
     }
     rows: list[list[object]] = []
     near: dict[str, dict[str, float]] = {}
+    for (way, surface), curve in curves.items():
+        near.setdefault(way.label, {})[SURFACES[surface]] = _near_whole_samples(curve)
+        columns = (each[_ORDER] for each in (MIDDLE, curve.mean, curve.low, curve.high))
+        rows += [[way.matcher, way.subpixel, surface, *each] for each in zip(*columns, strict=True)]
     top = 100 * max((float(np.nanmax([curve.mean, curve.high])) for curve in curves.values()), default=0.0)
-    pictures = []
-    for (surface, words), letter in zip(SURFACES.items(), "ab", strict=True):
-        fig = theme.figure(HALF, 280)
-        ax = theme.axes(fig, 56, 12, HALF - 70, 220)
-        told = []
-        for way in refined:
-            if (way, surface) not in curves:
-                continue
-            curve = curves[way, surface]
-            mean, low, high = (100 * each[order] for each in (curve.mean, curve.low, curve.high))
-            if np.isfinite(low).all():
-                lower, upper = (np.append(each, each[-1]) for each in (low, high))
-                ax.fill_between(edges, lower, upper, step="post", color=way.colour, alpha=0.2, linewidth=0)
-            ax.stairs(
-                mean, edges, color=way.colour, linestyle=way.stroke, linewidth=1.2, baseline=None, label=way.label
-            )
-            share = float(curve.mean[np.abs(MIDDLE) <= 0.1 + 1e-9].sum())
-            near.setdefault(way.label, {})[words] = share
-            told.append(f"{way.label} {100 * share:.0f} %")
-            rows += [
-                [way.matcher, way.subpixel, surface, *each]
-                for each in zip(at[:-1], mean[:-1] / 100, low[:-1] / 100, high[:-1] / 100, strict=True)
-            ]
-        ax.axhline(100 / FRACTION_BINS, color=FAINT, linestyle=(0, (5, 2)), linewidth=1.0)
-        ax.set_xlim(-0.5, 0.5)
-        ax.set_xticks([-0.5, -0.25, 0, 0.25, 0.5], ["−½", "−¼", "0", "¼", "½"])
-        ax.set_ylim(0, 1.25 * top if top else 5)
-        ax.set_xlabel("distance from the nearest whole sample (samples)")
-        ax.set_ylabel(f"share of estimates (% per {1 / FRACTION_BINS:g})")
-        if told:
-            ax.legend(loc="upper left", ncol=2)
-        else:
-            theme.note(ax, "no sub-pixel estimate")
-        alt = (
-            f"Histogram of the distance of sub-pixel estimates on {words} from the nearest whole sample. Shares within "
-            f"0.11 samples, 22.5 % if spread evenly: {', '.join(told) or 'none'}."
-        )
-        pictures.append(theme.picture(fig, alt, f"({letter}) {words}"))
+    pictures = [
+        _histogram({way: curve for (way, there), curve in curves.items() if there == surface}, top, words, letter)
+        for (surface, words), letter in zip(SURFACES.items(), "ab", strict=True)
+        if curves
+    ]
     headings = ["matcher", "subpixel", "surface", "distance_samples", "share", "ci95_low", "ci95_high"]
-    return pictures if curves else [], Data("pixel-locking", headings, rows), near
+    return pictures, Data("pixel-locking", headings, rows), near
+
+
+_ORDER = np.argsort(MIDDLE)
+
+
+def _near_whole_samples(curve: Curve) -> float:
+    return float(curve.mean[np.abs(MIDDLE) <= 0.1 + 1e-9].sum())
+
+
+@theme.panel
+def _histogram(curves: dict[Way, Curve], top: float, words: str, letter: str) -> Picture:
+    """The histograms of one surface on axes up to 1.25 `top` per cent."""
+    order = np.append(_ORDER, _ORDER[0])  # the first bin again as the last: positions are periodic
+    at = np.append(MIDDLE[_ORDER], 0.5)
+    edges = np.append(at - 0.5 / FRACTION_BINS, 0.5 + 0.5 / FRACTION_BINS)
+    fig = theme.figure(HALF, 280)
+    ax = theme.axes(fig, 56, 12, HALF - 70, 220)
+    told = []
+    for way, curve in curves.items():
+        mean, low, high = (100 * each[order] for each in (curve.mean, curve.low, curve.high))
+        if np.isfinite(low).all():
+            lower, upper = (np.append(each, each[-1]) for each in (low, high))
+            ax.fill_between(edges, lower, upper, step="post", color=way.colour, alpha=0.2, linewidth=0)
+        label = theme.plain(way.label)
+        ax.stairs(mean, edges, color=way.colour, linestyle=way.stroke, linewidth=1.2, baseline=None, label=label)
+        told.append(f"{way.label} {100 * _near_whole_samples(curve):.0f} %")
+    ax.axhline(100 / FRACTION_BINS, color=FAINT, linestyle=(0, (5, 2)), linewidth=1.0)
+    ax.set_xlim(-0.5, 0.5)
+    ax.set_xticks([-0.5, -0.25, 0, 0.25, 0.5], ["−½", "−¼", "0", "¼", "½"])
+    ax.set_ylim(0, 1.25 * top if top else 5)
+    ax.set_xlabel("distance from the nearest whole sample (samples)")
+    ax.set_ylabel(f"share of estimates (% per {1 / FRACTION_BINS:g})")
+    if told:
+        ax.legend(loc="upper left", ncol=2)
+    else:
+        theme.note(ax, "no sub-pixel estimate")
+    alt = (
+        f"Histogram of the distance of sub-pixel estimates on {words} from the nearest whole sample. Shares within "
+        f"0.11 samples, 22.5 % if spread evenly: {', '.join(told) or 'none'}."
+    )
+    return theme.picture(fig, alt, f"({letter}) {words}")
 
 
 def _shares(sweep: Sweep, way: Way, surface: str) -> pd.DataFrame:

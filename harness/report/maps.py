@@ -34,6 +34,7 @@ def common_limit_mm(methods: list[Method]) -> float:
     return float(size * next(step for step in (1, 2, 3, 5, 10) if limit <= step * size * (1 + 1e-9)))
 
 
+@theme.panel
 def error_map(method: Method, limit_mm: float, letter: str) -> Picture:
     """Signed range error of every pixel with an estimate and a truth."""
     outcome, grid = method.outcome, method.outcome.trial.panorama
@@ -62,11 +63,13 @@ def error_map(method: Method, limit_mm: float, letter: str) -> Picture:
     return theme.picture(fig, alt, f"({letter}) {method.label}")
 
 
+@theme.panel
 def reason_map(method: Method) -> Picture:
     """Why a pixel has no range, with the domain's outline."""
     return reasons_picture(method.outcome.reason, method.outcome.trial.panorama, method)
 
 
+@theme.panel
 def reasons_picture(why: NDArray[np.uint8], grid: Grid, method: Method | None = None) -> Picture:
     """A map of `Reason` over a panorama."""
     present = [reason for reason in Reason if (why == reason).any()]

@@ -73,6 +73,7 @@ def _span(values: Array) -> tuple[float, float] | None:
     return float(low), float(high)
 
 
+@theme.panel
 def _photograph(found: Estimate, view: int) -> Picture:
     colour: NDArray[np.uint8] = found.photographs[view].colour
     rows, columns = colour.shape[:2]
@@ -94,6 +95,7 @@ def _photograph(found: Estimate, view: int) -> Picture:
     return theme.picture(fig, f"Mirror image of view {view + 1}, {name}.", f"({'ab'[view]}) view {view + 1}: {name}")
 
 
+@theme.panel
 def _panorama(found: Estimate) -> Picture:
     grid, view = found.pair.grid, found.pair.panoramas()[0]
     fig, ax, bar = panorama_axes(grid)
@@ -103,6 +105,7 @@ def _panorama(found: Estimate) -> Picture:
     return theme.picture(fig, "Panorama of view 1, azimuth descending from 180 to -180 degrees.")
 
 
+@theme.panel
 def _map(found: Estimate, values: Array, label: str, title: str) -> Picture:
     """Positive values over the panorama on a logarithmic scale of colours."""
     grid = found.pair.grid

@@ -95,6 +95,7 @@ def limits(methods: list[Method], row: int) -> tuple[float, float]:
     return max(0.0, float(0.72 * low)), float(1.3 * high)
 
 
+@theme.panel
 def profile(method: Method, row: Row, span: tuple[float, float], letter: str) -> Picture:
     """Range of one row by one method, with the ranges that whole samples of the curve can say."""
     outcome = method.outcome
@@ -120,6 +121,7 @@ def profile(method: Method, row: Row, span: tuple[float, float], letter: str) ->
     return theme.picture(fig, alt, f"({letter}) {method.label}")
 
 
+@theme.panel
 def small_profile(methods: list[Method], row: Row) -> Picture:
     """Range of one row by all methods, for one of several panels."""
     outcome = methods[0].outcome
@@ -198,5 +200,5 @@ def _key(ax: Axes, method: Method) -> None:
         Patch(facecolor=theme.OUTSIDE),
         Patch(facecolor=theme.UNMATCHED, edgecolor="#CCCCCC", linewidth=0.5),
     ]
-    labels += [method.label, "outside the domain", "no estimate"]
+    labels += [theme.plain(method.label), "outside the domain", "no estimate"]
     theme.legend_above(ax, handles, labels, gap=0.2)

@@ -124,6 +124,7 @@ def _ordered(table: pd.DataFrame) -> list[_Part]:
     return [_Part(*each) for each in sorted(found, key=place)]
 
 
+@theme.panel
 def _picture(
     sweep: Sweep, parts: list[_Part], curves: dict[tuple[Way, str], dict[_Part, tuple[float, float, float]]]
 ) -> Picture:
@@ -148,7 +149,13 @@ def _picture(
             values = scale * np.array([found[part] for part in parts if part in found]).reshape(-1, 3)
             ax.hlines(y, values[:, 1], values[:, 2], color=way.colour, linewidth=1.2)
             ax.plot(
-                values[:, 0], y, way.marker, color=way.colour, markersize=4.6, markerfacecolor=way.face, label=way.label
+                values[:, 0],
+                y,
+                way.marker,
+                color=way.colour,
+                markersize=4.6,
+                markerfacecolor=way.face,
+                label=theme.plain(way.label),
             )
             seen.append(values[values > 0])
         known = np.concatenate([np.array([]), *seen])

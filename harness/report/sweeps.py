@@ -158,6 +158,7 @@ def _law_over_baselines(sweep: Sweep) -> dict[str, dict[str, tuple[Array, Array]
     return shapes
 
 
+@theme.panel
 def _picture(
     name: str,
     lines: list[_Line],
@@ -216,7 +217,7 @@ def draw_line(ax: Axes, way: Way, x: "list[float] | Array", curve: Curve, scale:
 
 def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     positions = axis.positions
-    ax.set_xlabel(label or axis.label)
+    ax.set_xlabel(label or theme.plain(axis.label))
     if axis.logarithmic:
         theme.logarithmic(ax, "x", min(positions) / 1.12, max(positions) * 1.12, most=5)
         if len(positions) <= 6 and _apart(list(np.log(positions))):
@@ -226,7 +227,7 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     ax.set_xlim(min(positions) - margin, max(positions) + margin)
     if not axis.numeric:
         ax.set_xlim(min(positions) - 0.35, max(positions) + 0.35)
-        ax.set_xticks(positions, [text if len(text) < 16 else f"{text[:14]}…" for text in axis.texts])
+        ax.set_xticks(positions, [theme.plain(text if len(text) < 16 else f"{text[:14]}…") for text in axis.texts])
     elif len(positions) <= 6 and _apart(positions):
         ax.set_xticks(positions, [f"{value:g}" for value in positions])
 
@@ -237,6 +238,7 @@ def _apart(positions: list[float]) -> bool:
     return len(ordered) < 2 or float(np.diff(ordered).min()) > 0.09 * float(ordered[-1] - ordered[0])
 
 
+@theme.panel
 def key_picture(sweep: Sweep, *, laws: bool) -> Picture:
     """A legend for all figures of a section."""
     handles = [
@@ -246,11 +248,13 @@ def key_picture(sweep: Sweep, *, laws: bool) -> Picture:
         for way in sweep.ways
     ]
     labels = [way.label for way in sweep.ways]
+    shown = [theme.plain(label) for label in labels]
     if laws:
         handles += [Line2D([], [], color=FAINT, linestyle=dashes) for _, dashes in LAWS.values()]
         labels += [name for name, _ in LAWS.values()]
+        shown += [name for name, _ in LAWS.values()]
     fig = theme.figure(HALF, 26 * math.ceil(len(labels) / 2))
-    fig.legend(handles, labels, loc="center left", ncol=2, handlelength=2.6)
+    fig.legend(handles, shown, loc="center left", ncol=2, handlelength=2.6)
     return theme.picture(fig, f"Key to the lines: {', '.join(labels)}.")
 
 

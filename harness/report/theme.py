@@ -6,11 +6,12 @@ Everything is drawn on `Figure` objects, never through pyplot, and in sizes of C
 import io
 import re
 from base64 import b64decode, b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, wraps
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -94,27 +95,63 @@ class Picture:
     """What it shows, for those who do not see it."""
     title: str = ""
     """The panel's own line under it, such as `(a) environment`."""
+    failure: str = ""
+    """Why it could not be drawn; the page says so in its place."""
+
+
+_P = ParamSpec("_P")
+_failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
 
 
 @contextmanager
-def style() -> Iterator[None]:
-    """Draw in the report's style, whatever the user's own settings are, and leave those as they were."""
-    with mpl.rc_context():
-        # Not rcdefaults(), which warns of what it resets.
-        settings: Any = mpl.rcParams
-        settings.update({key: mpl.rcParamsDefault[key] for key in _RESET})
-        settings.update(_STYLE)
-        yield
+def style() -> Iterator[list[str]]:
+    """Draw in the report's style, whatever matplotlib's settings are, and leave those as they were.
+
+    Settings come from the user's `matplotlibrc`, the environment or a plug-in. Yields the list that `panel` adds to:
+    a line for each panel that could not be drawn.
+    """
+    failures: list[str] = []
+    token = _failures.set(failures)
+    try:
+        with mpl.rc_context():
+            # Not rcdefaults(), which warns of what it resets.
+            settings: Any = mpl.rcParams
+            settings.update({key: mpl.rcParamsDefault[key] for key in _RESET})
+            settings.update(_STYLE)
+            yield failures
+    finally:
+        _failures.reset(token)
 
 
-_RESET = [
-    key
-    for key in mpl.rcParamsDefault
-    if key.startswith(
-        ("axes.", "xtick.", "ytick.", "lines.", "font.", "legend.", "figure.", "savefig.", "grid.", "path.")
-    )
-    and key != "figure.hooks"
-]
+_NOT_FOR_FIGURES = ("backend", "interactive", "toolbar", "webagg.", "tk.", "keymap.", "docstring.", "date.epoch")
+_RESET = [key for key in mpl.rcParamsDefault if not key.startswith(_NOT_FOR_FIGURES)]
+
+
+def panel(draw: Callable[_P, Picture]) -> Callable[_P, Picture]:
+    """Draw a panel such that its failure costs no other: under `style` it becomes a panel that says why.
+
+    Elsewhere the error is raised.
+    """
+
+    @wraps(draw)
+    def guarded(*args: _P.args, **kwargs: _P.kwargs) -> Picture:
+        failures = _failures.get()
+        try:
+            return draw(*args, **kwargs)
+        except Exception as error:
+            if failures is None:
+                raise
+            name = f"{draw.__module__.rpartition('.')[2]}.{draw.__name__.strip('_')}"
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:500]
+            failures.append(f"{name}: {reason}")
+            return Picture(Markup(), HALF, HALF // 2, f"The panel {name}, not drawn.", failure=reason)
+
+    return guarded
+
+
+def plain(text: str) -> str:
+    """Text from data for a figure, such that no part of it is read as mathematics."""
+    return text.replace("$", r"\$")
 
 
 def figure(width: int, height: int) -> Figure:

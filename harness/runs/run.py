@@ -257,8 +257,8 @@ def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
         failures.unlink(missing_ok=True)
 
 
-def write_result(result: Result, report: str, store: Store, folder: Path) -> None:
-    """Write `environment.json`, `summary.json` and `report.html`, and keep in the store that they belong to its rows.
+def write_summary(result: Result, folder: Path) -> None:
+    """Write `environment.json` and `summary.json`.
 
     Raises
     ------
@@ -267,6 +267,16 @@ def write_result(result: Result, report: str, store: Store, folder: Path) -> Non
     """
     write(folder / "environment.json", _json(result.environment))
     write(folder / "summary.json", _json(result.summary))
+
+
+def write_report(result: Result, report: str, store: Store, folder: Path) -> None:
+    """Write `report.html`, and keep in the store that what is written belongs to its rows.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written to.
+    """
     write(folder / "report.html", report)
     store.set_fact("reported", _digest(result.experiment, store))
 

@@ -89,6 +89,7 @@ def _curves(cells: pd.DataFrame) -> Iterator[_Curve]:
             yield _Curve(int(range_bin), baselines, np.exp(errors), np.exp(low), np.exp(high))
 
 
+@theme.panel
 def _trade_off_picture(name: str, curves: dict[Way, list[_Curve]], colours: dict[int, str]) -> Picture:
     fig, panels = theme.pair(len(curves), height=330, top=46)
     every = [curve for found in curves.values() for curve in found]
@@ -98,7 +99,7 @@ def _trade_off_picture(name: str, curves: dict[Way, list[_Curve]], colours: dict
     handles: dict[int, Line2D] = {}
     for ax, (way, found) in zip(panels, curves.items(), strict=True):
         step = way.label.split(", ")[-1]
-        ax.set_title(step, pad=20)
+        ax.set_title(theme.plain(step), pad=20)
         for curve in found:
             x, y, colour = curve.baselines, 1000 * curve.error, colours[curve.range_bin]
             if np.isfinite(curve.low).all():

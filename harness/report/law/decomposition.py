@@ -89,6 +89,7 @@ def decomposition(sweep: Sweep, law: dict[str, Any], column_deg: float) -> Part:
     )
 
 
+@theme.panel
 def _against(
     sweep: Sweep,
     x: "pd.Series[float]",

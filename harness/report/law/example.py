@@ -64,6 +64,7 @@ def within_steps(outcome: Outcome, label: str) -> Within:
     return Within(label, int(there.sum()), shares)
 
 
+@theme.panel
 def law_chart() -> Picture:
     """Both forms of the law over alpha_1, for the worked example."""
     fig = theme.figure(HALF, 320)
@@ -96,6 +97,7 @@ def law_chart() -> Picture:
     return theme.picture(fig, alt, "(a) the worked example")
 
 
+@theme.panel
 def measured_chart(methods: list[Method]) -> Picture:
     """Measured errors over alpha_1 beside what rounding to whole samples predicts."""
     fig = theme.figure(HALF, 320)
@@ -104,7 +106,7 @@ def measured_chart(methods: list[Method]) -> Picture:
     told = []
     for method in methods:
         median = _measured(method)
-        ax.plot(middle, median, "o-", color=method.colour, markersize=4, label=f"measured, {method.label}")
+        ax.plot(middle, median, "o-", color=method.colour, markersize=4, label=theme.plain(f"measured, {method.label}"))
         if np.isfinite(median).any():
             told.append(f"{method.label} between {np.nanmin(median):.0f} and {np.nanmax(median):.0f} mm")
     ax.plot(middle, _expected(methods[0]), color=FAINT, linestyle=(0, (4, 2)), label=r"law $\times$ ¼ step")

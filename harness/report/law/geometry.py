@@ -83,6 +83,7 @@ def geometry() -> Part:
     )
 
 
+@theme.panel
 def _ratios(
     relative: Array, drawn: dict[str, str], kinds: dict[str, Array], title: str, span: tuple[float, float]
 ) -> Picture:

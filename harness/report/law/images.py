@@ -93,6 +93,7 @@ def _adjusted(cells: pd.DataFrame) -> "pd.Series[float]":
     return y - y.groupby(cells["condition"]).transform("mean") + y.mean()
 
 
+@theme.panel
 def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binned: list[list[Any]]) -> Picture:
     there = [found for each in sweep.ways if len(found := sweep.cells_of(each, surface))]
     cells = sweep.cells_of(way, surface)
@@ -159,6 +160,7 @@ def _density(
     ax.patch.set_alpha(0)
 
 
+@theme.panel
 def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: list[list[Any]]) -> Picture:
     fig, panels = theme.pair()
     there = [sweep.cells_of(each, surface) for each in sweep.ways]

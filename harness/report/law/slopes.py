@@ -15,6 +15,7 @@ from harness.report.theme import Picture
 from harness.report.words import figure
 
 
+@theme.panel
 def by_direction(sweep: Sweep, fits: list[Fit], surface: str, letter: str) -> Picture:
     """Slopes within each sixth of the directions."""
     fig, panels = theme.pair()
