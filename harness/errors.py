@@ -1,4 +1,4 @@
-"""The one exception that is the user's to mend."""
+"""The one exception that is the user's to mend, and the one warning."""
 
 from pathlib import Path
 
@@ -23,3 +23,7 @@ class InputError(Exception):
         where = ": ".join(part for part in (self.file, key) if part)
         text = f"{where}: {problem}" if where else problem
         super().__init__(" ".join(text.split()))
+
+
+class Notice(UserWarning):
+    """Something that a user may want to know, in one line: the program goes on, and its numbers are right."""

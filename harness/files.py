@@ -61,6 +61,28 @@ def _printable(path: str | Path) -> str:
     return text if len(text) <= 200 else f"{text[:100]} ... {text[-50:]}"
 
 
+def cache_folder() -> Path | None:
+    """`$OMNIRANGE_CACHE`, or `user_cache_folder`.
+
+    Raises
+    ------
+    InputError
+        When `OMNIRANGE_CACHE` names no folder.
+    """
+    given = os.environ.get("OMNIRANGE_CACHE")
+    if not given:
+        return user_cache_folder()
+    return path_of(given, key="OMNIRANGE_CACHE")
+
+
+def user_cache_folder() -> Path | None:
+    """`omnirange` in the user's cache folder; None for a user who has no home."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnirange"
+    except RuntimeError:  # neither HOME nor an entry for this user
+        return None
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder and those above it.
 

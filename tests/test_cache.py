@@ -11,8 +11,9 @@ import pytest
 from sweeps import omnirange, write_small
 
 from harness.errors import InputError
+from harness.files import cache_folder
 from harness.geometry.pose import Pose
-from harness.pipeline.render_cache import RenderCache, cache_folder, limit_bytes
+from harness.pipeline.render_cache import RenderCache, limit_bytes
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
 from harness.runs.experiment import load_experiment

@@ -1,9 +1,9 @@
 """Compiled loops that sample images. Called through the modules beside this one, which prepare the arguments."""
 
-from numba import njit
+from harness.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def bilinear(image, rows, columns, out):
     """Write samples of an image between its pixels; beyond its border the border goes on.
 

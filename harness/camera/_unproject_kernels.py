@@ -2,10 +2,10 @@
 
 import math
 
-from numba import njit
+from harness.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def rays_of_pixels(u, v, parameters, x_out, y_out, z_out):
     """Write the direction of each pixel's ray, of any length; NaN where the lens has no inverse.
 
@@ -34,7 +34,7 @@ def rays_of_pixels(u, v, parameters, x_out, y_out, z_out):
         z_out[i] = z_axis + z_slope * r2 / (1.0 + math.sqrt(1.0 + r2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _unbend(x_d, y_d, k1, k2, p1, p2, k3, fold):
     """Undistorted point of a distorted one, by Newton's method; NaN when there is none within the fold.
 

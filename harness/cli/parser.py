@@ -3,13 +3,15 @@
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
+from typing import TextIO
 
 from harness.cli import cache, check, compare, completion, render, report, run, settings
 from harness.cli import photographs as own_pair
 from harness.cli.exits import INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.version import __version__
 
 _COMMANDS = (run, report, compare, cache, render, own_pair, check, settings, completion)
@@ -36,7 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return INPUT
     options = _parser().parse_args(arguments)
     try:
-        return options.run(options) or OK
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            return options.run(options) or OK
     except InputError as error:
         if options.debug:
             traceback.print_exc()
@@ -50,6 +54,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _is_unicode(text: str) -> bool:
     """Whether it can be written into files and onto terminals: no bytes that were none of UTF-8."""
     return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show a notice in one line, as other messages, and the warning of a library as Python does."""
+    if issubclass(category, Notice):
+        print(f"omnirange: {message}", file=sys.stderr)
+    else:
+        print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end="")
 
 
 def _parser() -> Parser:

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 PRODUCTS = 15
 """Different entries of a symmetric 5 x 5 matrix."""
@@ -16,7 +17,7 @@ _NOTHING = 1e-10
 differ by a window's half angle (0.01 rad or more), keep twelve digits."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_raw_pixels(
     spline_1, spline_2, pixel, cell, omega, omega_u, omega_v, plane, R, t, place, ray, ray_u, ray_v, cells_1, cells_2
 ):
@@ -87,7 +88,7 @@ def add_raw_pixels(
             _add_products(cells_2[cell[i]], quarter_2, found[1] * u_2 + found[2] * v_2, found[0], towards, room)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _add_products(products, weight, slope, grey, omega, s):
     """Add the products of (slope omega, grey, 1) to a lower triangle; s : room to work."""
     for c in range(3):
@@ -105,7 +106,7 @@ def _add_products(products, weight, slope, grey, omega, s):
     products[14] += weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _spline_at(spline, u, v, weights, found):
     """Value of a quintic B-spline and its derivatives by u and v, written to `found`; weights : room to work."""
     column, row = math.floor(u), math.floor(v)
@@ -131,7 +132,7 @@ def _spline_at(spline, u, v, weights, found):
         found[2] += weights[3, j] * line
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _weights(x, value, slope):
     """Weights of the six taps of the quintic B-spline at a fraction x after the third, and their derivatives by x."""
     for side in range(2):
@@ -153,7 +154,7 @@ def _weights(x, value, slope):
                 slope[tap] = sign * (c4 - 6.0 * b4 + 15.0 * a4) / 24.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _mirrored(index, size):
     if index < 0:
         index = -index
@@ -162,7 +163,7 @@ def _mirrored(index, size):
     return index
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def window_information(cells, pixels, half, directions, slanted, information, count):
     """What one image's raw pixels in each window tell of the inverse range at the window's middle.
 
@@ -198,7 +199,7 @@ def window_information(cells, pixels, half, directions, slanted, information, co
                 information[row, column] = matrix[4, 4]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _basis_about(direction, basis):
     """Two unit vectors at right angles to a unit direction, and the direction."""
     x, y, z = direction
@@ -209,7 +210,7 @@ def _basis_about(direction, basis):
     basis[2, 0], basis[2, 1], basis[2, 2] = x, y, z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _in_basis(total, basis, matrix):
     """Unpack the lower triangle of sums, ordered (offset, gain, two slants, inverse range at the middle)."""
     matrix[0, 0] = total[14]
@@ -229,7 +230,7 @@ def _in_basis(total, basis, matrix):
             matrix[2 + a, 2 + b] = entry
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _last_pivot(matrix):
     """The last parameter's information when the others are unknown: the Schur complement, by L D Lᵀ in place.
 

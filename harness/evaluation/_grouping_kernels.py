@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 DIGITS = 1 << 11
 
@@ -15,7 +16,7 @@ BLOCK = 2048
 """Places of an order that are counted together before it is asked whether a middle lies among them."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def true_angles(
     range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, least_sine, sideways, alpha_2, law, half_step
 ):
@@ -44,7 +45,7 @@ def true_angles(
             half_step[i] *= (x * x + y * y) / square / abs(n_z[i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bins(values, edges, out):
     """Write the bin of ascending edges that each value is in; -1 for none."""
     last = edges.size - 1
@@ -58,7 +59,7 @@ def bins(values, edges, out):
         out[i] = found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gather_members(labels, place, out):
     """Write the places of each label from 0 on, one label after the other. place : where each begins; is moved on."""
     for i in range(labels.size):
@@ -68,7 +69,7 @@ def gather_members(labels, place, out):
             place[label] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def classes(labels, groups, out):
     """Number the different rows of labels `[n, layers]`, each -1 .. groups - 1; return how many there are.
 
@@ -88,7 +89,7 @@ def classes(labels, groups, out):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_errors(
     pixels, classes, surface, weight, range_m, disparity, distance, valid, limits_px, limits_ratio,
     seen, strata, absolute_px, off_m, logarithm, sums, domain, weighted, above, within,
@@ -157,7 +158,7 @@ def add_errors(
     domain[0] = number
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ascending(bits, seen, number, order, other):
     """Write the seen ones of the 32-bit keys in ascending order, `number` of them, each above its place: key << 32 | i.
 
@@ -191,7 +192,7 @@ def ascending(bits, seen, number, order, other):
     return other
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_classes(labels, of_class, of_group):
     """Add up what is known of classes to what is known of groups.
 
@@ -205,7 +206,7 @@ def add_classes(labels, of_class, of_group):
                     of_group[group, kind] += of_class[own, kind]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_ranks(order, strata, labels, layer_of_group, ranks, found):
     """The places of some ranks in each group's own order.
 
@@ -266,7 +267,7 @@ def find_ranks(order, strata, labels, layer_of_group, ranks, found):
             passed[group, 1] += here[group, 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def distribution(order, absolute, surface, weight, half, edges, edge_bits, ranks, histogram, quantiles):
     """Histograms of either surface, and quantiles of the domain, from one walk in ascending order.
 
@@ -300,7 +301,7 @@ def distribution(order, absolute, surface, weight, half, edges, edge_bits, ranks
         number += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weighted_middle(order, absolute, surface, weight, half):
     """The value up to which half of the domain's weight lies."""
     reached = 0.0
@@ -313,7 +314,7 @@ def weighted_middle(order, absolute, surface, weight, half):
     return math.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def deal(order, parts, place, out):
     """Write the places of `order`, as from `ascending`, part by part. parts : `[n]`, -1 for none; place : starts."""
     for j in range(order.size):
@@ -323,7 +324,7 @@ def deal(order, parts, place, out):
             place[parts[i]] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def middles_of_parts(places, starts, seen, count, values, out):
     """The median of the seen ones of each part, which lie one after the other in ascending order.
 
@@ -345,7 +346,7 @@ def middles_of_parts(places, starts, seen, count, values, out):
                 passed += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_fractions(pixels, surface, seen, k, histogram):
     """Count positions between two samples of either surface. histogram : written, `[2, bins]`."""
     bins = histogram.shape[1]
@@ -355,7 +356,7 @@ def add_fractions(pixels, surface, seen, k, histogram):
             histogram[surface[i], math.floor(position) % bins] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_flags(pixels, surface, seen, flags):
     """How many of the domain's seen pixels have a flag."""
     number = 0

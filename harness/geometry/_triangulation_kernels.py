@@ -2,13 +2,13 @@
 
 import math
 
-from numba import njit
+from harness.compiled import kernel
 
 PI_TAIL = 1.2246467991473532e-16
 """What the double nearest to pi lacks of it."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _sine(x):
     """sin(x) for 0 <= x <= pi, within two units in the last place; without a branch, so that loops become vectors.
 
@@ -30,14 +30,14 @@ def _sine(x):
     return z + z * (q * p)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sines(x, out):
     """Write the sines of angles from 0 to pi."""
     for i in range(x.size):
         out[i] = _sine(x[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sine_rule(alpha_1, alpha_2, baseline, d_1, d_2):
     """Ranges by `ranging.triangulate`; all `[n]`, d_1 and d_2 written."""
     for i in range(alpha_1.size):
@@ -48,7 +48,7 @@ def sine_rule(alpha_1, alpha_2, baseline, d_1, d_2):
         d_2[i] = scale * _sine(a_1) if meets else math.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sine_rule_1(alpha_1, alpha_2, baseline, d_1):
     """The same for d_1 alone."""
     for i in range(alpha_1.size):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.errors import InputError
-from harness.files import PARTIAL, path_of, replace_file
+from harness.files import PARTIAL, cache_folder, replace_file
 from harness.pipeline.environment import render_hash
 from harness.spec import Spec
 
@@ -26,14 +26,6 @@ DEFAULT_LIMIT_MB = 2048
 _DIGEST = hashlib.sha256().digest_size
 _STALE_S = 3600
 """Age after which a half-written file is taken to be left by a process that died."""
-
-
-def cache_folder() -> Path:
-    """`$OMNIRANGE_CACHE`, or `omnirange` in the user's cache folder."""
-    given = os.environ.get("OMNIRANGE_CACHE")
-    if given:
-        return path_of(given, key="OMNIRANGE_CACHE")
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnirange"
 
 
 def limit_bytes() -> int:
@@ -69,13 +61,17 @@ class RenderCache:
     """
 
     def __init__(self, folder: Path | None = None, limit: int | None = None) -> None:
-        self.folder = (folder or cache_folder()) / "renders"
+        cache = folder or cache_folder()
+        self.folder = cache / "renders" if cache else None
+        """None where there is no home folder: nothing is kept then."""
         self.limit = limit_bytes() if limit is None else limit
         self._room = 0
         """Bytes that may be written before the folder is looked at again."""
 
     def get(self, key: Hashable, make: Callable[[], NDArray[np.float32]]) -> NDArray[np.float32]:
         """The image with this key; a failure to make it is kept nowhere."""
+        if self.folder is None:
+            return make()
         path = self.folder / f"{_name(key)}.npy"
         image = _read(path)
         if image is None:
@@ -100,7 +96,7 @@ class RenderCache:
         if len(data) > self.limit:
             return
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             replace_file(path, hashlib.sha256(data).digest() + data, durable=False)
         except OSError:  # a full or read-only disk costs time, not the run
             return
@@ -123,7 +119,7 @@ class RenderCache:
     def _files(self) -> list[tuple[float, Path, int]]:
         """When last used, where, and bytes."""
         found = []
-        for path in self.folder.glob("*"):
+        for path in self.folder.glob("*") if self.folder else ():
             try:
                 status = path.stat()
             except OSError:  # another process has just removed it
@@ -145,9 +141,10 @@ def _read(path: Path) -> NDArray[np.float32] | None:
         data = path.read_bytes()
         if hashlib.sha256(data[_DIGEST:]).digest() != data[:_DIGEST]:
             return None
-        os.utime(path)  # for the order of removal
     except OSError:
         return None
+    with suppress(OSError):  # a cache that may only be read
+        os.utime(path)  # for the order of removal
     image = np.load(io.BytesIO(data[_DIGEST:]))
     image.flags.writeable = False
     return np.asarray(image)

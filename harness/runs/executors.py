@@ -21,6 +21,9 @@ QUICK_S = 4.0
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Environment of a process that does one thing at a time; read when the libraries are imported."""
 
+WORKER = {**ONE_THREAD, "OMNIRANGE_WORKER": "1"}
+"""Environment of a worker, which leaves it to the process that began it to tell the user what all of them meet."""
+
 
 @dataclass(frozen=True)
 class Workplace:
@@ -90,8 +93,8 @@ def _in_processes(count: int) -> Iterator[Executor]:
     context: Any = multiprocessing.get_context(kind)
     if kind == "forkserver":
         context.set_forkserver_preload(["harness.runs.worker"])  # imported once, for all
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)  # the processes inherit it, and read it as they begin
+    before = {name: os.environ.get(name) for name in WORKER}
+    os.environ.update(WORKER)  # the processes inherit it, and read it as they begin
     try:
         with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
             try:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.files import replace_file
+from harness.files import cache_folder, replace_file
 from harness.pipeline.environment import code_hash
 from harness.pipeline.maps import maps_of, write_maps
-from harness.pipeline.render_cache import RenderCache, cache_folder
+from harness.pipeline.render_cache import RenderCache
 from harness.pipeline.row import row_of
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
@@ -121,7 +121,10 @@ def _asked_for(key: str, table: dict[str, Any]) -> Trial:
 
 def _laid_down(path: str, content: bytes) -> Path:
     """A file with this content in the cache; its ending says how it is to be read."""
-    copy = cache_folder() / "files" / f"{hashlib.sha256(content).hexdigest()}{Path(path).suffix}"
+    cache = cache_folder()
+    if cache is None:
+        raise InputError("there is no home folder for the scenes' files; name a folder", key="OMNIRANGE_CACHE")
+    copy = cache / "files" / f"{hashlib.sha256(content).hexdigest()}{Path(path).suffix}"
     if not (copy.is_file() and copy.read_bytes() == content):
         copy.parent.mkdir(parents=True, exist_ok=True)
         replace_file(copy, content)

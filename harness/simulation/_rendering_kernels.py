@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 TRACE = -2
 """In the map of pixel faces: the pixel must be traced sample by sample. -1 is the background."""
@@ -13,7 +14,7 @@ REACH = 0.55
 """Pixels around an edge's sample that the edge may pass through before the next sample, with a margin."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions, search_misses, triangle, range_m):
     """Put Embree's float32 hits right in float64; write the range along each direction, NaN for none.
 
@@ -57,7 +58,7 @@ def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions,
         range_m[i] = best_range if best >= 0 else math.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def face_maps(normals, offsets, uv_maps, viewpoint, rotation, out):
     """Write the homographies `out [faces, 3, 3]` of `harness.simulation.geometry.homographies`."""
     cx, cy, cz = viewpoint
@@ -75,7 +76,7 @@ def face_maps(normals, offsets, uv_maps, viewpoint, rotation, out):
                 out[f, row, column] = x * rotation[0, column] + y * rotation[1, column] + z * rotation[2, column]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def rotate_rays(rays, rotation, out):
     """World directions `out [n, 3]`, float32, of rays `[3, n]` in the sensor's frame."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -88,7 +89,7 @@ def rotate_rays(rays, rotation, out):
         out[i, 2] = r20 * x + r21 * y + r22 * z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def mark_edges(edges, viewpoint, rotation, sensor, lowest, highest, step, marks):
     """Set `marks [height, width]` in every pixel that an edge may pass through.
 
@@ -155,7 +156,7 @@ def mark_edges(edges, viewpoint, rotation, sensor, lowest, highest, step, marks)
                     marks[i, j] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def faces_of_triangles(triangle, face_of_triangle, out):
     """Write the face of each triangle and count those that are none."""
     misses = 0
@@ -168,7 +169,7 @@ def faces_of_triangles(triangle, face_of_triangle, out):
     return misses
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def classify_pixels(corner_face, valid, marks, out):
     """Write for each pixel the one face that fills it, or TRACE, or INVALID.
 
@@ -185,7 +186,7 @@ def classify_pixels(corner_face, valid, marks, out):
             out[i, j] = face if same and not marks[i, j] else TRACE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sample_positions(pixels, width, offsets, u, v):
     """Write the sample positions of pixels, all of a pixel together: a regular grid with the given offsets
     either way.
@@ -202,7 +203,7 @@ def sample_positions(pixels, width, offsets, u, v):
                 k += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_place, background, pixels, image):
     """Write the mean grey of each pixel's samples into the flat `image`.
 
@@ -268,7 +269,7 @@ def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_pla
         image[pixels[i]] = total / samples
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def face_ranges(face_of_pixel, directions, w_rows, distances, out):
     """Write the range of each pixel that one face fills; leave the others.
 
@@ -285,7 +286,7 @@ def face_ranges(face_of_pixel, directions, w_rows, distances, out):
             )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def describe_surfaces(
     place, rays, range_of_ray, face_of_ray, normals, textureless_of_face, range_m, face, normal, world, textureless
 ):
@@ -310,7 +311,7 @@ def describe_surfaces(
         textureless[pixel] = textureless_of_face[f]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def look_from(from_1, from_2, rays, range_m, towards, distance):
     """Unit directions, and distances, in which a second viewpoint has the points that rays from a first one meet."""
     for i in range(range_m.size):
@@ -322,7 +323,7 @@ def look_from(from_1, from_2, rays, range_m, towards, distance):
         towards[i, 0], towards[i, 1], towards[i, 2] = x / length, y / length, z / length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def mark_jumps(range_m, normal, directions, wrap_columns, ratio, jump):
     """Mark both pixels of every pair with a jump in range between them; see `truth.discontinuities`."""
     height, width = range_m.shape
@@ -344,7 +345,7 @@ def mark_jumps(range_m, normal, directions, wrap_columns, ratio, jump):
                     jump[i, j] = jump[i_2, j_2] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _continued(range_m, normal, direction, other):
     """Range along another direction of the plane through a point; infinite where it is never met."""
     towards = normal[0] * other[0] + normal[1] * other[1] + normal[2] * other[2]
@@ -354,7 +355,7 @@ def _continued(range_m, normal, direction, other):
     return range_m * along / towards
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def in_view(directions, rotation, sensor, lowest, highest, width, height, out):
     """Write whether world directions `[n, 3]` fall into a sensor's field and onto its image.
 

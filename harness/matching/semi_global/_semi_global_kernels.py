@@ -8,7 +8,8 @@ one counts references, atomically, and the threads would queue for that.
 """
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 BLOCK = 32
 """Labels come in multiples of this."""
@@ -25,7 +26,7 @@ OK, LEAVES_IMAGE = 0, 1
 # -- Images ------------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def census(image, seen, blur, margin, first, end, blurred, codes):
     """Census codes of rows first .. end of the blurred image, a bit for each neighbour that is below the pixel.
 
@@ -79,7 +80,7 @@ def census(image, seen, blur, margin, first, end, blurred, codes):
 # -- Costs -------------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
     """Different bits of every pixel of a row and its samples. bits : written at `slot`, `[slots, width, labels]`."""
     labels = np.uint64(bits.shape[2])
@@ -102,7 +103,7 @@ def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
                 bits[slot, column, k] = BITS_APART
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplier, first, end, costs):
     """Matching costs of rows first .. end: the mean of a box of differing bits.
 
@@ -143,14 +144,14 @@ def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplie
                 costs[row, column, k] = np.uint8(scaled >> np.uint32(16))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_bits(columns, bits, slot):
     for column in range(np.uint64(columns.shape[0])):
         for k in range(np.uint64(columns.shape[1])):
             columns[column, k] = np.uint16(columns[column, k] + bits[slot, column, k])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _take_off_bits(columns, bits, slot):
     for column in range(np.uint64(columns.shape[0])):
         for k in range(np.uint64(columns.shape[1])):
@@ -164,7 +165,7 @@ def _take_off_bits(columns, bits, slot):
 # Path costs of a row are `[width, labels + 2]`: the guards at both ends never win.
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _step(costs, row, column, before, slot, b, least, p1, p2, after, new_slot, a):
     """One pixel of a path: its costs are written to `after[new_slot, a]`, and the least of them is returned."""
     jump = np.uint8(least + p2)
@@ -185,7 +186,7 @@ def _step(costs, row, column, before, slot, b, least, p1, p2, after, new_slot, a
     return new_least
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _begin(costs, row, column, after, slot, a):
     """The first pixel of a path: its matching costs; the least of them."""
     least = np.uint8(255)
@@ -196,7 +197,7 @@ def _begin(costs, row, column, after, slot, a):
     return least
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _circle(costs, row, forward, p1, jumps, laps, slot, spare):
     """The path around the row. laps : written at `slot`, `[slots, width, labels + 2]`.
 
@@ -228,7 +229,7 @@ def _circle(costs, row, forward, p1, jumps, laps, slot, spare):
     return np.int64(width) * (MAX_LAPS - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _descend(costs, row, begins, downwards, sideways, p1, jumps, before, after, least, new_least, slot):
     """One row of the paths that come from the row before it; `sideways` columns on with every row."""
     width = costs.shape[1]
@@ -248,7 +249,7 @@ def _descend(costs, row, begins, downwards, sideways, p1, jumps, before, after, 
         new_least[slot, a] = _step(costs, row, a, before, slot, b, least[slot, b], p1, p2, after, slot, a)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _put(paths, row, sums):
     """Sums of the path costs of one pixel row, `[paths, width, labels + 2]`, to a row of `sums`."""
     for column in range(np.uint64(sums.shape[1])):
@@ -258,14 +259,14 @@ def _put(paths, row, sums):
         _add(paths, path, sums, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add(paths, path, sums, row):
     for column in range(np.uint64(sums.shape[1])):
         for k in range(np.uint64(sums.shape[2])):
             sums[row, column, k] = sums.dtype.type(sums[row, column, k] + paths[path, column, k + np.uint64(1)])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least, kept):
     """The paths that come from above, or from below, for `count` rows from `start` on.
 
@@ -288,7 +289,7 @@ def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least
         _put(after, np.uint64(row), kept)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def second_half(
     costs,
     start,
@@ -338,7 +339,7 @@ def second_half(
         _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_kept(laps, kept, row, sums, place):
     for column in range(np.uint64(sums.shape[1])):
         for k in range(np.uint64(sums.shape[2])):
@@ -349,7 +350,7 @@ def _add_kept(laps, kept, row, sums, place):
             )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second):
     none = np.uint32(0xFFFFFFFF)
     for column in range(np.uint64(sums.shape[1])):
@@ -380,7 +381,7 @@ def _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second):
 # -- Matches -----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def seen_by_both(codes_1, codes_2, around, along, margin, samples, seen_1, seen_2):
     """Whether view 1 sees the pixel, and view 2 the place `samples` along from it; all others `[height, width]`."""
     for row in range(around.shape[0]):
@@ -390,7 +391,7 @@ def seen_by_both(codes_1, codes_2, around, along, margin, samples, seen_1, seen_
             seen_2[row, column] = codes_2[b, a + samples[row, column]] < ABSENT
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def consistent(around, along, samples, cost, tolerance, rows, columns, keeps):
     """Whether the place of view 2 that a pixel is matched with is not a better match of another pixel.
 

@@ -7,7 +7,8 @@ long as their borders stay the same: running sums begin anew at each.
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 SUMS = 27
 """Of which the normal equations of a window are made."""
@@ -21,7 +22,7 @@ derivative: the integrals over w of H² and of (w H)², over 2 pi, with H = 3 si
 # -- A point of view 1, in view 2 --------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _in_view_2(x, y, z, w, R, s, camera):
     """Pixel (u, v) at which view 2 sees the point in direction (x, y, z) at inverse range w, how (u, v) changes with
     w, and whether the point is in the field.
@@ -50,7 +51,7 @@ def _in_view_2(x, y, z, w, R, s, camera):
     return u, v, u_w, v_w, lowest * norm <= qz <= highest * norm
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _spline(coefficients, u, v):
     """The cubic B-spline at (u, v), and its derivatives along u and v; NaN unless all its taps are there."""
     i, j = math.floor(v), math.floor(u)
@@ -86,7 +87,7 @@ def _spline(coefficients, u, v):
     return value, along_u, along_v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def warp_rows(first, end, seen, x, w, R, s, camera, coefficients, known, value, slope, motion):
     """Sample view 2 for every pixel with an inverse range.
 
@@ -110,7 +111,7 @@ def warp_rows(first, end, seen, x, w, R, s, camera, coefficients, known, value, 
             motion[i, j] = u_w * u_w + v_w * v_w
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def median_rows(first, end, reach, seen, w, smooth):
     """Median of the known inverse ranges about every pixel; NaN where fewer than a third are known.
 
@@ -141,7 +142,7 @@ def median_rows(first, end, reach, seen, w, smooth):
 # -- Planes ------------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _add_row(sums, half, i, sign, known, x, w, first_image, value, slope, motion):
     """Add a row of pixels to the sums of their columns, or take it off; column j is `sums[half + j]`.
 
@@ -183,7 +184,7 @@ def _add_row(sums, half, i, sign, known, x, w, first_image, value, slope, motion
         column[26] += sign * gz * I_2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fit(sums, x, least, slope_weight, far, plane, covariance):
     """The plane of a window about direction x, by least squares in the value at x and the slopes along two tangents.
 
@@ -264,7 +265,7 @@ def _fit(sums, x, least, slope_weight, far, plane, covariance):
     return residual, a, b, share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_rows(
     first, end, half, least, slope_weight, far, seen, x, w, first_image, known, value, slope, motion,
     plane, covariance, residual, gain, offset, share,
@@ -306,7 +307,7 @@ def fit_rows(
 # -- Which plane a pixel lies on ---------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _misfit(i, j, reach, m, a, b, limit, seen, x, R, s, camera, first_image, coefficients):
     """Mean square of I_1 - a I_2 - b over a patch about (i, j), for plane m; infinite where half of it is not seen.
 
@@ -331,7 +332,7 @@ def _misfit(i, j, reach, m, a, b, limit, seen, x, R, s, camera, first_image, coe
     return total / n if n >= 0.5 * size else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def choose_rows(
     first, end, half, reach, apart, centre_bonus, residual_weight, w_far, w_near, seen, x, t, R, s, camera,
     first_image, coefficients, plane, residual, gain, offset, w, chosen, rival,
@@ -408,7 +409,7 @@ def choose_rows(
             w[i, j], chosen[i, j] = there[pick], place[pick]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def judge_rows(
     first, end, seen, x, R, s, camera, first_image, known, value, slope, plane, chosen, gain, offset, score, area
 ):  # fmt: skip
@@ -434,7 +435,7 @@ def judge_rows(
                 area[i, j] = 1.0 / abs((u_1 - u_0) * (v_2 - v_0) - (u_2 - u_0) * (v_1 - v_0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _on_plane(x, m, R, s, camera):
     """Pixel (u, v) of view 2 at which the point of plane m in direction x is seen."""
     w = m[0] * x[0] + m[1] * x[1] + m[2] * x[2]
@@ -445,7 +446,7 @@ def _on_plane(x, m, R, s, camera):
 # -- The other way -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def carry_over(seen, x, w, residual, chosen, R, s, camera, w_2, misfit_2):
     """Carry inverse ranges over to view 2's mirror pixels; of several the one whose window fits best.
 

@@ -9,7 +9,8 @@ to slice one counts references, atomically, and the threads would queue for that
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 SAD, SSD, ZNCC, CENSUS = 0, 1, 2, 3
 OK, LEAVES_IMAGE = 0, 1
@@ -28,7 +29,7 @@ NO_ZNCC = 1 << 30
 """In place of 1 - ZNCC where a window is not whole."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rows_of_samples(k_first, k_last, k_0, margin, first, end):
     """The rows of every column in which a sample, or one up to `margin` beside it, is searched.
 
@@ -45,7 +46,7 @@ def rows_of_samples(k_first, k_last, k_0, margin, first, end):
                 end[column, k] = row + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather(pairs, second, source, gain, offset, start, end):
     """What stands in a column of the second image where rows start .. end are mapped to.
 
@@ -57,7 +58,7 @@ def _gather(pairs, second, source, gain, offset, start, end):
         position = np.uint32(position + np.uint32(gain))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _between_rows(pair, gain, offset, i):
     """The pixel in the upper 16 bits, moved on by its fraction of the step to the next row in the lower ones."""
     fraction = ((np.uint32(offset) + np.uint32(gain) * np.uint32(i)) >> np.uint32(8)) & np.uint32(255)
@@ -65,7 +66,7 @@ def _between_rows(pair, gain, offset, i):
     return np.int32(pair >> np.int32(16)) + np.int32((slope * np.int32(fraction) + np.int32(128)) >> np.int32(8))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_differences(
     total, kept, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end, absent, squared
 ):
@@ -81,7 +82,7 @@ def _add_differences(
             total[k, i] += d if there else absent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_hamming(total, kept, k, slot, first, column, pairs, image_first, image_end, start, end, absent):
     """The same for census transforms: in how many bits two of them differ."""
     for i in range(np.uint64(start), np.uint64(end)):
@@ -96,7 +97,7 @@ def _add_hamming(total, kept, k, slot, first, column, pairs, image_first, image_
         total[k, i] += d if there else absent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _take_off(total, kept, k, slot, start, end, absent, squared):
     """Take a column's differences off the running sum."""
     for i in range(np.uint64(start), np.uint64(end)):
@@ -107,7 +108,7 @@ def _take_off(total, kept, k, slot, start, end, absent, squared):
             total[k, i] -= d if d <= LARGEST else absent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_moments(
     total, squares, products, kept, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end,
     absent,
@@ -124,7 +125,7 @@ def _add_moments(
         products[k, i] += value * np.int32(first[column, i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _take_moments_off(total, squares, products, kept, k, slot, first, column, start, end, absent):
     for i in range(np.uint64(start), np.uint64(end)):
         value = np.int32(kept[slot, k, i])
@@ -135,7 +136,7 @@ def _take_moments_off(total, squares, products, kept, k, slot, first, column, st
         products[k, i] -= value * np.int32(first[column, i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sum_rows(sums, total, k, start, end, half):
     """Sums of 2 half + 1 rows."""
     running = total.dtype.type(0)
@@ -148,7 +149,7 @@ def _sum_rows(sums, total, k, start, end, half):
         running -= total[k, i - above]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _one_minus_zncc(costs, total, squares, products, k, number, own_sum, own_spread, column, absent, start, end):
     """1 - ZNCC in parts of 2^-24; a window without any contrast is correlated with nothing.
 
@@ -164,7 +165,7 @@ def _one_minus_zncc(costs, total, squares, products, k, number, own_sum, own_spr
         costs[k, i] = cost if total[k, i] <= absent // 2 else NO_ZNCC
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _keep_least(sums, k, number, k_first, k_last, column, least, least_k, most, start, end):
     """Of the searched samples so far: the least cost, its sample (the first of equals), and the greatest cost."""
     for i in range(np.uint64(start), np.uint64(end)):
@@ -176,7 +177,7 @@ def _keep_least(sums, k, number, k_first, k_last, column, least, least_k, most, 
         most[i] = max(most[i], value) if searched else most[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def match_columns(
     column_first,
     column_end,

@@ -3,14 +3,15 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 PHI, ALPHA = 0, 1
 MATCHED = 0
 PARABOLA, EQUIANGULAR = 0, 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def census(values, reach, parts, codes):
     """One bit a neighbour, set where it is below the pixel; neighbours are `parts` columns apart, around the seam.
 
@@ -34,7 +35,7 @@ def census(values, reach, parts, codes):
 # -- Sub-pixel fits ----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def parabola_minima(costs, offset, refined):
     """The least-squares parabola a x² + b x + c through the finite samples of each row, x = 0 in the middle.
 
@@ -75,7 +76,7 @@ def parabola_minima(costs, offset, refined):
             offset[row], refined[row] = -b / (2 * a), True
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline=True)
 def _least_of_three(shape, before, here, after):
     """Where the curve through three costs is least, in samples from the middle one, and whether that says anything.
 
@@ -91,7 +92,7 @@ def _least_of_three(shape, before, here, after):
     return place, bend > 0 and abs(place) <= 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def three_point_minima(shape, costs, offset, refined):
     """The fit through the three costs in the middle of each row; see `parabola_minima` for what is written."""
     rows, samples = costs.shape
@@ -102,7 +103,7 @@ def three_point_minima(shape, costs, offset, refined):
             offset[row], refined[row] = place, True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def cancelled_minima(shape, costs, offset, refined):
     """Mean of a fit to whole samples and one to half samples, whose errors have opposite signs.
 
@@ -123,7 +124,7 @@ def cancelled_minima(shape, costs, offset, refined):
 # -- From samples to angles --------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def matches(
     mode, costs, reason, k_best, offset, refined, phi, step, alpha_1, m, n, t_hat, k_far, k_near, k, alpha_2, confidence
 ):

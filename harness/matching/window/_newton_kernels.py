@@ -7,7 +7,8 @@ between columns and then between rows, as the weights of both are products.
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 PHI, ALPHA = 0, 1
 STEPS = 4
@@ -16,21 +17,21 @@ ENOUGH = 5e-3
 """A step shorter than this, in samples, is the last one: what is left is about a tenth of it."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _weights(f):
     """Of the cubic B-spline's four coefficients around a place a fraction f after the second one."""
     g = 1 - f
     return g * g * g / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f / 6
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _slopes(f):
     """Derivatives of the weights."""
     g = 1 - f
     return -g * g / 2, f * (3 * f - 4) / 2, -g * (3 * g - 4) / 2, f * f / 2
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline=True)
 def _shift(number, i1, i11, i2, i12, s, s1, s2, ss, invariant):
     """The shift that brings the windows together; NaN where nothing says how far.
 
@@ -47,7 +48,7 @@ def _shift(number, i1, i11, i2, i12, s, s1, s2, ss, invariant):
     return (vs1 * v12 / v11 - vs2) / rest if rest > 0 else math.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def refine_squares(
     rows,
     mode,
@@ -160,7 +161,7 @@ def refine_squares(
                 offset[row, column], refined[row, column] = k - k_best[row, column], True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def refine_columns(
     rows,
     invariant,

@@ -8,7 +8,8 @@ time, and yet each is done in one order, whatever the compiler makes of it.
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 PHI, ALPHA = 0, 1
 SAD, SSD, ZNCC, CENSUS = 0, 1, 2, 3
@@ -18,7 +19,7 @@ OK, LEAVES_IMAGE = 0, 1
 # -- One window against another ----------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_up(sums, size):
     total = 0.0
     for j in range(size):
@@ -26,7 +27,7 @@ def _add_up(sums, size):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _differences(squared, first, second, row_1, column_1, row_2, column_2, size, sums):
     """Sum of absolute or squared differences."""
     for j in range(size):
@@ -43,7 +44,7 @@ def _differences(squared, first, second, row_1, column_1, row_2, column_2, size,
     return _add_up(sums, size)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _products(first, second, row_1, column_1, row_2, column_2, size, sums):
     """Sum of products, in double precision: most of it is taken off again."""
     for j in range(size):
@@ -55,7 +56,7 @@ def _products(first, second, row_1, column_1, row_2, column_2, size, sums):
     return _add_up(sums, size)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hamming(first, second, row_1, column_1, row_2, column_2, size):
     """How many bits of census transforms differ."""
     total = np.int64(0)
@@ -70,7 +71,7 @@ def _hamming(first, second, row_1, column_1, row_2, column_2, size):
     return float(total)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline=True)
 def _one_minus_zncc(number, sum_1, spread_1, sum_2, spread_2, products):
     """A spread is n times the sum of squares less the sum squared; 0, and correlated with nothing, without contrast."""
     scale = math.sqrt(spread_1) * math.sqrt(spread_2)
@@ -83,7 +84,7 @@ def _one_minus_zncc(number, sum_1, spread_1, sum_2, spread_2, products):
 # values : `[samples]`, written; NaN where there is no window.
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _costs(
     cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows, columns, count, values, sums,
     sums_32,
@@ -112,7 +113,7 @@ def _costs(
 # -- Along the curves --------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline=True)
 def _place(mode, k, cos_k, sin_k, start, c_1, s_1, t_hat, m, n, step):
     """Azimuth and height of sample k of a curve.
 
@@ -128,7 +129,7 @@ def _place(mode, k, cos_k, sin_k, start, c_1, s_1, t_hat, m, n, step):
     return math.atan2(y, x), (c * t_hat[2] + s * m[2]) / math.sqrt(x * x + y * y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _pixels(
     k, k_0, cos_k, sin_k, mode, matchable_2, start, t_hat, m, n, step, z_max, z_pitch, phi_pitch, rows, columns, count
 ):
@@ -142,7 +143,7 @@ def _pixels(
         rows[i] = row if 0 <= row < height and matchable_2[row, columns[i]] else -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def match_rows(
     rows,
     mode,
@@ -217,7 +218,7 @@ def match_rows(
                 costs[row, column, i] = values[best - reach + i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def costs_along_curve(
     k, mode, cost, first, second, codes_1, codes_2, moments_1, moments_2, matchable_2, row, column, half, start, step,
     t_hat, m, n, k_0, cos_k, sin_k, z_max, z_pitch, phi_pitch, values,
@@ -238,7 +239,7 @@ def costs_along_curve(
 # -- Between pixels ----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _interpolate(patch, second, row, column, across, down):
     """The square of view 2 whose upper left corner is a place between pixels: linear in both directions."""
     a, b = np.float32((1 - across) * (1 - down)), np.float32(across * (1 - down))
@@ -253,7 +254,7 @@ def _interpolate(patch, second, row, column, across, down):
             )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _census_of(codes, patch, reach):
     """As `census` in `_kernels`, of a patch that is larger by `reach` on all sides."""
     size = codes.shape[0]
@@ -271,7 +272,7 @@ def _census_of(codes, patch, reach):
             codes[row, column] = code
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def costs_between(
     rows,
     mode,
