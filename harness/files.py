@@ -41,11 +41,11 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
             # The size may be unknown (/proc) or have grown: what is read counts, and no more than the limit is.
             data = stream.read(limit_bytes + 1) if status.st_size <= limit_bytes else None
     except FileNotFoundError:
-        raise InputError("no such file", file=_printable(path)) from None
+        raise InputError("no such file", file=printable(path)) from None
     except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=_printable(path)) from error
+        raise InputError(f"cannot be read ({error.strerror})", file=printable(path)) from error
     except ValueError as error:  # a null byte or a lone surrogate
-        raise InputError("is not a file name", file=_printable(path)) from error
+        raise InputError("is not a file name", file=printable(path)) from error
     if data is None or len(data) > limit_bytes:
         raise InputError(f"is larger than the {limit_bytes / 2**20:g} MiB that are read of a {what}", file=path)
     return data
@@ -55,7 +55,7 @@ def _open_at_once(name: str, flags: int) -> int:
     return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
 
-def _printable(path: str | Path) -> str:
+def printable(path: str | Path) -> str:
     """A name without what no terminal shows, and not longer than a line."""
     text = ascii(str(path))[1:-1] if not str(path).isprintable() else str(path)
     return text if len(text) <= 200 else f"{text[:100]} ... {text[-50:]}"
@@ -190,5 +190,5 @@ def path_of(text: str, folder: Path = Path(), *, file: str | Path | None = None,
     else:
         return path
     if file is None and key is None:
-        raise InputError(problem, file=_printable(text))
-    raise InputError(f"'{_printable(text)}': {problem}", file=file, key=key)
+        raise InputError(problem, file=printable(text))
+    raise InputError(f"'{printable(text)}': {problem}", file=file, key=key)

@@ -25,6 +25,7 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
 from harness.simulation.exposure import with_exposure
+from harness.simulation.fingerprint import fingerprint
 from harness.simulation.geometry import check_viewpoint, geometry_near
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
@@ -107,7 +108,17 @@ class Outcome(OneLine):
 
 def _render(work: Work, view: int) -> Image:
     trial, pose = work.trial, work.setup.poses[view]
-    return render(trial.scene, trial.sensor, pose, trial.render.samples, work.threads)
+    image = render(trial.scene, trial.sensor, pose, trial.render.samples, work.threads)
+    _refuse_changed_scene(work.setup)
+    return image
+
+
+def _refuse_changed_scene(setup: Setup) -> None:
+    """What is made of a scene's files is kept under the fingerprint that they had when the trial began."""
+    if fingerprint(setup.trial.scene) != setup.scene:
+        raise InputError(
+            "a file of the scene was changed while the trial ran; run it again", file=setup.trial.scene.name
+        )
 
 
 RENDER = Stage(
@@ -148,7 +159,7 @@ NOISE = Stage("noise", _add_noise, _noise_settings, after=(EXPOSURE,), per_view=
 def _truth(work: Work, _view: int) -> Truth:
     trial, setup = work.trial, work.setup
     looking = directions(trial.panorama)
-    return truth(
+    seen = truth(
         trial.scene,
         setup.poses[0],
         looking,
@@ -157,6 +168,8 @@ def _truth(work: Work, _view: int) -> Truth:
         sensor_2=trial.sensor,
         threads=work.threads,
     )
+    _refuse_changed_scene(setup)
+    return seen
 
 
 TRUTH = Stage(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.files import cache_folder, replace_file
+from harness.files import cache_folder, read_regular, replace_file
 from harness.pipeline.environment import code_hash
 from harness.pipeline.maps import maps_of, write_maps
 from harness.pipeline.render_cache import RenderCache
@@ -20,9 +20,7 @@ from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import Outcome, run_trial
 from harness.runs.experiment import Planned
 from harness.runs.store import Finished
-from harness.simulation.fingerprint import fingerprint
-from harness.simulation.mesh_file import companions
-from harness.simulation.scene import assets
+from harness.simulation.fingerprint import LARGEST_ASSET_BYTES, files_read, fingerprint
 from harness.spec import as_table
 
 _CODE = code_hash()
@@ -58,15 +56,16 @@ def pack(
         Whether the worker may be on another machine.
     """
     scenes = {each.trial.scene for each in trials} if with_files else ()
-    for path in (path for scene in scenes for path in assets(scene)):
-        if companions(path):
+    read = {path: files for scene in scenes for path, files in files_read(scene).items()}
+    for path, files in read.items():
+        if len(files) > 1:
             raise InputError("is made of several files, which do not travel to workers; save it as GLB", file=path)
     return Batch(
         code=code_hash(),
         trials=tuple((each.key, fingerprint(each.trial.scene), as_table(each.trial)) for each in trials),
         threads=threads,
         maps=None if maps is None else str(maps),
-        files={str(path): path.read_bytes() for scene in scenes for path in assets(scene)},
+        files={str(path): read_regular(path, LARGEST_ASSET_BYTES) for path in read},
     )
 
 
@@ -114,8 +113,10 @@ def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None, ma
 
 def _asked_for(key: str, table: dict[str, Any]) -> Trial:
     trial = Trial.model_validate(table)
-    if trial.key != key:  # a matcher's files, here or since the run began
-        raise InputError("this worker has another version of the matcher's files than the run was begun with")
+    if trial.key != key:  # files of the scene or the matcher, here or since the run began
+        raise InputError(
+            "a file of the scene or of the matcher is another one here, or was changed since the run began"
+        )
     return trial
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from harness.files import write
 from harness.simulation.geometry import geometry_near, geometry_of
-from harness.simulation.mesh_file import Z_UP_FROM_Y_UP
+from harness.simulation.mesh_gltf import Z_UP_FROM_Y_UP
 from harness.simulation.scene import Scene
 
 

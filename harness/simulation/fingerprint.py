@@ -2,29 +2,56 @@
 
 import hashlib
 import json
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from harness.simulation.mesh_file import companions
-from harness.simulation.scene import Scene, assets
+from harness.io.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
+from harness.simulation.content_cache import FileRead, cached_by_content, recording
+from harness.simulation.mesh_file import read_mesh
+from harness.simulation.mesh_part import LIMIT_BYTES as MESH_LIMIT_BYTES
+from harness.simulation.scene import Mesh, Scene, file_specs
+from harness.simulation.texture import texels_of
+
+LARGEST_ASSET_BYTES = max(IMAGE_LIMIT_BYTES, MESH_LIMIT_BYTES)
+"""The largest file that a scene is made of."""
 
 
-@lru_cache(maxsize=64)
+@cached_by_content(64)
 def fingerprint(scene: Scene) -> str:
     """SHA-256 (hexadecimal) of what makes the scene: its settings, and its files' contents in place of their paths.
 
-    Kept for the life of the process: a file is not expected to change under a running experiment.
+    The files are those that are opened when the scene is read, and no list made beside that.
+
+    Raises
+    ------
+    InputError
+        When a mesh or texture file is wrong.
     """
-    contents = {str(path): _hash_of(path) for path in assets(scene)}
+    read = files_read(scene)
+    contents = {str(path): files[0].sha256 for path, files in read.items()}
     # Files that the scene's files name in their turn: a texture beside a mesh changes the picture as the mesh does.
-    beside = [_hash_of(companion) for path in assets(scene) for companion in companions(path)]
+    beside = [file.sha256 for _, files in sorted(read.items()) for file in files[1:]]
     table = [_replaced(scene.model_dump(mode="json"), contents), beside]
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
-def _hash_of(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def files_read(scene: Scene) -> dict[Path, tuple[FileRead, ...]]:
+    """Of each mesh and image that a scene names, the files that are opened to read it: itself, then others.
+
+    Raises
+    ------
+    InputError
+        When one of them is wrong.
+    """
+    read: dict[Path, tuple[FileRead, ...]] = {}
+    for spec in file_specs(scene):
+        with recording() as files:
+            if isinstance(spec, Mesh):
+                read_mesh(Path(spec.file), spec.texture is None)
+            else:
+                texels_of(spec)
+        read[Path(spec.file)] = tuple(dict.fromkeys((*files, *read.get(Path(spec.file), ()))))
+    return read
 
 
 def _replaced(value: Any, contents: dict[str, str]) -> Any:

@@ -7,7 +7,6 @@ which is what lets the renderer shade a ray without tracing it (see `homographie
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.simulation._rendering_kernels import face_maps
+from harness.simulation.content_cache import cached_by_content
 from harness.simulation.mesh_file import read_mesh
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Plane, Scene
 from harness.simulation.texture import Texels, texels_of
 
 Ints = NDArray[np.int32]
+
+_LIMIT_TEXELS = 2**27
+"""Of all textures of a scene together: half a gigabyte, and as much again for the renderer."""
 
 _NEAR_M = 64.0
 """Within this of the world's origin, coordinates are counted from there."""
@@ -104,11 +107,9 @@ def geometry_near(scene: Scene, point_m: ArrayLike) -> Geometry:
     return geometry_of(scene, (x, y, z))
 
 
-@lru_cache(maxsize=8)
+@cached_by_content(8)
 def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Geometry:
-    """The triangles, faces and edges of a scene; kept, so that views of one scene share the build.
-
-    A file that changes while the process runs is not read again.
+    """The triangles, faces and edges of a scene; kept while its files stay the same, so that views share the build.
 
     Parameters
     ----------
@@ -146,6 +147,10 @@ def _assemble(
     _, first = np.unique(face, return_index=True)
     normals, offsets, uv_maps = _planes(corners[first], uv[first])
     textures = tuple(patch.texels for patch in patches)
+    if sum({id(texels): texels.size for texels in textures}.values()) > _LIMIT_TEXELS:
+        raise InputError(
+            f"its textures have more than {_LIMIT_TEXELS / 1e6:.0f} million texels together", file=scene.name
+        )
     triangles = _indexed(corners)
     edges = _face_edges(triangles, face)
     vertices = np.empty((triangles.max() + 1, 3))
@@ -260,7 +265,7 @@ def _rectangle(corner: Array, along_u: Array, along_v: Array, texture: Any) -> _
 
 
 def _mesh_patches(mesh: Mesh) -> Iterator[_Patch]:
-    for part in read_mesh(Path(mesh.file)):
+    for part in read_mesh(Path(mesh.file), mesh.texture is None):
         # Triangles without area are never hit and have no plane.
         area = np.linalg.norm(_cross_of_edges(part.corners), axis=-1)
         solid = area > 1e-14 * np.ptp(part.corners.reshape(-1, 3), axis=0).max() ** 2

@@ -27,6 +27,7 @@ from harness.simulation._rendering_kernels import (
     shade,
 )
 from harness.simulation.cast import cast, nearest_triangles, rotated
+from harness.simulation.content_cache import cached_by_content
 from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_near, geometry_of, homographies
 from harness.simulation.scene import Scene
 from harness.threads import in_threads
@@ -133,14 +134,17 @@ class _Tiles:
     """`[textures, 3]`: start, height and width of each, without the padding."""
 
 
-@lru_cache(maxsize=8)
+@cached_by_content(2)
 def _tiles_of(scene: Scene) -> _Tiles:
     geometry = geometry_of(scene)
-    padded, place, start = [], [], 0
+    padded: list[NDArray[np.float32]] = []
+    place, starts, start = [], {}, 0
     for texels in geometry.textures:
-        place.append((start, *texels.shape))
-        padded.append(np.pad(texels, ((0, 2), (0, 2)), mode="wrap").ravel())
-        start += padded[-1].size
+        if id(texels) not in starts:  # one array on many faces is laid down once
+            starts[id(texels)] = start
+            padded.append(np.pad(texels, ((0, 2), (0, 2)), mode="wrap").ravel())
+            start += padded[-1].size
+        place.append((starts[id(texels)], *texels.shape))
     return _Tiles(np.concatenate(padded), np.array(place, dtype=np.int64))
 
 

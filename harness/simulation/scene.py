@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from harness import shipped
 from harness.errors import InputError
-from harness.files import path_of
+from harness.files import path_of, printable
 from harness.geometry.pose import Pose
 from harness.simulation.texture import Grey, ImageTexture, Texture
 from harness.spec import Finite, Positive, Spec, parse
@@ -164,18 +164,19 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
 
 def assets(scene: Scene) -> tuple[Path, ...]:
     """The files of meshes and images that the scene is made of, sorted."""
-    return tuple(sorted(set(_files(scene))))
+    return tuple(sorted({Path(spec.file) for spec in file_specs(scene)}))
 
 
-def _files(spec: Any) -> Iterator[Path]:
+def file_specs(spec: Any) -> Iterator[Mesh | ImageTexture]:
+    """What in a specification names a file."""
     if isinstance(spec, Mesh | ImageTexture):
-        yield Path(spec.file)
+        yield spec
     if isinstance(spec, Spec):
         for field in type(spec).model_fields:
-            yield from _files(getattr(spec, field))
+            yield from file_specs(getattr(spec, field))
     elif isinstance(spec, tuple):
         for item in spec:
-            yield from _files(item)
+            yield from file_specs(item)
 
 
 def _with_absolute_files(value: Any, scene_path: Path, key: str) -> Any:
@@ -190,9 +191,11 @@ def _with_absolute_files(value: Any, scene_path: Path, key: str) -> Any:
 
 def _existing(file: str, scene_path: Path, key: str) -> Path:
     path = path_of(file, scene_path.parent, file=scene_path, key=key).resolve()
+    if path.exists() and not path.is_file():
+        raise InputError(f"'{printable(file)}' is not a regular file", file=scene_path, key=key)
     if not path.is_file():
         siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         close = difflib.get_close_matches(path.name, siblings, n=1, cutoff=0.5)
-        hint = f"did you mean '{Path(file).with_name(close[0])}'?" if close else f"looked for {path}"
-        raise InputError(f"no such file '{file}'; {hint}", file=scene_path, key=key)
+        hint = f"did you mean '{Path(file).with_name(close[0])}'?" if close else f"looked for {printable(path)}"
+        raise InputError(f"no such file '{printable(file)}'; {hint}", file=scene_path, key=key)
     return path

@@ -5,15 +5,14 @@ lower left corner of the lower left texel. Between the texels' centres, at (i + 
 Colours become luma, as in `harness.io.images`: matching is grey.
 """
 
-from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from harness.files import read_regular
 from harness.io.images import LIMIT_BYTES, decode
+from harness.simulation.content_cache import cached_by_content, read_recorded
 from harness.spec import Positive, Spec
 
 Texels = NDArray[np.float32]
@@ -34,8 +33,7 @@ class ImageTexture(Spec):
 
     def texels(self) -> Texels:
         """Grey `[height, width]`, row 0 at the top."""
-        data = read_regular(self.file, LIMIT_BYTES, "image")
-        return decode(data, self.file, white=self.white).grey()
+        return _read_image(self.file, self.white)
 
 
 class BundledTexture(Spec):
@@ -119,9 +117,15 @@ Texture = Annotated[
 ]
 
 
-@lru_cache(maxsize=64)
+@cached_by_content(16)
+def _read_image(file: str, white: float | None) -> Texels:
+    """Grey of an image file; one array, however many textures show it."""
+    return decode(read_recorded(file, LIMIT_BYTES, "image"), file, white=white).grey()
+
+
+@cached_by_content(64)
 def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture) -> Texels:
-    """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, kept.
+    """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, kept while its file stays the same.
 
     Raises
     ------
