@@ -32,6 +32,10 @@ _PYDANTIC = frozenset(dir(BaseModel)) - frozenset(dir(object))
 """Names that belong to pydantic: there, but not shown."""
 
 
+def _is_shown(name: str) -> bool:
+    return name not in _PYDANTIC and not name.startswith("__pydantic_")
+
+
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
@@ -41,7 +45,7 @@ else:
 class _SpecType(ModelMetaclass):
     def __dir__(cls) -> list[str]:  # noqa: N805 - an instance of a metaclass is a class
         """The keys and what the class adds to them: none of pydantic's own methods."""
-        return [*(name for name in super().__dir__() if name not in _PYDANTIC), *getattr(cls, "model_fields", ())]
+        return [*filter(_is_shown, super().__dir__()), *getattr(cls, "model_fields", ())]
 
 
 class Spec(BaseModel, metaclass=_SpecType):
@@ -67,7 +71,7 @@ class Spec(BaseModel, metaclass=_SpecType):
 
     def __dir__(self) -> list[str]:
         """The keys and what the class adds to them: none of pydantic's own methods, which are there all the same."""
-        return [name for name in super().__dir__() if name not in _PYDANTIC]
+        return [*filter(_is_shown, super().__dir__())]
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy, with some values changed; nothing that was worked out from the old ones (`cached_property`) stays."""
