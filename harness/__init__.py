@@ -36,6 +36,8 @@ load_experiment, load_scene, load_sensor
     From shipped names, files or tables: `Experiment`, `Scene`, `Sensor`.
 render, estimate_range
     `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images.
+run_trial
+    One trial with all that its stages made, an `Outcome`: what `harness.testing.assertions` takes.
 settings
     What every key of an experiment means: a table.
 project, unproject, relative_motion
@@ -72,6 +74,7 @@ if TYPE_CHECKING:
     from harness.pipeline.maps import TrialMaps
     from harness.pipeline.rendered_view import RenderedView
     from harness.pipeline.specification import Trial
+    from harness.pipeline.trial import Outcome, run_trial
     from harness.runs.experiment import Experiment
     from harness.simulation.scene import Scene
 
@@ -85,6 +88,7 @@ __all__ = [
     "Matches",
     "Mirror",
     "Motion",
+    "Outcome",
     "Pair",
     "Panorama",
     "Pose",
@@ -106,6 +110,7 @@ __all__ = [
     "relative_motion",
     "render",
     "run",
+    "run_trial",
     "settings",
     "unproject",
 ]
@@ -128,6 +133,7 @@ _MODULES = {
     "pipeline.maps": ("TrialMaps",),
     "pipeline.rendered_view": ("RenderedView",),
     "pipeline.specification": ("Trial",),
+    "pipeline.trial": ("Outcome", "run_trial"),
     "runs.experiment": ("Experiment",),
     "simulation.scene": ("Scene",),
 }
