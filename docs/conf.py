@@ -5,14 +5,16 @@ import shutil
 import sys
 from pathlib import Path
 
+from sphinx_gallery.sorting import ExplicitOrder
+
 DOCS = Path(__file__).parent
-sys.path[:0] = [str(DOCS.parent), str(DOCS / "_extensions")]  # the package as it stands here, and what follows below
+sys.path[:0] = [str(DOCS.parent), str(DOCS / "_extensions"), str(DOCS / "examples")]  # the package as it stands here
 
 import harness  # noqa: E402 - found on the path above
 
 # Commands on the pages run with this interpreter's own `omnirange`, on a terminal of a width that pages can show.
 os.environ["PATH"] = str(Path(sys.executable).parent) + os.pathsep + os.environ["PATH"]
-os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+os.environ["PYTHONPATH"] = os.pathsep.join(sys.path[:3])
 os.environ |= {"COLUMNS": "100", "NO_COLOR": "1", "MPLBACKEND": "agg"}
 
 project = "omnirange"
@@ -25,6 +27,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx_design",
+    "sphinx_gallery.gen_gallery",
     "sphinxcontrib.programoutput",
     "docstrings",
     "offline_math",
@@ -53,6 +56,20 @@ autosummary_generate = True
 math_eqref_format = "({number})"
 html_math_renderer = "svg"
 
+sphinx_gallery_conf = {
+    "examples_dirs": "tutorials",
+    "gallery_dirs": "generated/tutorials",
+    "filename_pattern": r"\.py$",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "show_memory": False,
+    "show_signature": False,
+    "min_reported_time": 1e9,
+    "write_computation_times": False,
+    "within_subsection_order": ExplicitOrder(["researcher.py", "engineer.py", "author.py"]),
+    "image_srcset": ["2x"],
+}
 programoutput_prompt_template = "$ {command}\n{output}"
 
 html_theme = "pydata_sphinx_theme"
