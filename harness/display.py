@@ -3,7 +3,7 @@
 import base64
 import html
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -48,6 +48,39 @@ def shortened(text: str) -> str:
     """A text in one line, no longer than `LONGEST`."""
     line = " ".join(text.split())
     return line if len(line) <= LONGEST else f"{line[: LONGEST - 4].rstrip(', ')} ..."
+
+
+def told_apart(texts: Sequence[str], most: int = 60) -> list[str]:
+    """Short texts for different things, no two alike: cut in the middle, or to where they differ, or else numbered.
+
+    Parameters
+    ----------
+    texts
+        What the things are called; two may be alike.
+    most
+        Characters of what comes back, at least 16.
+    """
+    short = [_cut(text, most) for text in texts]
+    if len(set(short)) == len(short):
+        return short
+    groups: dict[str, list[int]] = {}
+    for i, text in enumerate(short):
+        groups.setdefault(text, []).append(i)
+    for alike in (each for each in groups.values() if len(each) > 1):
+        letters = zip(*(texts[i] for i in alike), strict=False)
+        same = next((i for i, each in enumerate(letters) if len(set(each)) > 1), min(len(texts[i]) for i in alike))
+        begin = max(0, same - most // 3)
+        for i in alike:
+            short[i] = _cut(("…" if begin else "") + texts[i][begin:], most)
+    if len(set(short)) == len(short):
+        return short
+    return [f"{_cut(text, most - 8)} ({number})" for number, text in enumerate(short, 1)]
+
+
+def _cut(text: str, most: int) -> str:
+    """A text with its middle left out."""
+    end = (most - 1) // 2
+    return text if len(text) <= most else f"{text[: most - 1 - end]}…{text[-end:]}"
 
 
 # --- Pictures in a notebook ---------------------------------------------------------------------------------------

@@ -97,6 +97,11 @@ class MatcherSettings(Spec, ABC):
         return "own"
 
     @property
+    def command_words(self) -> tuple[str, ...]:
+        """The command of a program, which tells it apart from other programs; empty for any other matcher."""
+        return ()
+
+    @property
     def whole_samples(self) -> bool:
         """Whether matches are whole samples, so that rounding is part of their error."""
         return self.step == "none"

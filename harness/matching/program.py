@@ -120,6 +120,11 @@ class Program(Parametrised):
         """See whether the command is there."""
         check(self)
 
+    @property
+    def command_words(self) -> tuple[str, ...]:
+        """The command."""
+        return self.command
+
     def identity(self) -> str:
         """A hash of the files among the command's words."""
         return digest(self)

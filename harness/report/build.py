@@ -33,7 +33,7 @@ from harness.report.curve import Curve
 from harness.report.law import example
 from harness.report.law.sections import sections_of
 from harness.report.methods import Method, methods_of
-from harness.report.sweep import Sweep, sweep_of, value_text
+from harness.report.sweep import Sweep, sweep_of, texts_of, values_of
 from harness.report.theme import Picture
 from harness.runs.run import Result
 from harness.spec import dump_toml
@@ -70,7 +70,7 @@ def build_report(result: Result, failures: list[str] | None = None) -> str:
     failures
         Gets a line for each panel that could not be drawn; the page says so in its place.
     """
-    methods = methods_of(result.outcomes)
+    methods = methods_of(result.outcomes, result.experiment.planned)
     outcome = methods[0].outcome
     reference = outcome.reference
     swept = sweep_of(result)
@@ -243,8 +243,4 @@ def _places(result: Result, methods: list[Method]) -> list[tuple[Method, str]]:
 
 def _varied(result: Result) -> dict[str, list[str]]:
     """The keys that vary between trials, and the values that each takes."""
-    found: dict[str, dict[str, None]] = {}
-    for row in result.rows:
-        for key, value in row.place.items():
-            found.setdefault(key, {})[value_text(value)] = None
-    return {key: list(values) for key, values in found.items()}
+    return {key: texts_of(values) for key, values in values_of(result.rows).items()}

@@ -14,13 +14,14 @@ import pandas as pd
 from harness.errors import InputError
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
+from harness.pipeline.specification import Trial
 from harness.report import theme
 from harness.report.build import template
 from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
-from harness.report.sweep import in_words
+from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure
-from harness.runs.experiment import text_of
+from harness.runs.experiment import identity_of, value_of
 
 READ = ("experiment.toml", "trials.csv")
 """Written by every run. They are read rather than the rows, so that runs of other code can be compared."""
@@ -38,6 +39,7 @@ FIGURES: dict[str, tuple[str, str, str, float]] = {
 }
 """Heading, unit, format and scale."""
 
+_NONE = identity_of("", None)
 _STEP = "matching.subpixel"
 _STEPS = {"none": "pixel level", "parabola": "sub-pixel"}
 
@@ -51,7 +53,7 @@ class Run:
     """Unique among the runs compared."""
     experiment: str
     settings: list[dict[str, str]]
-    """Of each trial: dotted key and value in words."""
+    """Of each trial: dotted key and value, as `identity_of` tells values apart; without those that are none."""
     figures: list[dict[str, float]]
     """Of each trial that is done; NaN where there is none."""
     facts: dict[str, str]
@@ -154,9 +156,7 @@ def build_comparison(*folders: Path) -> Comparison:
                 "picture": picture,
                 "table": _table(pairing),
                 "few_seeds": pairing.seeds < FEW_SEEDS,
-                "differing": [
-                    (in_words(f"{key} = ").rstrip(" ="), *values) for key, values in pairing.differing.items()
-                ],
+                "differing": [(name_of(key), *values) for key, values in pairing.differing.items()],
             }
             for pairing, picture in zip(pairings, pictures, strict=True)
         ],
@@ -202,23 +202,17 @@ def _run(
     folder: Path, name: str, experiment: str, base: dict[str, str], rows: list[dict[str, str]], facts: dict[str, Any]
 ) -> Run:
     done = [row for row in rows if row["state"] == "done"]
-    columns = [column for column in (rows[0] if rows else {}) if "." in column or column == "seed"]
-    keys = [column for column in columns if not _is_figure(column)]
+    keys = [column for column in (rows[0] if rows else {}) if column.partition(".")[0] in Trial.model_fields]
     settings = []
     for row in done:
-        changed = {key: _plain(row[key]) for key in keys}
+        changed = {key: identity_of(key, value_of(row[key])) for key in keys}
         # A setting that is a table or a list takes the place of all that was under it.
         kept = {key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)}
-        settings.append(kept | changed)
+        settings.append({key: value for key, value in (kept | changed).items() if value != _NONE})
     figures = [{key: _number(row.get(key)) for key in FIGURES} for row in done]
     packages = facts.pop("packages", {})
     flat = {key: str(value) for key, value in facts.items() if key != "finished"}
     return Run(folder, name, experiment, settings, figures, flat | {key: str(value) for key, value in packages.items()})
-
-
-def _is_figure(column: str) -> bool:
-    """Whether a column of `trials.csv` is a figure; some have a point in their names too."""
-    return column.startswith(("bad_", "range_", "disparity_", "wall_", "floor_", "solid_angle_"))
 
 
 def _number(text: str | None) -> float:
@@ -234,18 +228,7 @@ def _flat(value: Any, above: str = "") -> Iterator[tuple[str, str]]:
         for index, each in enumerate(value):
             yield from _flat(each, f"{above}.{index}")
     else:
-        yield above, _plain(text_of(value))
-
-
-def _plain(text: str) -> str:
-    """The same text for the same number, however it was written: `2`, `2.0`."""
-    try:
-        value = json.loads(text)
-    except ValueError:
-        return text
-    if isinstance(value, list) and all(isinstance(each, int | float) for each in value):
-        return " × ".join(f"{each:.12g}" for each in value)
-    return f"{value:.12g}" if isinstance(value, int | float) and not isinstance(value, bool) else text
+        yield above, identity_of(above, value)
 
 
 # --- Pairing ------------------------------------------------------------------------------------------------------
@@ -258,11 +241,7 @@ def _pair(first: Run, second: Run) -> Pairing:
     if not (first.settings and second.settings):
         why = "One of the runs has no trial that is done."
     elif any(len(found) < len(run.settings) for found, run in zip(places, (first, second), strict=True)):
-        several = [
-            in_words(f"{key} = ").rstrip(" =")
-            for key in differing
-            if len(_values(first, key)) > 1 or len(_values(second, key)) > 1
-        ]
+        several = [name_of(key) for key in differing if len(_values(first, key)) > 1 or len(_values(second, key)) > 1]
         why = (
             f"Nothing can be paired: {listed(several)} {'varies' if len(several) == 1 else 'vary'} within a run and "
             "shares no value with the other, so that a trial has no one partner."
@@ -275,7 +254,7 @@ def _pair(first: Run, second: Run) -> Pairing:
     return Pairing(
         first,
         second,
-        {key: (_few(_values(first, key)), _few(_values(second, key))) for key in differing},
+        {key: _in_words(_values(first, key), _values(second, key)) for key in differing},
         len(table),
         len(seeds),
         list(_differences(first, second, table)),
@@ -290,13 +269,19 @@ def _differing(first: Run, second: Run) -> list[str]:
 
 
 def _values(run: Run, key: str) -> set[str]:
-    return {settings.get(key, "") for settings in run.settings}
+    return {settings.get(key, _NONE) for settings in run.settings}
 
 
-def _few(values: set[str]) -> str:
-    known = sorted(values)
-    shown = ", ".join(value if len(value) <= 60 else f"{value[:57]}…" for value in known[:6])
-    return f"{shown}, …" if len(known) > 6 else shown or "none"
+def _in_words(first: set[str], second: set[str]) -> tuple[str, str]:
+    """The values of two runs, each text different from all others: the first few."""
+    known = sorted(first | second)
+    text_of = dict(zip(known, texts_of([json.loads(value) for value in known]), strict=True))
+    one, other = (sorted(text_of[value] for value in values) for values in (first, second))
+    return _few(one), _few(other)
+
+
+def _few(texts: list[str]) -> str:
+    return f"{', '.join(texts[:6])}, …" if len(texts) > 6 else ", ".join(texts) or "none"
 
 
 def _places(run: Run, without: set[str]) -> dict[tuple[tuple[str, str], ...], int]:
@@ -312,7 +297,7 @@ def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Itera
         [
             {
                 "seed": first.settings[a].get("seed", ""),
-                "step": step if (step := first.settings[a].get(_STEP, "")) == second.settings[b].get(_STEP, "") else "",
+                "step": _common_step(first.settings[a], second.settings[b]),
                 **{f"first_{key}": value for key, value in first.figures[a].items()},
                 **{f"second_{key}": value for key, value in second.figures[b].items()},
             }
@@ -329,6 +314,11 @@ def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Itera
             before, after = known[f"first_{name}"], known[f"second_{name}"]
             mean, span = _mean((after - before).to_numpy(), known["seed"])
             yield Difference(name, str(step), len(known), float(before.mean()), float(after.mean()), mean, span)
+
+
+def _common_step(first: dict[str, str], second: dict[str, str]) -> str:
+    step = first.get(_STEP, _NONE)
+    return "" if step == _NONE or second.get(_STEP, _NONE) != step else str(json.loads(step))
 
 
 def _mean(values: Array, seeds: "pd.Series[str]") -> tuple[float, tuple[float, float] | None]:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from harness.evaluation.statistics import mean_over_seeds
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
-from harness.report.sweep import Sweep, Way
+from harness.report.sweep import Axis, Sweep, Way
 from harness.runs.experiment import shown
 from harness.runs.run import Result
 
@@ -74,13 +74,11 @@ def all_measures(sweep: Sweep) -> Table:
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
     left_out = 0
-    ranks = {axis.key: {text: i for i, text in enumerate(axis.texts)} for axis in sweep.axes}
-    groups: dict[tuple[Any, ...], tuple[Way, list[str], pd.DataFrame]] = {}
+    groups: dict[tuple[Any, ...], tuple[Way, tuple[int, ...], pd.DataFrame]] = {}
     for index, way in enumerate(sweep.ways):
         mine = way.of(sweep.trials)
         for place, part in mine.groupby(keys, sort=False) if keys else [((), mine)]:
-            rank = tuple(ranks[key][text] for key, text in zip(keys, place, strict=True))
-            groups[*rank, index] = (way, list(place), part)
+            groups[*place, index] = (way, place, part)
     for _, (way, place, part) in sorted(groups.items(), key=lambda each: each[0]):
         curve = mean_over_seeds(part.set_index("seed")[known].astype(np.float64))
         means = dict(zip(known, curve.mean, strict=True))
@@ -89,7 +87,7 @@ def all_measures(sweep: Sweep) -> Table:
             [
                 way.matcher,
                 way.subpixel,
-                *place,
+                *(axis.texts[i] for axis, i in zip(sweep.axes, place, strict=True)),
                 len(part),
                 *(value for name in known for value in (means[name], *spans[name])),
             ]
@@ -105,7 +103,7 @@ def all_measures(sweep: Sweep) -> Table:
         rows.append(
             [
                 words(way.label, way.colour),
-                *(_place(sweep, i, text) for i, text in enumerate(place)),
+                *(_place(axis, i) for axis, i in zip(sweep.axes, place, strict=True)),
                 count(len(part)),
                 *cells,
             ]
@@ -123,9 +121,8 @@ def all_measures(sweep: Sweep) -> Table:
     return Table(head, rows, data, left_out, screen_only)
 
 
-def _place(sweep: Sweep, index: int, text: str) -> Cell:
-    axis = sweep.axes[index]
-    return Cell(text, axis.positions[axis.texts.index(text)] if axis.numeric else text)
+def _place(axis: Axis, index: int) -> Cell:
+    return Cell(axis.texts[index], axis.positions[index] if axis.numeric else axis.texts[index])
 
 
 def failures(result: Result) -> Table:

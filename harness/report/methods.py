@@ -1,14 +1,17 @@
 """The methods that a report compares: what they are called and how they are drawn."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.matching.registry import method_of
+from harness.display import told_apart
 from harness.pipeline.trial import Outcome
 from harness.report import theme
-from harness.runs.run import by_method
+from harness.runs.experiment import Planned
+from harness.runs.methods import method_id
+from harness.runs.run import by_method, names_in
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,9 @@ class Method:
     colour: str
     outcome: Outcome
 
+
+_LONGEST = 60
+"""Characters of a label."""
 
 _WINDOWS = ("window", "column")
 _STEPS = {"none": ("pixel level", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
@@ -36,23 +42,26 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]
     colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
     several = len({matcher for matcher, _ in pairs}) > 1
     refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
-    found = {}
-    for (matcher, step), name in zip(pairs, drawn_as, strict=True):
+    labels = []
+    for matcher, step in pairs:
         # "Sub-pixel" says enough where there is one such step.
         label = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
         if step == "own" or (matcher not in _WINDOWS and sum(other == matcher for other, _ in pairs) == 1):
             label = matcher
         elif several:
             label = f"{matcher}, {label}"
-        found[matcher, step] = (label, colours[name])
-    return found
+        labels.append(label)
+    short = told_apart(labels, _LONGEST)
+    return {pair: (label, colours[name]) for pair, label, name in zip(pairs, short, drawn_as, strict=True)}
 
 
-def methods_of(outcomes: list[Outcome]) -> list[Method]:
+def methods_of(outcomes: list[Outcome], planned: Sequence[Planned] = ()) -> list[Method]:
     """The methods of an experiment, in the order in which they were run."""
-    named = by_method(outcomes)
-    appearance = looks([method_of(outcome.trial.matching) for outcome in named.values()])
-    return [Method(key, *appearance[method_of(outcome.trial.matching)], outcome) for key, outcome in named.items()]
+    named = by_method(outcomes, planned)
+    names = names_in(outcomes, planned)
+    name_of = {key: names[method_id(outcome.trial.matching)] for key, outcome in named.items()}
+    appearance = looks(list(name_of.values()))
+    return [Method(key, *appearance[name_of[key]], outcome) for key, outcome in named.items()]
 
 
 def common(methods: list[Method]) -> NDArray[np.bool_]:

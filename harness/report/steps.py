@@ -57,14 +57,14 @@ def _table(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) -> Ta
     plain: list[list[Any]] = []
     for surface, table in errors.items():
         for place, values in table.iterrows():
-            names = place if isinstance(place, tuple) else (place,)
+            names = _texts(sweep, place)
             least = float(np.nanmin(values)) if values.notna().any() else np.nan
             cells = [number(float(value), ".3f") for value in values]
             marked = [
                 Cell(f"{cell.text} ◂", cell.value) if float(value) == least else cell
                 for cell, value in zip(cells, values, strict=True)
             ]
-            rows.append([words(SURFACES[surface]), *(words(str(name)) for name in names), *marked])
+            rows.append([words(SURFACES[surface]), *(words(name) for name in names), *marked])
             plain.append([surface, *names, *(float(value) for value in values)])
     data = Data(
         "subpixel-steps",
@@ -100,5 +100,10 @@ def _findings(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) ->
 
 
 def _named(sweep: Sweep, place: Any) -> str:
-    names = place if isinstance(place, tuple) else (place,)
-    return listed(f"{axis.label} {name}" for axis, name in zip(sweep.axes, names, strict=True))
+    return listed(f"{axis.label} {name}" for axis, name in zip(sweep.axes, _texts(sweep, place), strict=True))
+
+
+def _texts(sweep: Sweep, place: Any) -> list[str]:
+    """Where on the axes, in words, given as an index into the values of each."""
+    indices = place if isinstance(place, tuple) else (place,)
+    return [axis.texts[i] for axis, i in zip(sweep.axes, indices, strict=True)]

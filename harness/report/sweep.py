@@ -1,6 +1,7 @@
 """A sweep as tables: its methods, its axes, and the figures of all its trials."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,13 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.matching.registry import method_of
+from harness.display import told_apart
 from harness.report import theme
 from harness.report.methods import looks
-from harness.runs.experiment import text_of
-from harness.runs.run import Result
+from harness.runs.experiment import identity_of, text_of
+from harness.runs.methods import METHOD_KEYS
+from harness.runs.run import Result, Row
 
-NOT_AN_AXIS = ("seed", "matching.kind", "matching.subpixel")
+NOT_AN_AXIS = ("seed", *METHOD_KEYS)
 """Keys that vary, but are averaged over or drawn as methods."""
 
 _NAMES = {
@@ -72,18 +74,17 @@ class Axis:
     @property
     def label(self) -> str:
         """With its unit."""
-        name, unit = _NAMES.get(self.key, (self.key, ""))
-        return f"{name} ({unit})" if unit else name
+        return name_of(self.key)
 
-    @property
+    @cached_property
     def texts(self) -> list[str]:
-        """Its values in words."""
-        return [value_text(value) for value in self.values]
+        """Its values in words, each different from all others."""
+        return texts_of(self.values)
 
     @property
     def numeric(self) -> bool:
         """Whether its values lie on a line."""
-        return all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values)
+        return all(map(_is_number, self.values)) and all(map(math.isfinite, self.values))
 
     @property
     def logarithmic(self) -> bool:
@@ -105,7 +106,8 @@ class Sweep:
     """Without seeds and methods."""
     seeds: list[int]
     trials: pd.DataFrame
-    """One row a trial: `matcher`, `subpixel`, `seed`, a column of text for every axis, and all its figures."""
+    """One row a trial: `matcher`, `subpixel`, `seed`, all its figures, and for every axis a column, the index into
+    its values."""
     payloads: list[dict[str, Any]]
     """What is kept of each of them, see `row.row_of`."""
     cells: pd.DataFrame
@@ -136,22 +138,19 @@ def sweep_of(result: Result) -> Sweep:
     """The tables of a run."""
     done = [row for row in result.rows if row.state == "done"]
     payloads = [row.payload for row in done]
-    keys = [key for key in result.rows[0].place if key not in NOT_AN_AXIS]
-    values: dict[str, dict[str, Any]] = {key: {} for key in keys}
-    for row in result.rows:
-        for key in keys:
-            values[key].setdefault(value_text(row.place[key]), row.place[key])
-    axes = [Axis(key, _ordered(list(found.values()))) for key, found in values.items() if len(found) > 1]
+    varying = {key: values for key, values in values_of(result.rows).items() if key not in NOT_AN_AXIS}
+    axes = [Axis(key, _ordered(values)) for key, values in varying.items() if len(values) > 1]
+    index = {axis.key: {identity_of(axis.key, value): i for i, value in enumerate(axis.values)} for axis in axes}
     records = []
     for row, payload in zip(done, payloads, strict=True):
         trial = row.planned.trial
-        matcher, subpixel = method_of(trial.matching)
+        matcher, subpixel = row.planned.method
         records.append(
             {
                 "matcher": matcher,
                 "subpixel": subpixel,
                 "seed": trial.seed,
-                **{axis.key: value_text(row.place[axis.key]) for axis in axes},
+                **{key: of_value[identity_of(key, row.place[key])] for key, of_value in index.items()},
                 **{name: math.nan if value is None else value for name, value in payload["figures"].items()},
             }
         )
@@ -166,26 +165,51 @@ def sweep_of(result: Result) -> Sweep:
     )
 
 
+def values_of(rows: Iterable[Row]) -> dict[str, list[Any]]:
+    """The keys that vary between trials, and the values that each takes, in the order in which they come."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        for key, value in row.place.items():
+            found.setdefault(key, {}).setdefault(identity_of(key, value), value)
+    return {key: list(values.values()) for key, values in found.items()}
+
+
+def texts_of(values: Sequence[Any]) -> list[str]:
+    """Different values in words, each different from all others."""
+    texts = [value_text(value) for value in values]
+    if len(set(texts)) < len(texts):  # a rounded number is exact where that tells it apart
+        texts = [text_of(value) if texts.count(text) > 1 else text for value, text in zip(values, texts, strict=True)]
+    return told_apart(texts)
+
+
 def value_text(value: Any) -> str:
     """A value on an axis in words: lengths of a box as `4 × 4 × 6`."""
     if isinstance(value, list) and all(isinstance(each, int | float) for each in value):
         return " × ".join(f"{each:g}" for each in value)
     if isinstance(value, float):
         return f"{value:g}"
-    text = text_of(value) or "none"
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    return text_of(value) or "none"
 
 
 def in_words(place: str) -> str:
     """A place on the axes with the names that people use."""
-    for key, (name, unit) in _NAMES.items():
-        place = place.replace(f"{key} = ", f"{name}{f' ({unit})' if unit else ''} = ")
+    for key in _NAMES:
+        place = place.replace(f"{key} = ", f"{name_of(key)} = ")
     return place
 
 
+def name_of(key: str) -> str:
+    """What people call a key, with its unit."""
+    name, unit = _NAMES.get(key, (key, ""))
+    return f"{name} ({unit})" if unit else name
+
+
 def _ordered(values: list[Any]) -> list[Any]:
-    axis = Axis("", values)
-    return sorted(values) if axis.numeric else values
+    return sorted(values) if all(map(_is_number, values)) else values
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value)
 
 
 def _ways(trials: pd.DataFrame) -> list[Way]:

@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from harness.display import told_apart
 from harness.evaluation.cells import NORMAL
 from harness.evaluation.regions import RANGE_RATIO
 from harness.evaluation.statistics import Curve, balanced, mean_over_seeds
@@ -81,10 +82,10 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
                     aggfunc="mean",
                     dropna=False,
                 )
-                present = [i for i, text in enumerate(axis.texts) if text in table and table[text].notna().any()]
+                present = [i for i in range(len(axis.values)) if i in table and table[i].notna().any()]
                 if not present:
                     continue
-                table = balanced(table[[axis.texts[i] for i in present]])
+                table = balanced(table[present])
                 curve = mean_over_seeds(table, logarithmic=True)
                 x = [axis.positions[i] for i in present]
                 lines.append(_Line(way, surface, name, x, [axis.texts[i] for i in present], curve))
@@ -221,15 +222,15 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     if axis.logarithmic:
         theme.logarithmic(ax, "x", min(positions) / 1.12, max(positions) * 1.12, most=5)
         if len(positions) <= 6 and _apart(list(np.log(positions))):
-            ax.set_xticks(positions, [f"{value:g}" for value in positions])
+            ax.set_xticks(positions, axis.texts)
         return
     margin = 0.07 * ((max(positions) - min(positions)) or 1)
     ax.set_xlim(min(positions) - margin, max(positions) + margin)
     if not axis.numeric:
         ax.set_xlim(min(positions) - 0.35, max(positions) + 0.35)
-        ax.set_xticks(positions, [theme.plain(text if len(text) < 16 else f"{text[:14]}…") for text in axis.texts])
+        ax.set_xticks(positions, [theme.plain(text) for text in told_apart(axis.texts, 16)])
     elif len(positions) <= 6 and _apart(positions):
-        ax.set_xticks(positions, [f"{value:g}" for value in positions])
+        ax.set_xticks(positions, axis.texts)
 
 
 def _apart(positions: list[float]) -> bool:

@@ -12,7 +12,7 @@ from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
 from harness.report.methods import Method
-from harness.report.sweep import Axis, Sweep, value_text
+from harness.report.sweep import Axis, Sweep
 from harness.runs.run import Result
 from harness.spec import as_table
 
@@ -111,7 +111,11 @@ def overview(result: Result, sweep: Sweep) -> Iterator[str]:
 
 def _varied(axis: Axis) -> str:
     """An axis with its values: `window 7, 15 px`."""
-    texts = [f"{value:.3g}" if isinstance(value, float) else value_text(value) for value in axis.values]
+    texts = [
+        f"{value:.3g}" if isinstance(value, float) else text
+        for value, text in zip(axis.values, axis.texts, strict=True)
+    ]
+    texts = texts if len(set(texts)) == len(texts) else axis.texts
     unit = axis.label.removeprefix(axis.name).strip(" ()")
     return f"{axis.name} {_few(texts)}{f' {unit}' if unit else ''}"
 

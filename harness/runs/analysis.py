@@ -8,11 +8,11 @@ import pandas as pd
 
 from harness.evaluation.law import test_law
 from harness.evaluation.limit import GROSS_PX, efficiency, within_without_bias
-from harness.matching.registry import method_of
 from harness.runs.experiment import Planned, shown
+from harness.runs.methods import METHOD_KEYS
 
 _NOISE = "noise.sigma_grey"
-_NOT_A_CONDITION = ("seed", "view_2.baseline_m", "matching.kind", "matching.subpixel")
+_NOT_A_CONDITION = ("seed", "view_2.baseline_m", *METHOD_KEYS)
 """What the law is tested across (baseline, seed), or a column of its own. All else that varies is a condition."""
 
 
@@ -27,7 +27,7 @@ def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
     tables = []
     for planned, payload in done:
         trial = planned.trial
-        matcher, subpixel = method_of(trial.matching)
+        matcher, subpixel = planned.method
         common = {
             "matcher": matcher,
             "subpixel": subpixel,
@@ -66,7 +66,7 @@ def limit_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, A
         place = planned.trial.placement
         if "sample" in payload and place.offset_m == 0 and not place.random_yaw:
             key = (
-                *method_of(planned.trial.matching),
+                *planned.method,
                 shown({key: value for key, value in planned.place.items() if key not in _NOT_A_DRAW}),
                 planned.trial.noise.sigma_grey,
             )
@@ -77,7 +77,7 @@ def limit_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, A
     ]
 
 
-_NOT_A_DRAW = ("seed", "noise.sigma_grey", "matching.kind", "matching.subpixel")
+_NOT_A_DRAW = ("seed", "noise.sigma_grey", *METHOD_KEYS)
 
 
 def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from harness.matching.interface import MatcherSettings
 from harness.matching.program import with_absolute_files
 from harness.matching.registry import Matcher
 from harness.pipeline.specification import Trial
+from harness.runs.methods import MethodName, method_id, method_names
 from harness.simulation.scene import load_scene
 from harness.spec import Spec, as_table, checked_plain, parse
 from harness.toml import parse_toml, read_toml
@@ -44,6 +45,8 @@ class Planned:
     place: Settings
     """The values of all keys that vary, in the order of the columns."""
     trial: Trial
+    method: MethodName
+    """What its method is called in this experiment."""
 
 
 class Experiment(Spec):
@@ -89,7 +92,7 @@ class Experiment(Spec):
         self._check_count()
         base = as_table(self.trial)
         columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
-        planned: dict[str, Planned] = {}
+        trials: dict[str, tuple[Settings, Trial]] = {}
         checked: dict[int, Any] = {}
         for case, settings in self._settings():
             table = _changed(base, settings, self, case)
@@ -104,14 +107,15 @@ class Experiment(Spec):
                 key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
                 raise InputError(error.problem, key=key) from error
             place = {key: settings[key] if key in settings else value_at(table, key) for key in columns}
-            one = Planned(trial.key, place, trial)
-            if one.key in planned:
+            key = trial.key
+            if key in trials:
                 raise InputError(
-                    f"two trials are the same: {shown(planned[one.key].place)}, and {shown(place)}; remove one",
+                    f"two trials are the same: {shown(trials[key][0])}, and {shown(place)}; remove one",
                     key="axes" if case is None else f"cases[{case}]",
                 )
-            planned[one.key] = one
-        return tuple(planned.values())
+            trials[key] = place, trial
+        names = method_names(trial.matching for _, trial in trials.values())
+        return tuple(Planned(key, *each, names[method_id(each[1].matching)]) for key, each in trials.items())
 
     def _with_validated(self, table: Settings, base: Settings) -> Settings:
         """A trial's table with the base trial's own parts for those that are unchanged: they need no second check."""
@@ -158,15 +162,57 @@ class Experiment(Spec):
 
 
 def shown(place: Settings) -> str:
-    """A place on the axes in words."""
-    return ", ".join(f"{key} = {text_of(value)}" for key, value in place.items()) or "the base trial"
+    """A place on the axes in words; places with the same keys and other values differ."""
+    return ", ".join(f"{key} = {_listed(value)}" for key, value in place.items()) or "the base trial"
+
+
+def _listed(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) and ", " in value else text_of(value)
 
 
 def text_of(value: Any) -> str:
-    """A value as a table shows it: nothing for none, text as it is, all else so that it reads back exactly."""
+    """A value as a table shows it, no two alike: nothing for none, all else so that it reads back exactly.
+
+    Text stands as it is, unless it would read as something else, such as a number: then in quotes.
+    """
     if value is None:
         return ""
-    return value if isinstance(value, str) else json.dumps(value)
+    if not isinstance(value, str):
+        return json.dumps(value)
+    try:
+        json.loads(value)
+    except ValueError:
+        return value or '""'
+    return json.dumps(value, ensure_ascii=False)
+
+
+def value_of(text: str) -> Any:
+    """The value that `text_of` shows."""
+    if not text:
+        return None
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def identity_of(key: str, value: Any) -> str:
+    """What tells the values of a key apart: equal texts for equal values, however a number is written.
+
+    A parameter of a matcher may tell 1 from 1.0, and then so do its trials.
+    """
+    exact = key == "matching" or key.startswith("matching.parameters")
+    return json.dumps(value if exact else _in_one_type(value), sort_keys=True)
+
+
+def _in_one_type(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _in_one_type(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_in_one_type(each) for each in value]
+    # But for the zero with a sign, which makes another trial.
+    whole = isinstance(value, float) and value.is_integer() and (value != 0 or math.copysign(1, value) > 0)
+    return int(value) if whole else value
 
 
 # --- Reading ------------------------------------------------------------------------------------------------------

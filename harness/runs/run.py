@@ -5,7 +5,7 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,6 @@ from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
 from harness.files import write
-from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.environment import environment, source_hash
 from harness.pipeline.maps import has_maps
@@ -27,6 +26,7 @@ from harness.pipeline.trial import Outcome
 from harness.runs import executors, worker
 from harness.runs.analysis import cell_table, law_of, limit_of
 from harness.runs.experiment import Experiment, Planned, Settings, shown, text_of, value_at
+from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.store import Finished, Foreign, Store
 from harness.runs.sweep import run_sweep
@@ -305,7 +305,7 @@ def _trials(experiment: Experiment, rows: list[Row]) -> str:
     return _csv(
         ["key", "state", *columns_of(experiment), *names],
         (
-            [row.planned.key, row.state, *row.place.values(), *(each.get(name) for name in names)]
+            [row.planned.key, row.state, *map(text_of, row.place.values()), *(each.get(name) for name in names)]
             for row, each in zip(rows, figures, strict=True)
         ),
     )
@@ -328,7 +328,7 @@ def _failures(experiment: Experiment, rows: list[Row]) -> str:
     return _csv(
         ["key", *columns_of(experiment), "message", "traceback"],
         (
-            [row.planned.key, *row.place.values(), row.finished.message, row.finished.traceback]
+            [row.planned.key, *map(text_of, row.place.values()), row.finished.message, row.finished.traceback]
             for row in rows
             if row.state == "failed"
         ),
@@ -339,7 +339,7 @@ def _csv(heading: list[str], lines: Iterable[list[Any]]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(heading)
-    writer.writerows([text_of(value) for value in line] for line in lines)
+    writer.writerows([value if isinstance(value, str) else text_of(value) for value in line] for line in lines)
     return stream.getvalue()
 
 
@@ -358,13 +358,20 @@ def compare(outcomes: dict[str, Outcome], *, wall_only: bool) -> dict[str, Measu
     return {name: measure(domain, valid, outcome.errors) for name, outcome in outcomes.items()}
 
 
-def by_method(outcomes: list[Outcome]) -> dict[str, Outcome]:
+def names_in(outcomes: Sequence[Outcome], planned: Sequence[Planned] = ()) -> Mapping[MethodId, MethodName]:
+    """What the methods of outcomes are called, within an experiment if its trials are given."""
+    return method_names([*(each.trial.matching for each in planned), *(each.trial.matching for each in outcomes)])
+
+
+def by_method(outcomes: list[Outcome], planned: Sequence[Planned] = ()) -> dict[str, Outcome]:
     """The first outcome of each method, by the name that `summary.json` has for it.
 
     `pixel` and `subpixel` when the paper's two methods are all there are; otherwise the matcher and its sub-pixel step.
     """
-    methods = {method_of(outcome.trial.matching): outcome for outcome in reversed(outcomes)}
-    methods = {method: methods[method] for method in dict.fromkeys(method_of(each.trial.matching) for each in outcomes)}
+    names = names_in(outcomes, planned)
+    methods: dict[MethodName, Outcome] = {}
+    for outcome in outcomes:
+        methods.setdefault(names[method_id(outcome.trial.matching)], outcome)
     windows = all(isinstance(outcome.trial.matching, WindowMatcher) for outcome in outcomes)
     kinds, steps = {kind for kind, _ in methods}, {step for _, step in methods}
     if windows and len(kinds) == 1 and steps <= METHODS.keys():
@@ -377,9 +384,9 @@ def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
 
     A method that fails is left out. A base trial that none can carry out gives way to the first trial that was done.
     """
-    methods: dict[tuple[str, str], Trial] = {}
+    methods: dict[MethodName, Trial] = {}
     for each in experiment.planned:
-        methods.setdefault(method_of(each.trial.matching), each.trial)
+        methods.setdefault(each.method, each.trial)
     chosen = list(methods.values())[:MOST_DETAILS]
     for base in (experiment.trial, first_done):
         outcomes = []
@@ -402,7 +409,7 @@ def _with_method(base: Trial, other: Trial) -> Trial:
 
 
 def _summary(experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
-    named = by_method(outcomes)
+    named = by_method(outcomes, experiment.planned)
     return {
         "schema": SCHEMA,
         "experiment": experiment.name,

@@ -1,0 +1,45 @@
+"""What trials compare: methods, told apart by their settings and named so that no two names are alike."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import PurePath
+
+from harness.display import told_apart
+from harness.matching.interface import MatcherSettings
+
+MethodId = tuple[str, str, tuple[str, ...]]
+"""What a method is: the matcher's kind, its sub-pixel step, and the command of a program."""
+MethodName = tuple[str, str]
+"""What it is called in tables: the matcher and its sub-pixel step. Unique within an experiment."""
+
+METHOD_KEYS = ("matching.kind", "matching.subpixel", "matching.command")
+"""The keys of a trial that tell methods apart: no axis and no condition."""
+
+
+def method_id(matcher: MatcherSettings) -> MethodId:
+    """What tells the method apart from others."""
+    return matcher.kind, matcher.step, matcher.command_words
+
+
+def method_names(matchers: Iterable[MatcherSettings]) -> Mapping[MethodId, MethodName]:
+    """A name for each method: kind and step; for several that share these, with the words that tell commands apart."""
+    alike: dict[MethodName, dict[MethodId, None]] = {}
+    for matcher in matchers:
+        kind, step, _ = identity = method_id(matcher)
+        alike.setdefault((kind, step), {})[identity] = None
+    names: dict[MethodId, MethodName] = {}
+    for (kind, step), identities in alike.items():
+        words = [""] if len(identities) == 1 else told_apart(_differing([command for *_, command in identities]))
+        names |= {each: (f"{kind} {word}".rstrip(), step) for each, word in zip(identities, words, strict=True)}
+    return names
+
+
+def _differing(commands: Sequence[tuple[str, ...]]) -> list[str]:
+    """The words in which commands differ: files by their names, where these differ too."""
+    if len({len(command) for command in commands}) > 1:
+        return [" ".join(command) for command in commands]
+    columns = [column for column in zip(*commands, strict=True) if len(set(column)) > 1]
+    named = [[PurePath(word).name for word in column] for column in columns]
+    chosen = [
+        names if len(set(names)) == len(set(column)) else column for names, column in zip(named, columns, strict=True)
+    ]
+    return [" ".join(words) for words in zip(*chosen, strict=True)]
