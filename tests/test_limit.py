@@ -103,7 +103,7 @@ def test_a_setting_without_any_estimate_has_no_best_step():
         {
             "matcher": "window",
             "subpixel": ["none", "parabola"] * 2,
-            "matching.window_px": ["5", "5", "47", "47"],
+            "matching.window_px": [0, 0, 1, 1],
             "wall_disparity_median_abs_px": [0.2, 0.1, np.nan, np.nan],
             "floor_disparity_median_abs_px": np.nan,
         }

@@ -21,7 +21,7 @@ from harness.report.data import Cell, Data, Heading, Table, count, interval, lis
 from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure
-from harness.runs.experiment import identity_of, value_of
+from harness.runs.values import identity_of, value_of
 
 READ = ("experiment.toml", "trials.csv")
 """Written by every run. They are read rather than the rows, so that runs of other code can be compared."""

@@ -9,8 +9,8 @@ import pandas as pd
 from harness.evaluation.statistics import mean_over_seeds
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.sweep import Axis, Sweep, Way
-from harness.runs.experiment import shown
 from harness.runs.run import Result
+from harness.runs.values import shown
 
 MOST_ROWS = 240
 """Of a table on the page; more are not read there, and are in its data."""

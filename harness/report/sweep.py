@@ -12,9 +12,9 @@ import pandas as pd
 from harness.display import told_apart
 from harness.report import theme
 from harness.report.methods import looks
-from harness.runs.experiment import identity_of, text_of
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.run import Result, Row
+from harness.runs.values import identity_of, text_of
 
 NOT_AN_AXIS = ("seed", *METHOD_KEYS)
 """Keys that vary, but are averaged over or drawn as methods."""

@@ -8,8 +8,9 @@ import pandas as pd
 
 from harness.evaluation.law import test_law
 from harness.evaluation.limit import GROSS_PX, efficiency, within_without_bias
-from harness.runs.experiment import Planned, shown
+from harness.runs.experiment import Planned
 from harness.runs.methods import METHOD_KEYS
+from harness.runs.values import shown
 
 _NOISE = "noise.sigma_grey"
 _NOT_A_CONDITION = ("seed", "view_2.baseline_m", *METHOD_KEYS)

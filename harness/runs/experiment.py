@@ -1,7 +1,6 @@
 """What an experiment is: a base trial, axes along which its settings vary, and lists of explicit cases."""
 
 import itertools
-import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from harness.matching.program import with_absolute_files
 from harness.matching.registry import Matcher
 from harness.pipeline.specification import Trial
 from harness.runs.methods import MethodName, method_id, method_names
+from harness.runs.values import Settings, shown, text_of
 from harness.simulation.scene import load_scene
 from harness.spec import Spec, as_table, checked_plain, parse
 from harness.toml import parse_toml, read_toml
@@ -31,9 +31,6 @@ _KIND = "matching.kind"
 
 MOST_TRIALS = 100_000
 """Of an experiment: what can be planned within seconds."""
-
-Settings = dict[str, Any]
-"""Dotted keys of a trial, such as `matching.window_px` or `scene.objects.0.size_m`, and their values."""
 
 
 @dataclass(frozen=True)
@@ -159,60 +156,6 @@ class Experiment(Spec):
     def place_of(self, key: str, case: int | None) -> str:
         """Where in the experiment a key is given."""
         return f"axes.{key}" if key in self.axes or case is None else f"cases[{case}].{key}"
-
-
-def shown(place: Settings) -> str:
-    """A place on the axes in words; places with the same keys and other values differ."""
-    return ", ".join(f"{key} = {_listed(value)}" for key, value in place.items()) or "the base trial"
-
-
-def _listed(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) and ", " in value else text_of(value)
-
-
-def text_of(value: Any) -> str:
-    """A value as a table shows it, no two alike: nothing for none, all else so that it reads back exactly.
-
-    Text stands as it is, unless it would read as something else, such as a number: then in quotes.
-    """
-    if value is None:
-        return ""
-    if not isinstance(value, str):
-        return json.dumps(value)
-    try:
-        json.loads(value)
-    except ValueError:
-        return value or '""'
-    return json.dumps(value, ensure_ascii=False)
-
-
-def value_of(text: str) -> Any:
-    """The value that `text_of` shows."""
-    if not text:
-        return None
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
-
-
-def identity_of(key: str, value: Any) -> str:
-    """What tells the values of a key apart: equal texts for equal values, however a number is written.
-
-    A parameter of a matcher may tell 1 from 1.0, and then so do its trials.
-    """
-    exact = key == "matching" or key.startswith("matching.parameters")
-    return json.dumps(value if exact else _in_one_type(value), sort_keys=True)
-
-
-def _in_one_type(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _in_one_type(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_in_one_type(each) for each in value]
-    # But for the zero with a sign, which makes another trial.
-    whole = isinstance(value, float) and value.is_integer() and (value != 0 or math.copysign(1, value) > 0)
-    return int(value) if whole else value
 
 
 # --- Reading ------------------------------------------------------------------------------------------------------
@@ -454,11 +397,12 @@ def _with_absolute_paths(experiment: Experiment, folder: Path, file: str | Path)
 def _absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
     """A value that names a file by a relative path, with its absolute path; any other as it is."""
     last = key.rpartition(".")[2]
-    if last == "command" and isinstance(value, list):
-        return with_absolute_files(value, folder)
+    if (last == "command" or key == "matching.files") and isinstance(value, list):
+        return with_absolute_files(value, folder, patterns=last == "files")
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else ((key, each) for each in value)
-        parts = [(name, _absolute(name, each, folder, file, where)) for name, each in items]
+        above = "matching." if isinstance(value, dict) and "command" in value else ""  # a program's table
+        parts = [(name, _absolute(f"{above}{name}", each, folder, file, where)) for name, each in items]
         return dict(parts) if isinstance(value, dict) else [each for _, each in parts]
     if not isinstance(value, str):
         return value

@@ -25,11 +25,12 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.runs import executors, worker
 from harness.runs.analysis import cell_table, law_of, limit_of
-from harness.runs.experiment import Experiment, Planned, Settings, shown, text_of, value_at
+from harness.runs.experiment import Experiment, Planned, value_at
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.store import Finished, Foreign, Store
 from harness.runs.sweep import run_sweep
+from harness.runs.values import Settings, shown, text_of
 from harness.simulation.fingerprint import fingerprint
 from harness.spec import as_table, dump_toml
 
