@@ -1,6 +1,7 @@
 """A matcher that is a command: what it is given, what it may write, and that nothing it does harms anything else."""
 
 import csv
+import os
 import stat
 import sys
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -358,3 +360,90 @@ def test_one_trial_of_a_run_fails(tmp_path: Path) -> None:
         (failure,) = csv.DictReader(file)
     assert failure["matching.parameters.mode"] == "2"
     assert failure["message"].startswith("program matcher.sh: was not done after timeout_s = 3 s, and was killed")
+
+
+# --- What a program is made of ------------------------------------------------------------------------------------
+
+FOLDER = {
+    "m.py": "import helper\nfrom pack import inner\nimport numpy\n",
+    "helper.py": "def f():\n    import deeper\n",
+    "deeper.py": "",
+    "pack/__init__.py": "",
+    "pack/inner.py": "from . import other\n",
+    "pack/other.py": "",
+    "pack/weights.bin": "1",
+    "pack/.hidden": "",
+    "pack/__pycache__/inner.pyc": "",
+    "unused.py": "",
+    "run": "#!/usr/bin/env python3\nimport helper\n",
+    "tool.sh": "#!/bin/sh\nimport helper\n",
+    "data/a.bin": "a",
+    "data/deep/b.bin": "b",
+    "w.npy": "w",
+}
+
+
+def _made_of(folder: Path, program: Program) -> set[str]:
+    """The files whose contents change what the program is."""
+    found = set()
+    for name in FOLDER:
+        before, old = program.identity(), (folder / name).read_text()
+        (folder / name).write_text(f"{old}# more\n")
+        found |= {name} if program.identity() != before else set()
+        (folder / name).write_text(old)
+        assert program.identity() == before
+    return found
+
+
+IMPORTED = {"helper.py", "deeper.py"}
+PACKAGE = {"pack/__init__.py", "pack/inner.py", "pack/other.py", "pack/weights.bin"}
+BINARIES = {"data/a.bin", "data/deep/b.bin"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"command": ["python3", "m.py"]}, {"m.py", *IMPORTED, *PACKAGE}),
+        ({"command": ["./run"]}, {"run", *IMPORTED}),
+        ({"command": ["./tool.sh"]}, {"tool.sh"}),
+        ({"command": ["./tool.sh"], "files": ["data/*.bin"]}, {"tool.sh", "data/a.bin"}),
+        ({"command": ["./tool.sh"], "files": ["data/**/*.bin", "w.npy"]}, {"tool.sh", "w.npy", *BINARIES}),
+        ({"command": ["./tool.sh"], "parameters": {"weights_file": "w.npy"}}, {"tool.sh", "w.npy"}),
+    ],
+)  # fmt: skip
+def test_an_edited_file_makes_another_program(tmp_path: Path, settings: dict, expected: set[str]) -> None:
+    for name, content in FOLDER.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+        (tmp_path / name).chmod(0o755)
+    table = {"matching": {"kind": "program", **settings, "command": [*settings["command"], "{input}", "{output}"]}}
+    (tmp_path / "program.toml").write_text(tomli_w.dumps(table))
+    program = load_matcher(str(tmp_path / "program.toml"))
+    assert _made_of(tmp_path, program) == expected
+
+
+def test_a_program_on_the_search_path_counts_by_its_contents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    (tmp_path / "mine").write_text("#!/bin/sh\n")
+    (tmp_path / "mine").chmod(0o755)
+    program = Program(command=("mine", "{input}", "{output}"))
+    before = program.identity()
+    (tmp_path / "mine").write_text("#!/bin/sh\n#\n")
+    assert program.identity() != before
+
+
+def test_patterns_that_match_nothing_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^files: no file matches '.*nothing\*'") as caught:
+        Program(command=("python3", "{input}", "{output}"), files=(f"{tmp_path}/nothing*",)).check()
+    assert caught.value.key == "files"
+
+
+def test_files_are_relative_to_the_experiment(tmp_path: Path) -> None:
+    (tmp_path / "w.npy").write_text("1")
+    case = '[[cases]]\n"matching.kind" = "program"\n"matching.command" = ["python3", "{input}", "{output}"]\n'
+    path = write_small(tmp_path / "e.toml", case + '"matching.files" = ["*.npy"]\n')
+    (planned,) = load_experiment(str(path)).planned
+    (tmp_path / "w.npy").write_text("2")
+    (again,) = load_experiment(str(path)).planned
+    assert planned.trial.matching.files == (str(tmp_path / "*.npy"),)
+    assert planned.key != again.key

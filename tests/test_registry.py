@@ -1,6 +1,7 @@
 """Matchers from elsewhere: how they are found and refused, what they get, may answer, and what a run keeps."""
 
 import csv
+import importlib
 import itertools
 import shutil
 import subprocess
@@ -519,3 +520,47 @@ def test_beside_a_matcher_of_this_program(module: Write) -> None:
     np.testing.assert_array_equal(column.pair.images[0], mine.pair.images[0])
     np.testing.assert_array_equal(mine.matches.alpha_2, mine.pair.alpha_1 + 0.05 * np.sin(mine.pair.alpha_1))
     assert not np.array_equal(column.matches.alpha_2, mine.matches.alpha_2)
+
+
+def _module(folder: Path, monkeypatch: pytest.MonkeyPatch, content: str) -> str:
+    """A new module in the current folder."""
+    name = f"edited_{abs(hash(folder)):x}"
+    (folder / f"{name}.py").write_text(content)
+    monkeypatch.chdir(folder)
+    return name
+
+
+def test_a_module_edited_after_it_was_loaded_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = _module(tmp_path, monkeypatch, "def f(pair, limits): return 1\n")
+    matcher = load_matcher(f"{name}:f")
+    before = matcher.identity()
+    assert matcher.identity() == before
+    (tmp_path / f"{name}.py").write_text("def f(pair, limits): return 2\n")  # of the same size, within the same second
+    with pytest.raises(InputError, match="has been changed since it was loaded; start the session again"):
+        matcher.identity()
+    importlib.invalidate_caches()
+    sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
+    importlib.reload(sys.modules[name])
+    sys.dont_write_bytecode = kept
+    assert matcher.identity() != before
+
+
+def test_a_helper_edited_after_it_was_loaded_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / f"helper_{abs(hash(tmp_path)):x}.py").write_text("a = 1\n")
+    name = _module(tmp_path, monkeypatch, f"import helper_{abs(hash(tmp_path)):x}\ndef f(pair, limits): ...\n")
+    matcher = load_matcher(f"{name}:f")
+    (tmp_path / f"helper_{abs(hash(tmp_path)):x}.py").write_text("a = 2\n")
+    with pytest.raises(InputError, match="has been changed since it was loaded"):
+        matcher.identity()
+
+
+def test_data_of_a_package_counts_and_needs_no_new_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"packed_{abs(hash(tmp_path)):x}"
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").write_text("def f(pair, limits): ...\n")
+    (tmp_path / name / "weights.bin").write_text("1")
+    monkeypatch.chdir(tmp_path)
+    matcher = load_matcher(f"{name}:f")
+    before = matcher.identity()
+    (tmp_path / name / "weights.bin").write_text("2")
+    assert matcher.identity() != before

@@ -3,19 +3,20 @@
 A name is `package.module:function`, or what an installed package gives in the entry point group `omnirange.matchers`.
 """
 
-import ast
 import hashlib
 import importlib
 import importlib.metadata
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
+from harness.matching.source_files import State, hash_of, imports, named_files, package_files, state_of
 from harness.spec import nearest
 
 ENTRY_POINTS = "omnirange.matchers"
@@ -37,6 +38,8 @@ def find(kind: str) -> Callable[..., Any]:
     """
     module_name, attributes = _address(kind)
     found = module = _module(module_name, kind)
+    if module_name not in _loaded:  # from now on, its files are known to be those that it was made of
+        _source(kind)
     for name in attributes.split("."):
         if not hasattr(found, name):
             there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
@@ -76,9 +79,9 @@ def check(kind: str, parameters: Mapping[str, Any]) -> None:
     for name, parameter in known.items():
         if parameter.default is parameter.empty and name not in parameters:
             raise InputError(f"{kind} needs the parameter '{name}'", key="parameters")
-    for name, value in parameters.items():
-        if _names_a_file(name, value) and not Path(value).is_file():
-            raise InputError(f"no such file: {value}", key=f"parameters.{name}")
+    for name, file in named_files(parameters.items()):
+        if not file.is_file():
+            raise InputError(f"no such file: {file}", key=f"parameters.{name}")
 
 
 def takes(kind: str, name: str) -> bool:
@@ -93,44 +96,16 @@ def takes(kind: str, name: str) -> bool:
 def digest(kind: str, parameters: Mapping[str, Any]) -> str:
     """SHA-256 of what the name and the parameters do not tell: the function's source, and the files in parameters.
 
-    A function counts with its module; a module in a package with all of the package. What they import counts too:
-    installed libraries by their version, anything else by its source. Nothing is imported. Source is read
-    once in the life of the process, as modules are loaded once.
+    A function counts with its module; a module in a package with all files of the package, data too. What they import
+    counts likewise: installed libraries by their version, anything else by its files. Nothing is imported.
 
     Raises
     ------
     InputError
-        When there is no such module or file.
+        When there is no such module or file, or its source has changed since this process has loaded it.
     """
-    files = [
-        f"{name} {hash_of(Path(value))}" for name, value in sorted(parameters.items()) if _names_a_file(name, value)
-    ]
+    files = [f"{name} {hash_of(file)}" for name, file in named_files(parameters.items())]
     return hashlib.sha256("\n".join([_source(kind), *files]).encode()).hexdigest()
-
-
-def hash_of(path: Path) -> str:
-    """SHA-256 of a file, read again when it has changed.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    """
-    try:
-        state = path.stat()
-        return _hash_of(path, state.st_mtime_ns, state.st_size)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
-
-
-@lru_cache(maxsize=64)
-def _hash_of(path: Path, _modified_ns: int, _size: int) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _names_a_file(name: str, value: Any) -> bool:
-    return isinstance(value, str) and (name == "file" or name.endswith("_file"))
 
 
 def _address(kind: str) -> tuple[str, str]:
@@ -190,29 +165,74 @@ def _absent(name: str, kind: str) -> InputError:
 # --- Source -------------------------------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=64)
-def _source(kind: str) -> str:
+@dataclass(frozen=True)
+class _Source:
+    """What a function is made of."""
+
+    digest: str
     """SHA-256 over the names and contents of all files that count, and the versions of libraries."""
+    code: str
+    """The same without data files: what a process that has loaded it goes by."""
+    states: Mapping[Path, State]
+    """Of all files, and of the folders of packages."""
+
+    @property
+    def is_current(self) -> bool:
+        """Whether nothing has changed since."""
+        try:
+            return all(state is not None and state_of(path) == state for path, state in self.states.items())
+        except InputError:
+            return False
+
+
+_known: dict[str, _Source] = {}
+_loaded: dict[str, tuple[ModuleSpec | None, str]] = {}
+"""Of each module that was loaded: as what it was, and the code that it was made of."""
+
+
+def _source(kind: str) -> str:
+    name, _ = _address(kind)
+    if not (kind in _known and _known[kind].is_current):
+        _known[kind] = _read(name, kind)
+    source = _known[kind]
+    module = sys.modules.get(name)
+    if module is not None:
+        spec, code = _loaded.setdefault(name, (module.__spec__, source.code))
+        if module.__spec__ is not spec:  # loaded anew
+            _loaded[name] = module.__spec__, source.code
+        elif code != source.code:
+            raise InputError("has been changed since it was loaded; start the session again", file=kind)
+    return source.digest
+
+
+def _read(name: str, kind: str) -> _Source:
     _look_here()
     importlib.invalidate_caches()
-    name, _ = _address(kind)
     if _spec(name) is None:
         raise _absent(name, kind)
     own = name.partition(".")[0]
-    parts: list[str] = []
+    code: list[str] = []
+    data: list[str] = []
+    states: dict[Path, State] = {}
     seen, waiting = {own, __package__.partition(".")[0]} | sys.stdlib_module_names, [own]
     while waiting:
         module = waiting.pop()
         folder, files = _files(_spec(module))
         if module != own and {"site-packages", "dist-packages"} & set(folder.parts):
-            parts.append(f"{module} {_version(module)}")
+            code.append(f"{module} {_version(module)}")
             continue
+        states |= {path: state_of(path) for file in files for path in (file, file.parent)}
         for file in files:
-            parts.append(f"{file.relative_to(folder).as_posix()} {hash_of(file)}")
-            imported = _imports(file) - seen if file.suffix == ".py" else set()
+            is_code = file.name.endswith((".py", *EXTENSION_SUFFIXES))
+            (code if is_code else data).append(f"{file.relative_to(folder).as_posix()} {hash_of(file)}")
+            imported = imports(file) - seen if file.suffix == ".py" else frozenset()
             seen |= imported
             waiting.extend(imported)
-    return hashlib.sha256("\n".join(sorted(parts)).encode()).hexdigest()
+    return _Source(_hash(code + data), _hash(code), states)
+
+
+def _hash(lines: list[str]) -> str:
+    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
 
 def _spec(name: str) -> ModuleSpec | None:
@@ -233,30 +253,13 @@ def _spec(name: str) -> ModuleSpec | None:
 
 
 def _files(spec: ModuleSpec | None) -> tuple[Path, list[Path]]:
-    """The folder that a top module lies in, and its source files: a package's are all below it."""
+    """The folder that a top module lies in, and its files: a package's are all below it."""
     if spec is not None and spec.submodule_search_locations:
         package = Path(next(iter(spec.submodule_search_locations)))
-        endings = (".py", *EXTENSION_SUFFIXES)
-        return package.parent, sorted(path for path in package.rglob("*") if path.name.endswith(endings))
+        return package.parent, package_files(package)
     if spec is not None and spec.origin and spec.has_location:
         return Path(spec.origin).parent, [Path(spec.origin)]
     return Path(), []
-
-
-def _imports(file: Path) -> set[str]:
-    """The top modules that a source file imports anywhere; none when it is not valid Python."""
-    try:
-        tree = ast.parse(file.read_bytes())
-    except (SyntaxError, ValueError):
-        return set()
-    return {name.partition(".")[0] for node in ast.walk(tree) for name in _imported(node)}
-
-
-def _imported(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Import):
-        yield from (each.name for each in node.names)
-    elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-        yield node.module
 
 
 def _version(module: str) -> str:

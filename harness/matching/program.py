@@ -4,7 +4,9 @@ Whatever the command does (never end, crash, write nonsense) comes out as one `I
 """
 
 import contextlib
+import glob
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -29,7 +31,10 @@ from harness.geometry.pose import Pose
 from harness.io.view_folder import CAMERA, FILES, PANORAMA, pose_in, view_files
 from harness.matching.interface import Matches, Parametrised, as_matches
 from harness.matching.pair import Pair
-from harness.matching.plugins import hash_of
+from harness.matching.source_files import hash_of, is_python, named_files, script_files
+
+_MOST_FILES = 10_000
+"""That `files` may name."""
 
 _LAST_WORDS = 400
 """Characters of stderr that a message quotes: its last lines."""
@@ -83,6 +88,9 @@ class Program(Parametrised):
     command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
     """The program and its arguments. `{input}` and `{output}` stand for the folders that it reads and writes,
     `{name}` for the parameter of that name. A relative path to a file is relative to the experiment's file."""
+    files: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    """What else the program depends on: paths or patterns such as `weights/*.bin`, `lib/**/*.jl`, relative to the
+    experiment's file. Their contents count as settings do."""
     timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 600.0
     """Seconds after which it is killed, with all that it has started."""
 
@@ -126,7 +134,7 @@ class Program(Parametrised):
         return self.command
 
     def identity(self) -> str:
-        """A hash of the files among the command's words."""
+        """A hash of the files that the program is made of; see `digest`."""
         return digest(self)
 
 
@@ -148,25 +156,68 @@ def check(program: Program) -> None:
     Raises
     ------
     InputError
-        `error.key` is `command`.
+        `error.key` is `command` or `files`.
     """
     first = program.command[0]
     if shutil.which(first) is None:
         why = "is not executable" if Path(first).is_file() else "there is no such program"
         raise InputError(f"{first}: {why}", key="command")
+    _matching_files(program.files)
 
 
 def digest(program: Program) -> str:
-    """SHA-256 of the files among the command's words, in their order."""
-    contents = [hash_of(Path(word)) for word in program.command if Path(word).is_file()]
-    return hashlib.sha256("\n".join(contents).encode()).hexdigest()
+    """SHA-256 of the files that the settings name, by their contents.
+
+    They are the words of the command that name a file (of a Python script also what it imports from its own folder,
+    see `source_files.script_files`), `files`, and the parameters that name a file. A program that is found on the
+    search path counts by its contents too, unless another word names a file: then it is taken for an interpreter.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or a pattern of `files` names none or too many.
+    """
+    words = [Path(word) for word in program.command if Path(word).is_file()]
+    if not words and (found := shutil.which(program.command[0])):
+        words = [Path(found)]
+    lines = []
+    for word in words:
+        beside = script_files(word) if is_python(word) else []
+        lines += [hash_of(word), *(f"{each.relative_to(word.parent).as_posix()} {hash_of(each)}" for each in beside)]
+    lines += [f"{name} {hash_of(path)}" for name, path in named_files(program.parameters.items())]
+    if program.files:
+        lines += ["files", *sorted(f"{path.name} {hash_of(path)}" for path in _matching_files(program.files))]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def with_absolute_files(command: Sequence[Any], folder: Path) -> list[Any]:
+def _matching_files(patterns: Sequence[str]) -> list[Path]:
+    """The files that patterns name."""
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        paths = itertools.islice(glob.iglob(pattern, recursive=True), _MOST_FILES + 1)  # noqa: PTH207 - absolute patterns
+        files = [path for path in map(Path, paths) if path.is_file()]
+        if not files:
+            raise InputError(f"no file matches '{pattern}'", key="files")
+        found |= dict.fromkeys(files)
+        if len(found) > _MOST_FILES:
+            raise InputError(f"more than {_MOST_FILES} files match '{pattern}'", key="files")
+    return sorted(found)
+
+
+def with_absolute_files(command: Sequence[Any], folder: Path, *, patterns: bool = False) -> list[Any]:
     """The words of a command with those that name a file of a folder made absolute.
 
     The first word is looked for on the search path unless there is a slash in it, as a shell does.
+
+    Parameters
+    ----------
+    patterns
+        Whether they are the words of `files`: all of them name files.
     """
+    if patterns:
+        return [
+            str(path_of(word, folder, key="files").absolute()) if isinstance(word, str) else word for word in command
+        ]
     return [
         str(path_of(word, folder, key="command").resolve())
         if isinstance(word, str) and word and _is_file_of(folder, word, first=i == 0)
