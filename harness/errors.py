@@ -1,4 +1,4 @@
-"""The one exception that is the user's to mend, and the one warning."""
+"""The one exception that is the user's to mend, the one warning, and errors in one line."""
 
 from pathlib import Path
 
@@ -22,8 +22,27 @@ class InputError(Exception):
         self.key = key
         where = ": ".join(part for part in (self.file, key) if part)
         text = f"{where}: {problem}" if where else problem
-        super().__init__(" ".join(text.split()))
+        super().__init__(one_line(text))
 
 
 class Notice(UserWarning):
     """Something that a user may want to know, in one line: the program goes on, and its numbers are right."""
+
+
+def one_line(text: str) -> str:
+    """Text on one line that any terminal or file takes: what is no character of Unicode is written as an escape."""
+    return printable(" ".join(text.split()))
+
+
+def printable(text: str) -> str:
+    """Text with lone surrogates, such as those of file names that are not UTF-8, written as escapes."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+def described(error: BaseException) -> str:
+    """The kind of an error and its text on one line; the kind alone if it cannot say."""
+    try:
+        text = str(error)
+    except Exception:  # noqa: BLE001 - an error of somebody else's, which fails even at this
+        text = ""
+    return one_line(f"{type(error).__name__}: {text}" if text else type(error).__name__)

@@ -27,21 +27,17 @@ def open_without_proc(file, *arguments, **options):
         raise FileNotFoundError(2, "No such file or directory", str(file))
     return plain_open(file, *arguments, **options)
 io.open = open_without_proc
-
-if __name__ == "__main__":
-    from harness.cli import main
-
-    sys.exit(main(sys.argv[1:]))
 """
-"""A worker that is spawned carries out all but the last lines too, so that it lacks the same names."""
+"""Carried out by every Python process as it begins, workers among them."""
 
 
 @pytest.mark.slow
 def test_a_sweep_needs_nothing_that_only_linux_has(tmp_path: Path) -> None:
-    script = tmp_path / "elsewhere.py"
-    script.write_text(ELSEWHERE, encoding="utf-8")
-    command = [sys.executable, str(script), "run", "smoke", "--workers", "2", "--out", str(tmp_path / "out")]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    (tmp_path / "sitecustomize.py").write_text(ELSEWHERE, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(Path(__file__).parent.parent)])
+    command = [sys.executable, "-m", "harness", "run", "smoke", "--workers", "2", "--out", str(tmp_path / "out")]
+    environment = os.environ | {"PYTHONPATH": path}
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert ran.returncode == 0, ran.stderr
     assert "32 of 32 trials run" in ran.stdout
     assert (tmp_path / "out" / "report.html").is_file()

@@ -28,6 +28,7 @@ class Progress:
     def __init__(self, name: str, total: int, done: int) -> None:
         from rich import progress as bar
         from rich.console import Console
+        from rich.markup import escape
 
         self._name, self._total, self._before = name, total, done
         self._done, self._failed = done, 0
@@ -44,7 +45,7 @@ class Progress:
             disable=not self._console.is_terminal,
             transient=True,
         )
-        self._task = self._bar.add_task(name, total=total, completed=done, pace="")
+        self._task = self._bar.add_task(escape(name), total=total, completed=done, pace="")
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -60,7 +61,7 @@ class Progress:
     def say(self, text: str) -> None:
         """A line above the bar; nothing where there is none."""
         if self._console.is_terminal:
-            self._console.print(f"{self._name}: {text}", highlight=False)
+            self._console.print(f"{self._name}: {text}", highlight=False, markup=False)
 
     def update(self, rows: "Sequence[Finished]") -> None:
         """Count rows that have just been finished."""

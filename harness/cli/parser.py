@@ -7,11 +7,13 @@ import warnings
 from collections.abc import Sequence
 from typing import TextIO
 
+from harness import interrupts
 from harness.cli import cache, check, compare, completion, render, report, run, settings
 from harness.cli import photographs as own_pair
-from harness.cli.exits import INPUT, INTERRUPTED, OK
+from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
-from harness.errors import InputError, Notice
+from harness.cli.output import patient_output
+from harness.errors import InputError, Notice, described, one_line
 from harness.version import __version__
 
 _COMMANDS = (run, report, compare, cache, render, own_pair, check, settings, completion)
@@ -25,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int
         0 when all went well, 1 when a trial failed, 2 when something given is wrong (one line on stderr says what),
-        130 after Ctrl-C.
+        70 when this program is (one line says that too), 130 after Ctrl-C.
     """
     if "_ARGCOMPLETE" in os.environ:  # a shell asks what may follow; answered, and the program ends
         import argcomplete
@@ -36,19 +38,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not _is_unicode(each):
             print(f"omnirange: {each!a}: an argument must be UTF-8, without null bytes", file=sys.stderr)
             return INPUT
-    options = _parser().parse_args(arguments)
+    debug = "--debug" in arguments
     try:
-        with warnings.catch_warnings():
+        with interrupts.heard(), patient_output(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            return options.run(options) or OK
-    except InputError as error:
-        if options.debug:
-            traceback.print_exc()
-        print(f"omnirange: {error}", file=sys.stderr)
-        return INPUT
-    except KeyboardInterrupt:
-        print("\nomnirange: interrupted; what was being written is left as it was before", file=sys.stderr)
+            options = _parser().parse_args(arguments)
+            try:
+                return options.run(options) or OK
+            except SystemExit as error:  # the parser's alone may end the program
+                raise RuntimeError(f"a library asked for the end of the program ({error.code})") from error
+    except KeyboardInterrupt as error:
+        what = error.args[0] if error.args else "what was being written is left as it was before"
+        print(f"\nomnirange: interrupted; {what}", file=sys.stderr)
         return INTERRUPTED
+    except SystemExit:
+        raise
+    except BaseException as error:  # noqa: BLE001 - nothing leaves this program as a traceback
+        if debug:
+            traceback.print_exc()
+        text, code = _explained(error)
+        print(f"omnirange: {one_line(text)}", file=sys.stderr)
+        return code
+
+
+def _explained(error: BaseException) -> tuple[str, int]:
+    """What is said of an error, and the exit code."""
+    if isinstance(error, InputError):
+        return str(error), INPUT
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this; smaller images, fewer samples or fewer workers need less", INPUT
+    if isinstance(error, RecursionError):
+        return "something that was given is nested too deeply", INPUT
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, (str, bytes)) else ""
+        return f"{where}{error.strerror}", INPUT
+    if isinstance(error, UnicodeError):
+        return f"something that was given is not text in UTF-8 ({error})", INPUT
+    report = "this is a bug in omnirange; please report it with the output of the same command and --debug"
+    return f"{described(error)}: {report}", BUG
 
 
 def _is_unicode(text: str) -> bool:

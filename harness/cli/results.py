@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from harness import interrupts
 from harness.cli.exits import FAILED, OK
 from harness.cli.tables import methods_table
 from harness.errors import InputError
@@ -15,18 +16,35 @@ if TYPE_CHECKING:
 
 
 def write(
-    experiment: "Experiment", store: "Store", folder: Path, *, given: str | Path, with_report: bool = True
+    experiment: "Experiment",
+    store: "Store",
+    folder: Path,
+    *,
+    given: str | Path,
+    shown: Path | None = None,
+    with_report: bool = True,
 ) -> int:
     """Write everything that is made from the rows, say what came out, and give the exit code.
+
+    Parameters
+    ----------
+    folder
+        Where to write.
+    given
+        What the run was made from, for messages.
+    shown
+        The folder in the user's words, for messages.
 
     Raises
     ------
     InputError
         Where no trial could be carried out because of what was `given`: the user's to mend, like a wrong key.
     """
+    shown = shown or folder
     from harness.runs.run import result_of, standing, write_report, write_summary, write_tables
 
     write_tables(experiment, store, folder)
+    interrupts.check()
     now = standing(experiment, store)
     if now.done and with_report:
         from harness.report.build import build_report
@@ -41,7 +59,7 @@ def write(
             gc.unfreeze()
         for failure in not_drawn:
             print(f"omnirange: a figure of the report could not be drawn: {failure}", file=sys.stderr)
-        show(result.summary, folder)
+        show(result.summary, shown)
     if not now.failed:
         return OK
     failures = [
@@ -50,7 +68,7 @@ def write(
     if len(failures) == now.total and all(row.is_refused for row in failures):
         raise InputError(failures[0].message, file=given)
     print(
-        f"omnirange: {now.failed} of {now.total} trials failed; {folder / 'failures.csv'} says why, "
+        f"omnirange: {now.failed} of {now.total} trials failed; {shown / 'failures.csv'} says why, "
         "and the same command tries them again",
         file=sys.stderr,
     )
@@ -63,7 +81,7 @@ def show(summary: dict[str, Any], folder: Path) -> None:
 
     console = Console()
     console.print(methods_table(summary))
-    console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False)
+    console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False, markup=False)
 
 
 def say_foreign(foreign: "Foreign") -> None:

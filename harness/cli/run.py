@@ -2,15 +2,14 @@
 
 import json
 import os
-import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from harness import shipped
+from harness import interrupts, shipped
 from harness.api.progress import Progress, duration
 from harness.cli import options as declare
-from harness.cli.exits import INTERRUPTED, OK
+from harness.cli.exits import OK
 from harness.cli.results import say_foreign, show, write
 
 if TYPE_CHECKING:
@@ -56,17 +55,19 @@ def run(options: Namespace) -> int:
     experiment = load_experiment(options.experiment, options.set, options.axis)
     if options.dry_run:
         return _dry_run(experiment)
-    folder = options.out or Path("results") / experiment.name
-    make_folder(folder)
+    shown = options.out or Path("results") / experiment.name
+    make_folder(shown)
+    folder = shown.absolute()  # matchers of other people may change the working folder
     with open_run(experiment, folder) as store:
         maps = prepare_folder(folder / FOLDER) if options.keep_arrays else None
         before = standing(experiment, store, maps)
+        interrupts.check()
         say_foreign(before.foreign)
         if before.done == before.total and is_reported(experiment, store, folder):
             print(
                 f"{experiment.name}: all {before.total} trials are done and the report is made; nothing is left to do"
             )
-            show(json.loads((folder / "summary.json").read_text(encoding="utf-8")), folder)
+            show(json.loads((folder / "summary.json").read_text(encoding="utf-8")), shown)
             return OK
         with Progress(experiment.name, before.total, before.done) as progress:
             try:
@@ -77,15 +78,15 @@ def run(options: Namespace) -> int:
                     sweep(left, store, place, progress.update, maps)
             except KeyboardInterrupt:
                 progress.stop()
-                after = standing(experiment, store, maps)
-                print(
-                    f"\nomnirange: interrupted; {after.done} of {after.total} trials are done and kept; "
-                    "run the same command to go on",
-                    file=sys.stderr,
-                )
-                return INTERRUPTED
+                states = store.states(each.key for each in experiment.planned)
+                done = sum(state == "done" for state in states.values())
+                raise KeyboardInterrupt(
+                    f"{done} of {before.total} trials are done and kept; run the same command to go on"
+                ) from None
             progress.finish()
-        return write(experiment, store, folder, given=options.experiment, with_report=not options.no_report)
+        return write(
+            experiment, store, folder, given=options.experiment, shown=shown, with_report=not options.no_report
+        )
 
 
 def _dry_run(experiment: "Experiment") -> int:

@@ -19,7 +19,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
 
     count = len(summary["comparison"])
     who = {1: "the method", 2: "both methods"}.get(count, "all methods")
-    title = f"{summary['experiment']}: errors over the pixels that {who} matched"
+    title = f"{escape(summary['experiment'])}: errors over the pixels that {who} matched"
     table = _table(title)
     table.add_column("\npixels", no_wrap=True)
     table.add_column("\nmethod", overflow="fold")  # the only one that may wrap: names can be long

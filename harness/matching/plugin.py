@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator
 
-from harness.errors import InputError
+from harness import interrupts
+from harness.errors import InputError, described
 from harness.matching import plugins
 from harness.matching.interface import Matches, Parametrised, as_matches
 from harness.matching.pair import Pair
@@ -71,15 +72,16 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
     matcher.check()
     function = plugins.find(matcher.kind)
     try:
-        with np.errstate():  # what it sets is its own
+        with plugins.contained(), np.errstate():  # what it sets is its own
             return function(replace(pair, owner=matcher.kind), matcher, **copy.deepcopy(matcher.parameters))
     except InputError:
         raise
-    except (Exception, SystemExit) as error:
-        hint = "; a pair's arrays are everybody's: change a copy" if "read-only" in str(error) else ""
-        raise InputError(
-            f"fails: {type(error).__name__}: {error}{_place_in(function, error)}{hint}", file=matcher.kind
-        ) from error
+    except BaseException as error:  # asyncio's and Rust's errors too are no Exception
+        if interrupts.is_real(error):
+            raise
+        text = described(error)
+        hint = "; a pair's arrays are everybody's: change a copy" if "read-only" in text else ""
+        raise InputError(f"fails: {text}{_place_in(function, error)}{hint}", file=matcher.kind) from error
 
 
 def _place_in(function: Callable[..., Any], error: BaseException) -> str:

@@ -7,15 +7,18 @@ import hashlib
 import importlib
 import importlib.metadata
 import inspect
+import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
 from typing import Any
 
-from harness.errors import InputError
+from harness import interrupts
+from harness.errors import InputError, described
 from harness.matching.source_files import State, hash_of, imports, named_files, package_files, state_of
 from harness.spec import nearest
 
@@ -133,6 +136,40 @@ def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], 
     return known, any(each.kind == each.VAR_KEYWORD for each in later.values())
 
 
+# --- What is run --------------------------------------------------------------------------------------------------
+
+
+class _Exit(BaseException):
+    """Somebody else's code wants the process to end."""
+
+
+@contextmanager
+def contained() -> Iterator[None]:
+    """Run code of other people: the working folder is put back, and `os._exit` ends the code alone.
+
+    A run that ended there would leave no word of the trial behind, and might even look like one that went well.
+    """
+    process, end = os.getpid(), os._exit
+    try:
+        folder: Path | None = Path.cwd()
+    except OSError:  # it has been removed
+        folder = None
+
+    def raise_instead(status: int) -> None:
+        if os.getpid() != process:  # a process that it has forked itself
+            end(status)
+        raise _Exit(f"os._exit({status}) was called")
+
+    os._exit = raise_instead  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        os._exit = end
+        if folder is not None:
+            with suppress(OSError):
+                os.chdir(folder)
+
+
 # --- Modules ------------------------------------------------------------------------------------------------------
 
 
@@ -149,13 +186,16 @@ def _module(name: str, kind: str) -> Any:
     if name == "__main__":
         raise InputError("must lie in a module of its own, which workers can load too", file=kind)
     try:
-        return importlib.import_module(name)
+        with contained():
+            return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name and (name == error.name or name.startswith(f"{error.name}.")):
             raise _absent(name, kind) from error
         raise InputError(f"the module {name} needs {error.name}, which is not installed", file=kind) from error
-    except (Exception, SystemExit) as error:
-        raise InputError(f"the module {name} fails: {type(error).__name__}: {error} (in {here})", file=kind) from error
+    except BaseException as error:
+        if interrupts.is_real(error):
+            raise
+        raise InputError(f"the module {name} fails: {described(error)} (in {here})", file=kind) from error
 
 
 def _absent(name: str, kind: str) -> InputError:

@@ -4,14 +4,16 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Any
 
+from harness import interrupts
 from harness.errors import InputError
 from harness.machine import available_cpus
 
@@ -58,10 +60,19 @@ def workplace(work_s: float, trials: int, workers: int | None = None, dask: str 
     Raises
     ------
     InputError
-        When Dask is not installed, or there is no scheduler or worker.
+        When Dask is not installed, or there is no scheduler or worker; or when more than one worker is asked for in a
+        process that may not begin any.
     """
     if dask is not None:
         return _on_dask(dask)
+    if multiprocessing.current_process().daemon:
+        if workers not in (None, 1):
+            raise InputError(
+                "cannot be begun here: this is a daemon process, such as one of multiprocessing.Pool, which may have "
+                "none of its own; give workers=1, or run the experiment outside the pool",
+                key="workers",
+            )
+        workers = 1
     if workers is None and (work_s < QUICK_S or trials < 2 or available_cpus() == 1):
         return Workplace(_in_process, workers=1, slots=1, threads=None)
     count = min(workers or available_cpus(), trials)
@@ -83,32 +94,104 @@ class _Here(Executor):
         try:
             future.set_result(fn(*args, **kwargs))
         except Exception as error:  # noqa: BLE001 - to be raised where the result is asked for, as by any executor
+            interrupts.check()  # some libraries wrap a KeyboardInterrupt
             future.set_exception(error)
         return future
+
+
+class _Pool(ProcessPoolExecutor):
+    """Workers that do not run the script again which this process was started with: they need nothing of it.
+
+    So a script needs no main guard, and none of its lines is run twice.
+    """
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        with _without_script():  # processes are begun here, one by one, as there is work
+            return super().submit(fn, *args, **kwargs)
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    main = sys.modules["__main__"].__dict__
+    hidden = {name: main.pop(name) for name in ("__file__", "__spec__") if name in main}
+    main["__spec__"] = None
+    try:
+        yield
+    finally:
+        main.update({"__spec__": None} | hidden)
 
 
 @contextmanager
 def _in_processes(count: int) -> Iterator[Executor]:
     kind = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context: Any = multiprocessing.get_context(kind)
-    if kind == "forkserver":
-        context.set_forkserver_preload(["harness.runs.worker"])  # imported once, for all
-    before = {name: os.environ.get(name) for name in WORKER}
-    os.environ.update(WORKER)  # the processes inherit it, and read it as they begin
-    try:
-        with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
+    before = set(multiprocessing.active_children())
+    settings = WORKER | {"PYTHONSAFEPATH": "1"}  # the second: a folder `harness` where one stands is not ours
+    added = [name for name in settings if name not in os.environ]
+    with _environment(settings):  # the processes inherit it, and read it as they begin
+        if kind == "forkserver":
+            _begin_server(context)
+        with _Pool(count, mp_context=context, initializer=_begin, initargs=(added,)) as pool:
             try:
                 yield pool
+            except BaseException:
+                # What they are still at is of no use, and may take minutes.
+                for process in set(multiprocessing.active_children()) - before:
+                    process.kill()
+                _end_server()
+                raise
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _environment(settings: dict[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)
+    try:
+        yield
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
-def _begin() -> None:
-    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone."""
+def _begin_server(context: Any) -> None:
+    """Begin the process that workers are forked from, deaf to Ctrl-C from its first moment, as they are to be."""
+    from multiprocessing import forkserver, resource_tracker
+
+    context.set_forkserver_preload(["harness.runs.server"])  # imported once, for all
+    resource_tracker.ensure_running()  # first: it meddles with which signals are held back
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)  # Ctrl-C in between comes now
+
+
+def _end_server() -> None:
+    """End the process that workers are forked from, which may be loading libraries; another is begun when needed."""
+    from multiprocessing import forkserver
+
+    server = getattr(forkserver, "_forkserver", None)
+    pid = getattr(server, "_forkserver_pid", None)
+    if pid is not None:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _begin(added: list[str]) -> None:
+    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone.
+
+    Parameters
+    ----------
+    added
+        Names in the environment that were meant for its beginning, and not for programs that it runs.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    if "PYTHONSAFEPATH" in added:
+        os.environ.pop("PYTHONSAFEPATH", None)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()

@@ -17,7 +17,7 @@ import pandas as pd
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
-from harness.files import write
+from harness.files import make_folder, write
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.environment import environment, source_hash
 from harness.pipeline.maps import has_maps
@@ -123,6 +123,7 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
     InputError
         When the folder holds another experiment's run, or its file cannot be used.
     """
+    make_folder(folder)
     store = Store(folder / DATABASE)
     name = store.fact("name")
     if name not in (None, experiment.name):

@@ -6,7 +6,8 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from harness.errors import InputError
+from harness import interrupts
+from harness.errors import InputError, described
 from harness.runs.executors import Workplace
 from harness.runs.experiment import Planned
 from harness.runs.store import Finished, Store
@@ -14,6 +15,9 @@ from harness.runs.worker import pack, work
 from harness.simulation.fingerprint import fingerprint
 
 Trials = tuple[Planned, ...]
+_PATIENCE_S = 1.0
+"""How long trials that workers have begun are awaited after Ctrl-C."""
+
 Observer = Callable[[Sequence[Finished]], None]
 """Called with trials that have just been written."""
 
@@ -28,7 +32,7 @@ def run_sweep(
     """Run batches and write their rows as they come; in which order they do makes no difference to any row.
 
     A batch whose worker died is run again trial by trial, alone, and a trial that ends its worker once more is written
-    as failed. When this is interrupted, what workers have begun is awaited and written first.
+    as failed. When this is interrupted, what workers finish within a second is written first.
 
     Parameters
     ----------
@@ -41,9 +45,10 @@ def run_sweep(
         When a worker has other code, or the scheduler has gone away. What is finished is written.
     """
     sweep = _Sweep(store, place, observe, deque(batches), maps)
-    while sweep.waiting or sweep.suspects:
-        with place.open() as executor:
-            sweep.drain(executor)
+    with interrupts.heard():
+        while sweep.waiting or sweep.suspects:
+            with place.open() as executor:
+                sweep.drain(executor)
 
 
 @dataclass
@@ -62,6 +67,7 @@ class _Sweep:
         """Run all that is waiting, or until the executor is broken."""
         try:
             while self.waiting or self.suspects or self.running:
+                interrupts.check()
                 if not self._hand_over(executor):
                     self._suspect_all()
                     return
@@ -70,8 +76,10 @@ class _Sweep:
                 if any(broken):
                     self._suspect_all()
                     return
-        finally:
-            self._wind_up()
+        except BaseException as error:
+            # What workers are at may be a compilation: after Ctrl-C nobody waits for long.
+            self._wind_up(_PATIENCE_S if interrupts.is_real(error) else None)
+            raise
 
     def _hand_over(self, executor: Executor) -> bool:
         """Give the workers as much as they should have; False when the executor is broken."""
@@ -100,6 +108,7 @@ class _Sweep:
                 f"the workers {self.place.name} have gone away; what is finished is kept, run the same command to go on"
             ) from None
         except Exception as error:  # noqa: BLE001 - the worker's end, not the trial's: those are rows
+            interrupts.check()
             self._grieve(trials, error)
             return isinstance(error, BrokenExecutor)
         self._keep(rows)
@@ -109,7 +118,7 @@ class _Sweep:
         if not self.alone:
             self.suspects.extend((trial,) for trial in trials)
             return
-        message = f"the worker that ran this trial died: {type(error).__name__}: {error}"
+        message = f"the worker that ran this trial died: {described(error)}"
         self._keep([Finished(each.key, fingerprint(each.trial.scene), "failed", message=message) for each in trials])
 
     def _suspect_all(self) -> None:
@@ -117,13 +126,14 @@ class _Sweep:
             self.suspects.extend((trial,) for trial in trials)
         self.running.clear()
 
-    def _wind_up(self) -> None:
-        """Keep what is finished among that which nobody awaits any more."""
+    def _wind_up(self, patience_s: float | None) -> None:
+        """Keep what is finished, within some seconds, among that which nobody awaits any more."""
         for future in self.running:
             future.cancel()
+        done, _ = wait(self.running, timeout=patience_s)
         for future in list(self.running):
             del self.running[future]
-            if not future.cancelled() and future.exception() is None:
+            if future in done and not future.cancelled() and future.exception() is None:
                 self._keep(future.result())
 
     def _keep(self, rows: list[Finished]) -> None:

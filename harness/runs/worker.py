@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from harness.errors import InputError
+from harness import interrupts
+from harness.errors import InputError, described, printable
 from harness.files import cache_folder, read_regular, replace_file
 from harness.pipeline.environment import code_hash
 from harness.pipeline.maps import maps_of, write_maps
@@ -105,9 +106,12 @@ def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None, ma
         payload = json.dumps(row_of(outcome), allow_nan=False)
         if maps is not None:  # before the row: a trial that is done has its maps
             write_maps(maps_of(outcome), maps)
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is this trial's alone, and kept
-        message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        return Finished(key, scene, "failed", message=" ".join(message.split()), traceback=traceback.format_exc())
+    except BaseException as error:
+        if interrupts.is_real(error):  # also one that a library has wrapped into an error of its own
+            raise KeyboardInterrupt from error
+        # Whatever else it is, it is this trial's alone, and kept.
+        message = str(error) if isinstance(error, InputError) else described(error)
+        return Finished(key, scene, "failed", message=message, traceback=printable(traceback.format_exc()))
     return Finished(key, scene, "done", payload=payload, seconds=json.dumps(outcome.seconds))
 
 

@@ -1,0 +1,108 @@
+"""Ctrl-C that is never lost.
+
+Python raises KeyboardInterrupt wherever the program happens to be. In the callback of a weak reference it is dropped,
+and libraries that catch everything drop it, or wrap it into an error of their own. So the signal is also remembered,
+and whoever is about to go on, or to call something a failure, looks at what is remembered first.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+EXIT_CODE = 130
+"""What a program that was ended by Ctrl-C exits with."""
+
+_SAME_S = 0.3
+"""Signals within this time are one Ctrl-C: a terminal sends it to a whole group, and a launcher may pass it on too."""
+
+_exit = os._exit  # as it is here, whatever other code makes of it
+
+_asked_at: list[float] = []
+"""When Ctrl-C was pressed since `heard` was entered."""
+
+
+@contextmanager
+def heard() -> Iterator[None]:
+    """Remember Ctrl-C, and raise KeyboardInterrupt at the end if it was swallowed or changed inside.
+
+    A second Ctrl-C ends the process.
+
+    Nothing is changed outside the main thread, where signals are somebody else's, or when a handler that is not
+    Python's own is there already, this one among them.
+    """
+    if threading.current_thread() is not threading.main_thread() or not _is_ours_to_take():
+        yield
+        return
+    before, hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    _asked_at.clear()
+    sys.unraisablehook = _silent_when_asked
+    signal.signal(signal.SIGINT, _on_signal)
+    try:
+        yield
+        check()
+    except BaseException as error:
+        if _asked_at and not isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = hook
+        _asked_at.clear()
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt if Ctrl-C was pressed, however long ago."""
+    if _asked_at:
+        raise KeyboardInterrupt
+
+
+def is_real(error: BaseException) -> bool:
+    """Whether an error comes of Ctrl-C: one that was pressed, or that nobody here could have remembered.
+
+    A KeyboardInterrupt that somebody's code raises of itself is an error like any other.
+    """
+    if _asked_at:
+        return True
+    if not isinstance(error, KeyboardInterrupt) or threading.current_thread() is not threading.main_thread():
+        return False
+    return signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, _on_signal)
+
+
+def end_at_once(_number: int = 0, _frame: FrameType | None = None) -> None:
+    """A signal's handler: end the process without a word to anybody else.
+
+    For the time before there is anything to be lost, or after all is written.
+    """
+    _end("omnirange: interrupted")
+
+
+def _is_ours_to_take() -> bool:
+    return signal.getsignal(signal.SIGINT) in (signal.default_int_handler, end_at_once)
+
+
+def _on_signal(_number: int, _frame: FrameType | None) -> None:
+    now = time.monotonic()
+    if _asked_at and now - _asked_at[0] > _SAME_S:
+        _end("omnirange: interrupted at once; trials that are written are kept")
+    _asked_at.append(now)
+    raise KeyboardInterrupt
+
+
+def _end(line: str) -> None:
+    show_cursor = b"\x1b[?25h" if os.isatty(2) else b""  # a progress bar has hidden it
+    try:
+        os.write(2, show_cursor + f"\n{line}\n".encode())
+    finally:
+        _exit(EXIT_CODE)  # the database is whole at any moment, and workers end with their parent
+
+
+def _silent_when_asked(unraisable: Any) -> None:
+    """Errors in destructors and callbacks, of Ctrl-C or of what it left half done: nobody need read of them then."""
+    if not _asked_at:
+        sys.__unraisablehook__(unraisable)

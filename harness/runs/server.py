@@ -1,0 +1,17 @@
+"""Loaded once by the process that workers are forked from, in place of each of them."""
+
+import sys
+from types import TracebackType
+
+import harness.runs.worker  # noqa: F401 - what takes time
+
+_ORPHANED = (EOFError, FileNotFoundError, ConnectionError)
+"""What a worker meets that is begun when its parent is gone, after Ctrl-C: a closed pipe, or a lock taken away."""
+
+
+def _say_unless_orphaned(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if not issubclass(kind, _ORPHANED):
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = _say_unless_orphaned
