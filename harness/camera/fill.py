@@ -1,9 +1,13 @@
-"""Images continued beyond what a sensor sees: black there would ring into the picture through a spline's prefilter."""
+"""Images continued where nothing is known: black beyond what a sensor sees would ring into the picture through a
+spline's prefilter, and a grey level that is not a number would spread without end.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 Indices = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
@@ -12,5 +16,30 @@ def nearest_known(known: NDArray[np.bool_]) -> Indices:
 
     `image[nearest_known(known)]` is the image with every other pixel set to the nearest known one.
     """
+    if not known.any():
+        here = np.indices(known.shape, dtype=np.int32)
+        return here[0], here[1]
     rows, columns = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return rows, columns
+
+
+def without_gaps(image: Image, seen: Mask) -> tuple[Image, Mask]:
+    """An image whose gaps, pixels that are not finite, are closed, and which pixels are known: seen, and no gap.
+
+    A gap gets the grey level of the nearest known pixel, so that filters and splines have something to go on; nothing
+    may be concluded from it. An image without gaps is returned as it is, with `seen` itself.
+    """
+    finite = np.isfinite(image)
+    if finite.all():
+        return image, seen
+    known = seen & finite
+    closed = np.where(finite, image, image[nearest_known(known)])
+    return np.where(np.isfinite(closed), closed, np.float32(0)), known
+
+
+def touches(gaps: Mask, coordinates: NDArray[np.float64], order: int) -> Mask:
+    """Whether an interpolation of an order, 1 or 3, at `coordinates` (rows, columns) `[2, ...]` weighs a gap."""
+    if order > 1:
+        gaps = ndimage.maximum_filter(gaps, size=3)
+    weight = ndimage.map_coordinates(gaps.astype(np.float32), coordinates, order=1, mode="nearest")
+    return np.asarray(weight > 0)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera import _sampling_kernels
-from harness.camera.fill import nearest_known
+from harness.camera.fill import nearest_known, touches, without_gaps
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, cylinder
@@ -29,7 +29,7 @@ def unwrap(
     Parameters
     ----------
     image
-        `[sensor height, sensor width]`, grey levels.
+        `[sensor height, sensor width]`, grey levels. What is made of a pixel that is not finite is not valid.
     R_sensor_from_panorama
         `[3, 3]`; turns a direction of the cylinder's frame into the sensor's. Given the rotation between the views, the
         second panorama is made in the first one's orientation, and what is left between them is a pure translation.
@@ -49,12 +49,17 @@ def unwrap(
     rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
     order = {"bilinear": 1, "cubic": 3}[interpolation]
     coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
+    seen = pixel_directions(sensor)[1]
+    image, known = without_gaps(image, seen)
+    if known is not seen:
+        valid = valid & ~touches(seen & ~known, coordinates, order)
+        valid.flags.writeable = False
     if order == 1:
         values = np.empty(grid.shape, dtype=np.float32)
         _sampling_kernels.bilinear(image, coordinates[0].reshape(-1), coordinates[1].reshape(-1), values.reshape(-1))
     else:
         # The B-spline's prefilter reaches beyond its 4x4 taps.
-        extended = image[nearest_known(pixel_directions(sensor)[1])]
+        extended = image[nearest_known(known)]
         values = ndimage.map_coordinates(extended, coordinates, order=order, mode="nearest", output=np.float32)
     values.flags.writeable = False
     return Panorama(grid, values, valid)

@@ -77,9 +77,9 @@ class Noise(Spec):
 class Exposure(Spec):
     """How the second camera differs from the first one in its answer to light: `gain * grey + offset`."""
 
-    gain: Positive = 1.0
+    gain: Annotated[float, Field(ge=0.01, le=100)] = 1.0
     """Factor on the second view's grey levels, no unit."""
-    offset_grey: Finite = 0.0
+    offset_grey: Annotated[float, Field(ge=-255, le=255)] = 0.0
     """Added to the second view's grey levels after the gain, grey levels of 0 .. 255."""
 
 

@@ -132,7 +132,8 @@ RENDER = Stage(
 
 def _expose(work: Work, view: int) -> Image:
     image, exposure = work(RENDER, view), work.trial.exposure_2
-    return with_exposure(image, work.trial.sensor, exposure.gain, exposure.offset_grey) if view else image
+    exposed = with_exposure(image, work.trial.sensor, exposure.gain, exposure.offset_grey) if view else image
+    return _finite(exposed, work.trial.scene, "trial.exposure_2")
 
 
 EXPOSURE = Stage(
@@ -144,7 +145,8 @@ EXPOSURE = Stage(
 def _add_noise(work: Work, view: int) -> Image:
     trial, setup = work.trial, work.setup
     draws = generator(trial.seed, "noise", setup.scene, trial.sensor.model_dump_json(), f"view {view + 1}")
-    return with_noise(work(EXPOSURE, view), trial.sensor, trial.noise.sigma_grey, draws)
+    noisy = with_noise(work(EXPOSURE, view), trial.sensor, trial.noise.sigma_grey, draws)
+    return _finite(noisy, trial.scene, "trial.noise")
 
 
 def _noise_settings(setup: Setup, view: int) -> Hashable:
@@ -348,6 +350,14 @@ def run_trial(
         bound_px=None if _support(trial) is None else work(BOUND),
         seconds=work.clock.seconds,
     )
+
+
+def _finite(image: Image, scene: Scene, key: str) -> Image:
+    """The image, refused where a grey level is not a finite number: a matcher would take it for a surface."""
+    if not np.isfinite(image).all():
+        count = np.count_nonzero(~np.isfinite(image))
+        raise InputError(f"scene {scene.name}: {count} pixels have a grey level that is not a finite number", key=key)
+    return image
 
 
 def _check_view(scene: Scene, pose: Pose, key: str) -> None:

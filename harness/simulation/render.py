@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from harness.camera.lens import fold_radius
 from harness.camera.sensor import Sensor, pixel_directions, rays_of
+from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
 from harness.simulation._rendering_kernels import (
@@ -52,7 +53,8 @@ def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads:
     Raises
     ------
     InputError
-        When the view is outside the scene or inside an object, or a ray escapes from a closed scene.
+        When the view is outside the scene or inside an object, a ray escapes from a closed scene, or a grey level is
+        not a finite number.
     """
     view = _view(scene, pose)
     return _shaded(view, sensor, _face_of_pixels(view, sensor, threads), samples, threads)
@@ -299,7 +301,17 @@ def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int
         for start in range(0, pixels.size, at_once)
     ]
     in_threads(work, pieces, threads)
+    if not np.isfinite(image).all():
+        raise InputError(
+            f"the image from {_where(view)} has {np.count_nonzero(~np.isfinite(image))} pixels whose grey level is not "
+            "a finite number; look at the textures and the sizes of the objects",
+            file=view.geometry.name,
+        )
     return image.reshape(faces.shape)
+
+
+def _where(view: _View) -> str:
+    return f"({', '.join(f'{value:.10g}' for value in view.origin + view.geometry.centre)}) m"
 
 
 def _traced_faces(view: _View, rays: Array) -> Ints:

@@ -5,6 +5,7 @@ lower left corner of the lower left texel. Between the texels' centres, at (i + 
 Colours become luma, as in `harness.io.images`: matching is grey.
 """
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -81,7 +82,22 @@ class NoiseTexture(Spec):
                 f"the wavelengths must satisfy {nyquist:g} (two texels) <= shortest_m < longest_m "
                 f"<= {self.tile_m:g} (tile_m)"
             )
+        if not self._has_a_wave():
+            raise ValueError(
+                f"no wave that repeats in tile_m = {self.tile_m:g} is between shortest_m = {self.shortest_m:g} and "
+                f"longest_m = {self.longest_m:g} long; widen the band"
+            )
         return self
+
+    def _has_a_wave(self) -> bool:
+        """Whether the band holds a frequency: the longest wave of each number of cycles along one side that it may."""
+        i = np.arange(min(math.ceil(self.tile_m / self.shortest_m), self.size_px // 2) + 1.0)
+        least = np.sqrt(np.maximum((self.tile_m / self.longest_m) ** 2 - i**2, 0))
+        # The nearest whole numbers: rounding decides as it does in `texels`.
+        j = np.ceil(least)[:, None] + [-1.0, 0.0, 1.0]
+        per_metre = np.hypot(i[:, None], j) / self.tile_m
+        within = (per_metre >= 1 / self.longest_m) & (per_metre <= 1 / self.shortest_m)
+        return bool((within & (j >= 0) & (j <= self.size_px // 2)).any())
 
     def texels(self) -> Texels:
         """Grey `[size_px, size_px]`."""

@@ -6,7 +6,10 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from harness.camera.fill import without_gaps
+from harness.camera.sensor import pixel_directions
 from harness.camera.unified import mirrored_frame
 from harness.errors import InputError
 from harness.geometry.angles import Array
@@ -17,8 +20,10 @@ from harness.matching.interface import Matches
 from harness.matching.opencv.library import opencv, threads
 from harness.matching.opencv.rectify import (
     Rectangle,
+    around_gaps,
     around_of,
     disparities,
+    maps_to_view,
     mei,
     mirrored_rotation,
     on_panorama,
@@ -70,7 +75,9 @@ def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches
     # The first columns have no partner for every disparity, and no disparity therefore.
     rectangle = rectangle_for(pair, matcher.rectified_scale, number, matcher.block_px)
     rectified = pair.shared(
-        "rectify", (rectangle, matcher.interpolation), lambda: rectify(pair, rectangle, matcher.interpolation, cv2)
+        "rectify",
+        (rectangle, matcher.interpolation, matcher.block_px),
+        lambda: rectify(pair, rectangle, matcher.interpolation, cv2, matcher.block_px),
     )
     found = _engine(matcher, number, cv2).compute(*rectified.images)
     disparity = np.where(found >= 0, found / _FIXED_POINT, np.nan)
@@ -107,7 +114,9 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
             file=matcher.kind,
         )
     rectangle = Rectangle(around_of(pair, matcher.rectified_scale))
-    first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in pair.images)
+    seen = pixel_directions(pair.sensor)[1]
+    closed = (without_gaps(image, seen)[0] for image in pair.images)
+    first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in closed)
     _, _, _, cloud = cv2.omnidir.stereoReconstruct(
         first,
         second,
@@ -123,11 +132,33 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
         pointType=cv2.omnidir.XYZ,
     )
     range_m = _ranges(cloud, rectangle)
+    range_m[_of_gaps(pair, matcher, rectangle, frame, range_m, cv2)] = np.nan
     looking = directions(pair.grid)
     row, column = rectangle.places(frame, looking)
     there = range_m[np.rint(row).astype(int) % rectangle.around, np.clip(np.rint(column).astype(int), 0, None)]
     a_2 = exact_alpha_2(there[..., None] * looking, pair.t_v1)
     return Matches(a_2)
+
+
+def _of_gaps(
+    pair: Pair, matcher: StereoReconstruct, rectangle: Rectangle, frame: Array, range_m: Array, cv2: Any
+) -> NDArray[np.bool_]:
+    """Pixels of the rectangle whose point is made of a pixel that is not finite, in either view."""
+    gaps = [
+        around_gaps(
+            image,
+            pair.sensor,
+            maps_to_view(pair.sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)[:2],
+            matcher.block_px,
+            cv2,
+        )
+        for image, R in zip(pair.images, (np.eye(3), pair.motion.R_v2_from_v1), strict=True)
+    ]
+    # The disparity again, from OpenCV's own law: range = |t| f / disparity, with f = 1/step.
+    rows, columns = np.indices(range_m.shape)
+    disparity = np.nan_to_num(pair.motion.baseline_m / (rectangle.step * range_m), posinf=0.0)
+    there = np.clip(np.rint(columns - disparity).astype(int), 0, range_m.shape[1] - 1)
+    return gaps[0] | gaps[1][rows, there]
 
 
 def _engine(matcher: StereoBM | StereoSGBM, number: int, cv2: Any) -> Any:

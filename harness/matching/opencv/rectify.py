@@ -19,12 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor, in_field, on_image
+from harness.camera.fill import without_gaps
+from harness.camera.sensor import Sensor, in_field, on_image, pixel_directions
 from harness.camera.unified import mirrored_frame, to_unified, unified_lens
 from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
 from harness.matching.interface import MatcherSettings
 from harness.matching.pair import Pair
+
+_LANCZOS_TAPS = 8
 
 _AROUND_THE_SEAM = 24
 """Degrees of h, at least, that are there twice on each side: what a path of StereoSGBM remembers."""
@@ -149,21 +152,49 @@ def mirrored_rotation(R: Array) -> Array:
     return mirrored_frame(mirrored_frame(R).T).T
 
 
-def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any) -> Rectified:
-    """Both views on the rectangle, both in v1's orientation, rounded to the 8 bits that OpenCV's matchers take."""
+def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any, block_px: int = 1) -> Rectified:
+    """Both views on the rectangle, both in v1's orientation, rounded to the 8 bits that OpenCV's matchers take.
+
+    Where a block would cover a pixel that is not finite, nothing is seen.
+    """
     how = {"linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos4": cv2.INTER_LANCZOS4}[interpolation]
     frame = frame_along(pair.t_v1)
     images, masks = [], []
     for image, R in zip(pair.images, (np.eye(3), pair.motion.R_v2_from_v1), strict=True):
-        u, v, seen = _maps(pair.sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)
-        sampled = cv2.remap(image, u, v, how, borderMode=cv2.BORDER_REPLICATE)
+        u, v, seen = maps_to_view(
+            pair.sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2
+        )
+        seen = seen & ~around_gaps(image, pair.sensor, (u, v), block_px, cv2)
+        closed, _ = without_gaps(image, pixel_directions(pair.sensor)[1])
+        sampled = cv2.remap(closed, u, v, how, borderMode=cv2.BORDER_REPLICATE)
         images.append(np.where(seen, np.clip(np.rint(sampled), 0, 255), 0).astype(np.uint8))
         masks.append(seen)
     return Rectified(rectangle, frame, (images[0], images[1]), (masks[0], masks[1]))
 
 
+def around_gaps(
+    image: NDArray[np.float32],
+    sensor: Sensor,
+    maps: tuple[NDArray[np.float32], NDArray[np.float32]],
+    block_px: int,
+    cv2: Any,
+) -> NDArray[np.bool_]:
+    """Pixels of the rectangle whose block covers a pixel of the image that is not finite.
+
+    maps : where on the image each of them is, (u, v). Lanczos weighs four pixels to each side.
+    """
+    _, seen = pixel_directions(sensor)
+    _, known = without_gaps(image, seen)
+    gaps = (seen & ~known).astype(np.uint8)
+    if not gaps.any():
+        return np.zeros(maps[0].shape, dtype=bool)
+    reach = cv2.dilate(gaps, np.ones((_LANCZOS_TAPS, _LANCZOS_TAPS), np.uint8))
+    on_rectangle = cv2.remap(reach, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.dilate(on_rectangle, np.ones((block_px + 2, block_px + 2), np.uint8)) > 0)
+
+
 @lru_cache(maxsize=4)
-def _maps(
+def maps_to_view(
     sensor: Sensor, rectangle: Rectangle, frame: bytes, rotation: bytes, cv2: Any
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
     """Where on a view's mirror image each pixel of the rectangle is, (u, v), and whether the sensor sees it."""

@@ -34,7 +34,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import ndimage
 
-from harness.camera.sensor import Sensor, project
+from harness.camera.fill import touches, without_gaps
+from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves
 from harness.geometry.panorama import directions
@@ -230,11 +231,20 @@ class View:
 
 
 def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View]:
-    """Straight from the mirror images, both in v1's orientation."""
+    """Straight from the mirror images, both in v1's orientation.
+
+    A pixel that is not finite is not seen, and neither is any place whose census would look at it.
+    """
     order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
 
     def view(image: NDArray[np.float32], R: Array) -> View:
         coordinates, seen = _sampling_table(pair.sensor, geometry.places, R.tobytes())
+        on_sensor = pixel_directions(pair.sensor)[1]
+        image, known = without_gaps(image, on_sensor)
+        if known is not on_sensor:
+            gaps = touches(on_sensor & ~known, coordinates, order)
+            reach = kernels.REACH + 1  # the blur's
+            seen = seen & ~ndimage.maximum_filter(gaps, size=2 * reach + 1, mode=("wrap", "nearest"))
         values = ndimage.map_coordinates(image, coordinates, order=order, mode="nearest", output=np.float32)
         values = np.where(seen, np.clip(values, 0, 255), 0)
         return View(np.rint(values * _PER_GREY).astype(np.int32), seen)

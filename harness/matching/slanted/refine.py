@@ -30,7 +30,7 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.fill import nearest_known
+from harness.camera.fill import nearest_known, without_gaps
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.camera.unified import to_unified, unified_lens
 from harness.geometry.angles import Array, angle_between, normalise
@@ -116,8 +116,10 @@ def refine_slanted(
         raise ValueError(f"the images are {images[0].shape} and {images[1].shape}, the sensor {size} (rows, columns)")
     if start_alpha_2.shape != grid.shape:
         raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
-    there, back = _way(sensor, motion), _way(sensor, _reversed(motion))
-    first, second = (_view(image, there.seen) for image in images)
+    seen = pixel_directions(sensor)[1]
+    closed = [without_gaps(image, seen) for image in images]
+    there, back = _way(sensor, motion, closed[0][1]), _way(sensor, _reversed(motion), closed[1][1])
+    first, second = (_view(image, known) for image, known in closed)
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
         start = _start(start_alpha_2, there, grid)
         forth = _fit(first, second, there, start, settings, settings.iterations, grid.phi_pitch, pool)
@@ -144,16 +146,23 @@ class _Way:
     x: Array
     """`[height, width, 3]`, unit directions of the mirror pixels."""
     seen: Mask
-    """`[height, width]`."""
+    """`[height, width]`: pixels of the first of the two that are seen, and finite."""
 
 
-def _way(sensor: Sensor, motion: Motion) -> _Way:
+def _way(sensor: Sensor, motion: Motion, known: Mask | None = None) -> _Way:
     unified, lens, field = to_unified(sensor), unified_lens(sensor), sensor.field
     x, seen = pixel_directions(sensor)
     t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
     focal = (unified.xi, unified.gamma_u_px, unified.gamma_v_px, unified.cx_px, unified.cy_px)
     lowest, highest = np.sin(np.radians([field.elevation_min_deg, field.elevation_max_deg])).tolist()
-    return _Way(t, R, -R @ t, (*focal, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, lowest, highest), x, seen)
+    return _Way(
+        t,
+        R,
+        -R @ t,
+        (*focal, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, lowest, highest),
+        x,
+        seen if known is None else known,
+    )
 
 
 def _reversed(motion: Motion) -> Motion:
