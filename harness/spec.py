@@ -357,7 +357,7 @@ _EXPECTED = {
 
 def _expected(problem: _Problem) -> str:
     error = problem.error
-    if error["type"] == "greater_than_equal" and error["ctx"]["ge"] == 1 / LARGEST and error["input"] <= 0:
+    if error["type"] == "greater_than_equal" and error["ctx"]["ge"] == 1 / LARGEST and float(error["input"]) <= 0:
         return "above 0"  # what `Positive` is about
     if error["type"] in _EXPECTED:
         return _EXPECTED[error["type"]].format(**error.get("ctx", {}))

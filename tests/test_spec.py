@@ -107,6 +107,8 @@ WRONG = [
     ({"samples": 0}, "samples: must be at least 1; found 0"),
     ({"objects": [{**BOX, "texture": {"kind": "noise", "sigma_m": -1}}]},
      "objects[0].texture.sigma_m: must be above 0; found -1"),
+    ({"objects": [{**BOX, "texture": {"kind": "noise", "sigma_m": "0"}}]},
+     "objects[0].texture.sigma_m: must be above 0; found '0'"),
     ({"objects": [{**BOX, "texture": {"kind": "noise", "sigma_m": 1e-300}}]},
      "objects[0].texture.sigma_m: must be at least 1e-60; found 1e-300"),
     ({"objects": [{**BOX, "size_m": [1, -1e300, 2]}]}, "objects[0].size_m[1]: must be at least -1e+60; found -1e+300"),
