@@ -34,7 +34,8 @@ def read_mesh(path: Path, textured: bool = True) -> tuple[MeshPart, ...]:
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"not a mesh file; give one of {', '.join(FORMATS)}", file=path)
-    parts = [part for part in FORMATS[path.suffix.lower()](path, textured=textured) if len(part.corners)]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+        parts = [part for part in FORMATS[path.suffix.lower()](path, textured=textured) if len(part.corners)]
     for part in parts:
         if not np.isfinite(part.corners).all() or (part.uv is not None and not np.isfinite(part.uv).all()):
             raise InputError("has vertices that are not finite numbers; repair the mesh", file=path)

@@ -22,7 +22,7 @@ from harness.simulation.mesh_part import (
     Colour,
     Look,
     MeshPart,
-    named_file,
+    is_beside,
     read_named,
     read_picture,
     refuse_unless_convex,
@@ -233,8 +233,9 @@ def _materials(obj: _Obj) -> dict[str, _Material]:
     materials: dict[str, _Material] = {}
     for names, line in obj.libraries:
         # A name may have spaces, or there may be several of them.
-        several = [names] if named_file(names, obj.file).is_file() else names.split()
-        several = several if all(named_file(name, obj.file).is_file() for name in several) else [names]
+        several = names.split()
+        if is_beside(names, obj.file) or not all(is_beside(name, obj.file) for name in several):
+            several = [names]
         for name in several:
             data, path = read_named(name, obj.file, LIMIT_BYTES, "materials", key=line)
             for each, material in _read_mtl(text_of(data), path).items():

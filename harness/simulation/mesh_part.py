@@ -114,6 +114,14 @@ def named_file(name: str, owner: Path) -> Path:
     return owner.parent / name.replace("\\", "/")
 
 
+def is_beside(name: str, owner: Path) -> bool:
+    """Whether there is such a file beside another one."""
+    try:
+        return named_file(name, owner).is_file()
+    except (OSError, ValueError):  # too long a name, or none
+        return False
+
+
 def read_named(name: str, owner: Path, limit_bytes: int, what: str, *, key: str | None = None) -> tuple[bytes, Path]:
     """Contents and path of a file that another one names; what is wrong with it says who named it."""
     path = named_file(name, owner)
