@@ -174,3 +174,13 @@ def test_a_huge_product_is_counted_and_not_enumerated() -> None:
         f"axes: 2000000000 trials are more than the {MOST_TRIALS} that an experiment may have: "
         "2 cases x seed (1000 values) x view_2.yaw_deg (1000 values) x view_2.roll_deg (1000 values)"
     )
+
+
+def test_a_scene_edited_between_two_calls_is_read_again(tmp_path: Path) -> None:
+    scene = tmp_path / "room.toml"
+    path = write_small(tmp_path / "e.toml", '[axes]\nscene = ["room.toml"]\n')
+    scales = []
+    for scale in ("1.0", "2.0"):  # of the same length, within the same second
+        scene.write_text(dump_toml(SCENE).replace("scale = 1.0", f"scale = {scale}"))
+        scales.append(load_experiment(str(path)).planned[0].trial.scene.scale)
+    assert scales == [1, 2]

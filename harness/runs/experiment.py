@@ -20,6 +20,7 @@ from harness.matching import registry
 from harness.matching.interface import MatcherSettings
 from harness.matching.program import with_absolute_files
 from harness.matching.registry import Matcher
+from harness.matching.source_files import State, state_of
 from harness.pipeline.specification import Trial
 from harness.runs.methods import MethodName, method_id, method_names
 from harness.runs.values import Settings, shown, text_of
@@ -121,21 +122,15 @@ class Experiment(Spec):
             for name, part in table.items()
         }
 
-    def trials(self) -> list[tuple[Settings, Trial]]:
-        """Every trial with its place on the axes; see `planned`."""
-        return [(each.place, each.trial) for each in self.planned]
-
     def _check_count(self) -> None:
         """Count before anything is enumerated."""
         counts = {f"{len(self.cases)} cases": len(self.cases)} if self.cases else {}
         counts |= {f"{key} ({len(values)} values)": len(values) for key, values in self.axes.items()}
         total = math.prod(counts.values())
         if total > MOST_TRIALS:
-            several = [text for text, count in counts.items() if count > 1]
-            raise InputError(
-                f"{total} trials are more than the {MOST_TRIALS} that an experiment may have: {' x '.join(several)}",
-                key="axes" if self.axes else "cases",
-            )
+            several = " x ".join(text for text, count in counts.items() if count > 1)
+            problem = f"{total} trials are more than the {MOST_TRIALS} that an experiment may have: {several}"
+            raise InputError(problem, key="axes" if self.axes else "cases")
 
     def _settings(self) -> Iterator[tuple[int | None, Settings]]:
         """The number of the case, if there are any, and what changes in the base trial."""
@@ -487,7 +482,7 @@ def _read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, ke
     scene, sensor = resolved.get("scene"), resolved.get("sensor")
     if isinstance(scene, str):
         path = _scene_file(scene, folder, file or "", f"{where}scene")
-        resolved["scene"] = _scene_table(str(path.resolve()))
+        resolved["scene"] = _scene_table(path.resolve())
     elif isinstance(scene, dict):
         resolved["scene"] = _absolute("", scene, folder, file or "")
     if isinstance(sensor, str):
@@ -495,6 +490,11 @@ def _read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, ke
     return resolved
 
 
+def _scene_table(path: Path) -> Mapping[str, Any]:
+    state = state_of(path)
+    return _scene_table_of(path, state) if state else as_table(load_scene(str(path)))
+
+
 @lru_cache(maxsize=64)
-def _scene_table(path: str) -> Mapping[str, Any]:
-    return as_table(load_scene(path))
+def _scene_table_of(path: Path, _state: State) -> Mapping[str, Any]:
+    return as_table(load_scene(str(path)))
