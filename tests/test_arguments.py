@@ -95,6 +95,15 @@ def test_a_misspelt_option_stays_an_option(capsys: pytest.CaptureFixture[str]) -
     assert "unrecognized arguments: --nan-yaw" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("odd", ["seed=1\nseed=5", LONG, "\t\r\n"])
+def test_what_is_no_option_is_answered_in_one_short_line(capsys: pytest.CaptureFixture[str], odd: str) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "smoke", "--sets", odd])
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert len(said) < 300
+
+
 def test_a_path_is_relative_to_its_folder_and_need_not_be_there(tmp_path: Path) -> None:
     assert path_of("a/b.toml", tmp_path) == tmp_path / "a" / "b.toml"
     assert path_of("/a/b.toml", tmp_path) == Path("/a/b.toml")

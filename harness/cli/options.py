@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from harness.cli import completers
 from harness.cli.exits import INPUT
+from harness.display import shortened
 
 
 class Parser(argparse.ArgumentParser):
@@ -21,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong, and exit."""
-        print(f"omnirange: {message}; see {self.prog} --help", file=sys.stderr)
+        print(f"omnirange: {shortened(message)}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(INPUT)
 
 
