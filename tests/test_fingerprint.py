@@ -154,3 +154,12 @@ def test_a_mesh_of_several_files_is_not_sent_away_in_part(tmp_path):
     with pytest.raises(InputError, match="save it as GLB"):
         pack(planned, with_files=True)
     assert pack(planned).files == {}
+
+
+def test_a_file_of_the_scene_that_is_wrong_is_named(tmp_path):
+    """Before anything is run, and as itself: not as the experiment that led to it."""
+    write_scene(tmp_path / "one")
+    (tmp_path / "one" / "paint.mtl").write_text("newmtl paint\nd 0.5\n")
+    (tmp_path / "e.toml").write_text('name = "e"\n[trial]\nscene = "one/scene.toml"\n')
+    with pytest.raises(InputError, match=r"^\S*/one/paint\.mtl: line 2: "):
+        load_experiment(str(tmp_path / "e.toml"))

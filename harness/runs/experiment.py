@@ -198,6 +198,8 @@ def load_experiment(
     try:
         _ = changed.planned
     except InputError as error:
+        if error.file is not None:  # a file of the scene is at fault
+            raise
         if error.key in {f"axes.{key}" for key in values}:
             raise InputError(error.problem, file=axis_option, key=error.key.removeprefix("axes.")) from error
         for key in settings:
