@@ -8,6 +8,8 @@ import pytest
 
 from harness.errors import InputError
 from harness.runs import store as module
+from harness.runs.experiment import load_experiment
+from harness.runs.run import open_run
 from harness.runs.store import Finished, Foreign, Store
 
 DONE = Finished("a", "scene", "done", payload='{"figures": {"x": 0.1}}', seconds='{"render": 1.5}')
@@ -74,6 +76,28 @@ def test_no_database_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"run\.sqlite: is not a run of omnirange, or is damaged"):
         Store(path)
     assert path.read_text() == "key,state\n" * 1000
+
+
+def test_a_file_that_is_refused_is_let_go_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A notebook keeps the last error, and with it all that was in use: the next call must not find a lock."""
+    opened = []
+    real = sqlite3.connect
+    monkeypatch.setattr(
+        sqlite3, "connect", lambda *arguments, **options: opened.append(real(*arguments, **options)) or opened[-1]
+    )
+    (tmp_path / "run.sqlite").write_text("key,state\n" * 1000)
+    with pytest.raises(InputError):
+        Store(tmp_path / "run.sqlite")
+    (tmp_path / "mine").mkdir()
+    small = load_experiment("smoke", ["seed=1"])
+    with open_run(small, tmp_path / "mine"):
+        pass
+    with pytest.raises(InputError, match="holds a run of the experiment 'smoke'"):
+        open_run(small.model_copy(update={"name": "other"}), tmp_path / "mine")
+    assert len(opened) == 3
+    for connection in opened:
+        with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+            connection.execute("SELECT 1")
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])

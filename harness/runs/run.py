@@ -124,15 +124,17 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
         When the folder holds another experiment's run, or its file cannot be used.
     """
     make_folder(folder)
-    store = Store(folder / DATABASE)
-    name = store.fact("name")
-    if name not in (None, experiment.name):
-        raise InputError(
-            f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
-            file=folder,
-        )
-    store.set_fact("name", experiment.name)
-    store.set_fact("experiment", as_table(experiment))
+    with contextlib.ExitStack() as until_it_is_opened:
+        store = until_it_is_opened.enter_context(Store(folder / DATABASE))
+        name = store.fact("name")
+        if name not in (None, experiment.name):
+            raise InputError(
+                f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
+                file=folder,
+            )
+        store.set_fact("name", experiment.name)
+        store.set_fact("experiment", as_table(experiment))
+        until_it_is_opened.pop_all()  # from here on it is the caller's to close
     return store
 
 

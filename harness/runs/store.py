@@ -90,9 +90,15 @@ class Store:
         self._code = code_hash()
         try:
             self._connection = sqlite3.connect(path or ":memory:", timeout=0, isolation_level=None)
-            self._open()
         except sqlite3.Error as error:
             raise self._explained(error) from error
+        try:
+            self._open()
+        except BaseException as error:
+            self._connection.close()  # nobody else will: there is no store to leave
+            if isinstance(error, sqlite3.Error):
+                raise self._explained(error) from error
+            raise
 
     def __enter__(self) -> Self:
         return self
