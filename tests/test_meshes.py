@@ -308,6 +308,7 @@ def test_obj_several_material_files_with_spaces(tmp_path):
         (OBJ.replace("f 1/1", "f 0/1"), "", "m.obj: line 11: cannot be read as a mesh: wrong numbers after 'f'"),
         (OBJ.replace("v 1 0 0", "v x 0 0"), "", "m.obj: line 3: cannot be read"),
         (OBJ.replace("v 1 0 0", "v 1e300 0 0"), "newmtl m\nKd 1 1 1\n", "beyond 1e+09"),
+        (OBJ.replace("vt 0 1", "vt"), "", "line 9: cannot be read as a mesh: wrong numbers after 'vt'"),
         (OBJ.replace("usemtl", "curv"), "", "line 10: unknown keyword 'curv'"),
         ("v 0 0 0\nv 2 0 0\nv 0.1 0.1 0\nv 0 2 0\nf 2 3 4 1\n", "", "polygon 1 is not convex"),
         (OBJ.replace("v 0 0 0", "v 0 0 0 1 1 1"), "newmtl m\nKd 1 1 1\n", "vertices with and without colours"),

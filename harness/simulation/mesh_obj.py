@@ -100,7 +100,7 @@ class _Obj:
                 if words[0] == "v":
                     self._vertex([float(word) for word in words[1:]])
                 elif words[0] == "vt":
-                    self.uv += ([float(word) for word in words[1:3]] + [0.0])[:2]
+                    self.uv += float(words[1]), float(words[2]) if len(words) > 2 else 0.0
                 elif words[0] == "f":
                     faces = self.faces.setdefault(material, _Faces(f"line {number}"))
                     self._face(words[1:], faces)
