@@ -42,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with interrupts.heard(), patient_output(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
+            warnings.simplefilter("default", Notice)  # said, whatever becomes of other warnings
             options = _parser().parse_args(arguments)
             try:
                 return options.run(options) or OK

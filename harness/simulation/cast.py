@@ -5,6 +5,7 @@ of float32 is which surface a ray within about 1e-7 of an occluder's outline mee
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.simulation._rendering_kernels import verify_hits
+from harness.simulation.coincident import seen_from, settle
 from harness.simulation.geometry import Geometry, Ints
 from harness.threads import in_threads
 
@@ -71,6 +73,14 @@ def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, thr
             triangle[part],
             range_m[part],
         )
+        settled = _settled(geometry, origin, flat[part], triangle[part])
+        changed = np.flatnonzero(settled != triangle[part])
+        if changed.size:
+            face = geometry.face_of_triangle[settled[changed]]
+            distance = geometry.offsets[face] - geometry.normals[face] @ origin
+            towards = np.einsum("ij,ij->i", geometry.normals[face], flat[part][changed])
+            range_m[part][changed] = distance / towards
+            triangle[part] = settled
 
     in_threads(work, range(0, len(flat), _CHUNK), threads)
     refuse_escapes(geometry, origin, flat, triangle)
@@ -86,9 +96,33 @@ def rotated(directions: Array, rotation: Array) -> Array:
 
 
 def nearest_triangles(geometry: Geometry, origin: Array, directions: NDArray[np.float32]) -> Ints:
-    """Embree's answer `[n]` for directions `[n, 3]` of any length, unverified; -1 for a miss."""
+    """Embree's answer `[n]` for directions `[n, 3]` of any length, settled where faces coincide; -1 for a miss."""
     origins = np.broadcast_to(origin.astype(np.float32), directions.shape)
-    return np.asarray(geometry.embree.run(origins, directions), dtype=np.int32)
+    triangle = np.asarray(geometry.embree.run(origins, directions), dtype=np.int32)
+    return _settled(geometry, origin, directions, triangle)
+
+
+def _settled(geometry: Geometry, origin: Array, directions: NDArray[Any], triangle: Ints) -> Ints:
+    """The triangles that are seen, where faces coincide; see `coincident`."""
+    rivals = geometry.rivals
+    if not len(rivals.pairs):
+        return triangle
+    pairs = seen_from(rivals, geometry.normals, geometry.offsets, origin)
+    if not len(pairs):
+        return triangle
+    settled = triangle.copy()
+    settle(
+        pairs,
+        geometry.corners,
+        geometry.face_of_triangle,
+        geometry.normals,
+        geometry.offsets,
+        rivals.tolerance_m,
+        origin,
+        directions,
+        settled,
+    )
+    return settled
 
 
 def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, triangle: Ints) -> None:

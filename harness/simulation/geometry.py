@@ -5,6 +5,7 @@ single triangle of a mesh. From a given viewpoint a face's texture coordinates a
 which is what lets the renderer shade a ray without tracing it (see `homographies`).
 """
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,10 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.geometry.angles import Array
 from harness.simulation._rendering_kernels import face_maps
+from harness.simulation.coincident import Rivals, encloses, rivals_of, seen_from
 from harness.simulation.content_cache import cached_by_content
 from harness.simulation.mesh_file import read_mesh
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Plane, Scene
@@ -74,6 +76,10 @@ class Geometry:
     bounds: Array
     """`[2, 3]`: lowest and highest corner."""
     solids: tuple[Solid, ...]
+    object_names: tuple[str, ...]
+    """Of the scene's objects, for messages."""
+    rivals: Rivals
+    """Faces that overlap in one plane."""
     embree: Any
     """The triangles as an Embree scene, float32; hits are triangle indices."""
 
@@ -123,7 +129,7 @@ def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.
     """
     patches: list[_Patch] = []
     object_of_patch: list[int] = []
-    solids: list[Solid] = []
+    solids: dict[int, Solid] = {}
     for index, thing in enumerate(scene.objects):
         moved = np.subtract(thing.pose.position_m, np.divide(centre, scene.scale))
         own = [_placed(patch, thing.pose.R_world_from_view, moved, scene.scale) for patch in _patches(thing)]
@@ -131,12 +137,16 @@ def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.
         object_of_patch += [index] * len(own)
         corners = np.concatenate([patch.corners for patch in own])
         if not isinstance(thing, Plane) and not thing.inward and _is_watertight(corners):
-            solids.append(Solid(name=thing.name or f"object {index} ({thing.kind})", corners=corners))
-    return _assemble(scene, np.array(centre), patches, object_of_patch, tuple(solids))
+            solids[index] = Solid(name=_name(index, thing), corners=corners)
+    return _assemble(scene, np.array(centre), patches, object_of_patch, solids)
+
+
+def _name(index: int, thing: Box | Plane | Mesh) -> str:
+    return thing.name or f"object {index} ({thing.kind})"
 
 
 def _assemble(
-    scene: Scene, centre: Array, patches: list[_Patch], object_of_patch: list[int], solids: tuple[Solid, ...]
+    scene: Scene, centre: Array, patches: list[_Patch], object_of_patch: list[int], solids: dict[int, Solid]
 ) -> Geometry:
     corners = np.concatenate([patch.corners for patch in patches])
     uv = np.concatenate([patch.uv for patch in patches])
@@ -170,6 +180,8 @@ def _assemble(
     }
     for array in arrays.values():
         array.flags.writeable = False
+    inside = [solids[index].corners if index in solids else None for index in arrays["object_of_face"].tolist()]
+    rivals = rivals_of(corners, arrays["face_of_triangle"][:-1], normals, offsets, inside)
     embree = EmbreeScene(robust=True)
     TriangleMesh(embree, vertices.astype(np.float32), triangles)
     return Geometry(
@@ -177,7 +189,9 @@ def _assemble(
         closed=scene.closed,
         background_grey=scene.background_grey,
         textures=textures,
-        solids=solids,
+        solids=tuple(solids.values()),
+        object_names=tuple(_name(index, thing) for index, thing in enumerate(scene.objects)),
+        rivals=rivals,
         embree=embree,
         **arrays,
     )
@@ -207,6 +221,8 @@ def homographies(geometry: Geometry, uv_maps: Array, viewpoint: ArrayLike, rotat
 def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
     """Refuse a viewpoint, metres from the geometry's centre, from which there is nothing sensible to see.
 
+    Where faces of two objects coincide, it warns of it (`Notice`).
+
     Raises
     ------
     InputError
@@ -220,11 +236,35 @@ def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
         box = ", ".join(f"{axis} {a:.10g} .. {b:.10g}" for axis, a, b in in_world)
         raise InputError(f"the view at {where} is outside the scene; place it within {box} m", file=geometry.name)
     for solid in geometry.solids:
-        if _encloses(solid.corners, p):
+        if encloses(solid.corners, p):
             raise InputError(
                 f"the view at {where} is inside '{solid.name}'; place it outside, or set inward = true for a room",
                 file=geometry.name,
             )
+    for pair in _coincident_objects(geometry, p):
+        warnings.warn(
+            f"{geometry.name}: faces of {' and '.join(pair)} coincide; the later one is seen. Move one of them apart",
+            Notice,
+            stacklevel=1,  # one place, so that it is said once
+        )
+
+
+def _coincident_objects(geometry: Geometry, viewpoint: Array) -> list[list[str]]:
+    """The names of the objects whose faces overlap in one plane as seen from a viewpoint, two by two, or alone where an
+    object does so with itself and the two faces look different.
+    """
+    pairs = seen_from(geometry.rivals, geometry.normals, geometry.offsets, viewpoint)
+    objects = geometry.object_of_face[pairs]
+    a, b = pairs.T
+    same_object = objects[:, 0] == objects[:, 1]
+    same_texture = np.array(
+        [geometry.textures[i] is geometry.textures[j] for i, j in geometry.texture_of_face[pairs].tolist()], dtype=bool
+    )
+    alike = same_object & same_texture & (np.abs(geometry.uv_maps[a] - geometry.uv_maps[b]) < 1e-6).all(axis=(1, 2))
+    return [
+        [f"'{geometry.object_names[index]}'" for index in dict.fromkeys(each)]
+        for each in np.unique(objects[~alike], axis=0).tolist()
+    ]
 
 
 def _patches(thing: Box | Plane | Mesh) -> list[_Patch]:
@@ -348,19 +388,3 @@ def _face_edges(triangles: Ints, face: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _is_watertight(corners: Array) -> bool:
     return bool((_sides(_indexed(corners))[2] == 2).all())
-
-
-def _encloses(corners: Array, p: Array) -> bool:
-    """Whether a watertight surface goes round a point: a ray crosses it an odd number of times.
-
-    The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
-    """
-    vertices = corners.reshape(-1, 3)
-    if not ((p > vertices.min(axis=0)) & (p < vertices.max(axis=0))).all():
-        return False
-    ray = np.array([0.537761, 0.279103, 0.795541])
-    a, b, c = np.moveaxis(corners - p, 1, 0)
-    beside = np.stack([np.cross(b, c) @ ray, np.cross(c, a) @ ray, np.cross(a, b) @ ray])
-    through = (beside > 0).all(axis=0) | (beside < 0).all(axis=0)
-    ahead = np.sum(a * np.cross(b, c), axis=-1) * beside.sum(axis=0) > 0
-    return bool(np.count_nonzero(through & ahead) % 2)

@@ -1,0 +1,138 @@
+"""Compiled loops over triangles in one plane. Called through `coincident`, which checks the arguments."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, out):
+    """Write pairs of faces whose triangles overlap in one plane, the earlier first, as far as there is room in `out`.
+
+    Triangles are gone through in `order`, along an axis, each beside those that begin before it ends.
+
+    Returns how many pairs there are; some are found repeatedly.
+    """
+    count = 0
+    for i in range(order.size):
+        a = order[i]
+        for j in range(i + 1, order.size):
+            b = order[j]
+            if low[b, axis] > high[a, axis]:
+                break
+            f, g = face_of_triangle[a], face_of_triangle[b]
+            if f == g:
+                continue
+            apart = False
+            for k in range(3):
+                apart = apart or low[a, k] > high[b, k] or low[b, k] > high[a, k]
+            if apart or not (
+                _in_plane(corners[a], normals[g], offsets[g], tolerance)
+                or _in_plane(corners[b], normals[f], offsets[f], tolerance)
+            ):
+                continue
+            if _overlap(corners[a], corners[b], normals[f], tolerance):
+                if count < out.shape[0]:
+                    out[count, 0], out[count, 1] = min(f, g), max(f, g)
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_plane(triangle, normal, offset, tolerance):
+    for k in range(3):
+        p = triangle[k]
+        if abs(normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2] - offset) > tolerance:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _overlap(a, b, normal, tolerance):
+    """Whether two triangles in one plane share an area: no side of either parts them (separating axes)."""
+    for swap in range(2):
+        first, second = (a, b) if swap == 0 else (b, a)
+        for k in range(3):
+            p, q = first[k], first[(k + 1) % 3]
+            ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+            x, y, z = ey * normal[2] - ez * normal[1], ez * normal[0] - ex * normal[2], ex * normal[1] - ey * normal[0]
+            length = math.sqrt(x * x + y * y + z * z)
+            low_1, high_1, low_2, high_2 = math.inf, -math.inf, math.inf, -math.inf
+            for m in range(3):
+                s = (x * first[m, 0] + y * first[m, 1] + z * first[m, 2]) / length
+                t = (x * second[m, 0] + y * second[m, 1] + z * second[m, 2]) / length
+                low_1, high_1 = min(low_1, s), max(high_1, s)
+                low_2, high_2 = min(low_2, t), max(high_2, t)
+            if min(high_1, high_2) - max(low_1, low_2) <= 2.0 * tolerance:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def settle_hits(
+    starts, rivals, first_triangle, order, corners, face_of_triangle, normals, offsets, tolerance, origin, directions,
+    triangle,
+):  # fmt: skip
+    """Write, for every hit on a face with rivals, the triangle that is seen: the nearest, and of those at one range the
+    one of the latest face.
+
+    starts, rivals : the rivals of face f are `rivals[starts[f] : starts[f + 1]]`, ascending.
+    first_triangle, order : the triangles of face f are `order[first_triangle[f] : first_triangle[f + 1]]`.
+    """
+    cx, cy, cz = origin
+    for i in range(triangle.size):
+        if triangle[i] < 0:
+            continue
+        hit = face_of_triangle[triangle[i]]
+        if starts[hit] == starts[hit + 1]:
+            continue
+        dx, dy, dz = (
+            np.float64(directions[i, 0]),
+            np.float64(directions[i, 1]),
+            np.float64(directions[i, 2]),
+        )
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        nearest = _range(normals, offsets, hit, cx, cy, cz, dx, dy, dz)
+        latest, seen = hit, triangle[i]
+        # First how near the nearest is, then who is there.
+        for turn in range(2):
+            for at in range(starts[hit], starts[hit + 1]):
+                f = rivals[at]
+                s = _range(normals, offsets, f, cx, cy, cz, dx, dy, dz)
+                if turn == 0 and not 0.0 < s < nearest:
+                    continue
+                slope = abs(normals[f, 0] * dx + normals[f, 1] * dy + normals[f, 2] * dz) / length
+                if turn == 1 and not (abs(s - nearest) * length * slope <= tolerance and (f > latest or latest < 0)):
+                    continue
+                for k in range(first_triangle[f], first_triangle[f + 1]):
+                    if _inside(corners[order[k]], cx, cy, cz, dx, dy, dz):
+                        if turn == 0:
+                            nearest = s
+                        else:
+                            latest, seen = f, order[k]
+                        break
+            if turn == 0:
+                s = _range(normals, offsets, hit, cx, cy, cz, dx, dy, dz)
+                slope = abs(normals[hit, 0] * dx + normals[hit, 1] * dy + normals[hit, 2] * dz) / length
+                if (s - nearest) * length * slope > tolerance:
+                    latest = -1
+        triangle[i] = seen
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _range(normals, offsets, f, cx, cy, cz, dx, dy, dz):
+    nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+    return (offsets[f] - (nx * cx + ny * cy + nz * cz)) / (nx * dx + ny * dy + nz * dz)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _inside(corners, cx, cy, cz, dx, dy, dz):
+    """Whether a ray passes through a triangle: the three products `d · (v_i x v_j)` have one sign."""
+    ax, ay, az = corners[0, 0] - cx, corners[0, 1] - cy, corners[0, 2] - cz
+    bx, by, bz = corners[1, 0] - cx, corners[1, 1] - cy, corners[1, 2] - cz
+    ex, ey, ez = corners[2, 0] - cx, corners[2, 1] - cy, corners[2, 2] - cz
+    w0 = dx * (by * ez - bz * ey) + dy * (bz * ex - bx * ez) + dz * (bx * ey - by * ex)
+    w1 = dx * (ey * az - ez * ay) + dy * (ez * ax - ex * az) + dz * (ex * ay - ey * ax)
+    w2 = dx * (ay * bz - az * by) + dy * (az * bx - ax * bz) + dz * (ax * by - ay * bx)
+    return (w0 >= 0.0 and w1 >= 0.0 and w2 >= 0.0) or (w0 <= 0.0 and w1 <= 0.0 and w2 <= 0.0)

@@ -1,0 +1,164 @@
+"""Faces in one plane that overlap, and the rule for them: the later object of the scene is what is seen.
+
+In float32 it is chance, ray by ray, which of two such faces Embree meets. So every hit on a face that has a rival is
+settled anew in float64, the same in every view, for images and for truth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.geometry.angles import Array
+from harness.simulation._coincident_kernels import settle_hits, sweep
+
+Ints = NDArray[np.int32]
+
+NEAR = 1e-6
+"""Of the scene's size: within this distance float32 may take one face for the other. The nearer one is then found in
+float64."""
+COINCIDENT = 1e-9
+"""Of the scene's size: within this distance both are at one range, and the later one is seen."""
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """The pairs of faces of a geometry that overlap in one plane; arrays are read-only."""
+
+    pairs: Ints
+    """`[pairs, 2]`: two faces, the earlier first."""
+    visible_from: NDArray[np.int8]
+    """`[pairs, 2]`: the side of its plane from which each face may be seen: 1 for that of its normal, -1 for the other,
+    0 for both."""
+    tolerance_m: float
+    """Faces nearer to each other than this are at one range."""
+
+
+def rivals_of(
+    corners: Array, face_of_triangle: Ints, normals: Array, offsets: Array, inside_of_face: Sequence[Array | None]
+) -> Rivals:
+    """The rivals among faces.
+
+    Parameters
+    ----------
+    corners
+        `[triangles, 3, 3]`.
+    face_of_triangle
+        `[triangles]`.
+    normals, offsets
+        Planes `[faces, 3]` and `[faces]`.
+    inside_of_face
+        For each face the corners of the solid that it bounds, from whose inside nothing is seen; None for a face that
+        is seen from both sides.
+    """
+    size = float(np.abs(corners).max())
+    found = _overlapping(corners, face_of_triangle, normals, offsets, NEAR * size)
+    pairs = np.unique(found, axis=0).astype(np.int32).reshape(-1, 2)
+    first_of_face = np.unique(face_of_triangle, return_index=True)[1]
+    sides = {
+        face: _visible_from(corners[first_of_face[face]], normals[face], inside_of_face[face])
+        for face in np.unique(pairs).tolist()
+    }
+    visible = np.array([[sides[face] for face in pair] for pair in pairs.tolist()], dtype=np.int8).reshape(-1, 2)
+    pairs.flags.writeable = False
+    visible.flags.writeable = False
+    return Rivals(pairs, visible, COINCIDENT * size)
+
+
+def _overlapping(
+    corners: Array, face_of_triangle: Ints, normals: Array, offsets: Array, tolerance: float
+) -> NDArray[np.int64]:
+    """Pairs of faces `[n, 2]`, the earlier first and some repeatedly, of which triangles overlap in one plane."""
+    low, high = corners.min(axis=1) - tolerance, corners.max(axis=1) + tolerance
+    # Along the axis on which the triangles are small beside the whole, fewest lie beside each other.
+    spread = np.ptp(corners.reshape(-1, 3), axis=0) / (high - low).mean(axis=0)
+    axis = int(np.argmax(spread))
+    order = np.argsort(low[:, axis], kind="stable")
+    room = 1024
+    while True:
+        out = np.empty((room, 2), dtype=np.int64)
+        count = sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, out)
+        if count <= room:
+            return out[:count]
+        room = count
+
+
+def _visible_from(triangle: Array, normal: Array, solid: Array | None) -> int:
+    if solid is None:
+        return 0
+    middle = triangle.mean(axis=0)
+    step = 1e-5 * float(np.ptp(solid.reshape(-1, 3), axis=0).max()) * normal
+    return -1 if encloses(solid, middle + step) else 1
+
+
+def seen_from(rivals: Rivals, normals: Array, offsets: Array, viewpoint: Array) -> Ints:
+    """The pairs `[n, 2]` of which a viewpoint is on the right side of both faces.
+
+    The bottom of a box on a floor is not: it is seen from below, and the floor from above.
+    """
+    side = np.sign(normals @ viewpoint - offsets)[rivals.pairs]
+    visible = ((rivals.visible_from == 0) | (rivals.visible_from == side)) & (side != 0)
+    return rivals.pairs[visible.all(axis=1)]
+
+
+def settle(
+    pairs: Ints,
+    corners: Array,
+    face_of_triangle: Ints,
+    normals: Array,
+    offsets: Array,
+    tolerance_m: float,
+    origin: Array,
+    directions: NDArray[np.floating],
+    triangle: Ints,
+) -> None:
+    """Put the triangle that is seen in place of one of its rivals that was hit.
+
+    Parameters
+    ----------
+    pairs
+        From `seen_from`.
+    face_of_triangle
+        `[triangles]` or more.
+    directions
+        `[n, 3]`, of any length.
+    triangle
+        `[n]`, written; -1 for a miss.
+    """
+    faces = len(normals)
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    starts = np.searchsorted(both[:, 0], np.arange(faces + 1))
+    order = np.argsort(face_of_triangle[: len(corners)], kind="stable")
+    first_triangle = np.searchsorted(face_of_triangle[order], np.arange(faces + 1))
+    settle_hits(
+        starts,
+        np.ascontiguousarray(both[:, 1]),
+        first_triangle,
+        order,
+        corners,
+        face_of_triangle,
+        normals,
+        offsets,
+        tolerance_m,
+        origin,
+        directions,
+        triangle,
+    )
+
+
+def encloses(corners: Array, p: Array) -> bool:
+    """Whether a watertight surface `[triangles, 3, 3]` goes round a point: a ray crosses it an odd number of times.
+
+    The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
+    """
+    vertices = corners.reshape(-1, 3)
+    if not ((p > vertices.min(axis=0)) & (p < vertices.max(axis=0))).all():
+        return False
+    ray = np.array([0.537761, 0.279103, 0.795541])
+    a, b, c = np.moveaxis(corners - p, 1, 0)
+    beside = np.stack([np.cross(b, c) @ ray, np.cross(c, a) @ ray, np.cross(a, b) @ ray])
+    through = (beside > 0).all(axis=0) | (beside < 0).all(axis=0)
+    ahead = np.sum(a * np.cross(b, c), axis=-1) * beside.sum(axis=0) > 0
+    return bool(np.count_nonzero(through & ahead) % 2)

@@ -1,0 +1,167 @@
+"""Coincident faces: the later object is seen, in every view, in images and in truth; checked by brute force."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.cli import main
+from harness.errors import Notice
+from harness.geometry.pose import Pose
+from harness.simulation.geometry import geometry_of
+from harness.simulation.render import render, render_every_sample
+from harness.simulation.scene import Box, Plane, Scene, load_scene
+from harness.simulation.texture import GreyTexture
+from harness.simulation.truth import ranges, truth
+
+SMALL = Sensor(camera=Camera(width_px=160, height_px=120, focal_px=153.53, cx_px=79.5, cy_px=59.5))
+VIEWS = (Pose(position_m=(0.1, 0.2, 1.0)), Pose(position_m=(0.6, -0.3, 1.3), yaw_deg=33, roll_deg=4))
+
+
+def grey(value):
+    return GreyTexture(kind="grey", value=value)
+
+
+def room(*things, yaw_deg=0.0):
+    """A room with things in it."""
+    walls = Box(kind="box", name="room", inward=True, size_m=(6, 6, 3), yaw_deg=yaw_deg, texture=grey(10))
+    return Scene(name="coincident", objects=(walls, *things))
+
+
+def rug(value, x=0.0, y=0.0, size=(2, 2), yaw_deg=0.0, height=0.0, name=""):
+    return Plane(kind="plane", name=name, size_m=size, position_m=(x, y, height), yaw_deg=yaw_deg, texture=grey(value))
+
+
+def brute_force(scene, pose, directions):
+    """The grey of the nearest surface along rays, the later of those within 1e-8 m, from all triangles."""
+    geometry = geometry_of(scene)
+    origin = np.array(pose.position_m)
+    d = directions @ pose.R_world_from_view.T
+    best, value = np.full(len(d), np.inf), np.zeros(len(d))
+    greys = [texels[0, 0] for texels in geometry.textures]
+    edge = np.zeros(len(d), dtype=bool)
+    for triangle, face in zip(geometry.corners, geometry.face_of_triangle, strict=False):
+        a, b, c = triangle - origin
+        w = np.stack([d @ np.cross(b, c), d @ np.cross(c, a), d @ np.cross(a, b)])
+        w = w / np.abs(w).sum(axis=0)
+        edge |= (np.abs(w).min(axis=0) < 1e-6) & ((w > -1e-6).all(axis=0) | (w < 1e-6).all(axis=0))
+        with np.errstate(divide="ignore"):
+            s = np.dot(np.cross(b - a, c - a), a) / (d @ np.cross(b - a, c - a))
+        meets = ((w >= 0).all(axis=0) | (w <= 0).all(axis=0)) & (s > 0) & (s <= best + 1e-8)
+        best = np.where(meets, np.minimum(s, best), best)
+        value[meets] = greys[geometry.texture_of_face[face]]
+    return value, best, edge
+
+
+def random_scene(seed):
+    """Rugs on the floor and posters on a wall, at all angles in their planes, some touching."""
+    rng = np.random.default_rng(seed)
+    yaw = float(rng.uniform(-180, 180)) if seed % 2 else 0.0
+    things = [
+        rug(20 + 10 * i, *rng.uniform(-1.5, 1.5, 2), size=tuple(rng.uniform(0.5, 2, 2)), yaw_deg=rng.uniform(0, 90))
+        for i in range(6)
+    ]
+    c, s = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+    for i in range(4):
+        along, up = rng.uniform(-1, 1), rng.uniform(1, 2)
+        things.append(
+            Plane(
+                kind="plane",
+                size_m=tuple(rng.uniform(0.5, 1.5, 2)),
+                position_m=(3 * c - along * s, 3 * s + along * c, up),
+                yaw_deg=yaw,
+                pitch_deg=90,
+                texture=grey(100 + 10 * i),
+            )
+        )
+    return room(*things, yaw_deg=yaw)
+
+
+@pytest.mark.filterwarnings("ignore::harness.errors.Notice")
+@pytest.mark.parametrize("seed", range(6))
+def test_the_later_object_is_seen_in_both_views_and_in_truth(seed):
+    scene = random_scene(seed)
+    directions, valid = pixel_directions(SMALL)
+    for pose in VIEWS:
+        expected, range_m, edge = brute_force(scene, pose, directions[valid])
+        seen = truth(scene, pose, directions, valid, wrap_columns=False)
+        geometry = geometry_of(scene)
+        greys = np.array([texels[0, 0] for texels in geometry.textures])
+        found = greys[geometry.texture_of_face[seen.face[valid]]]
+        # A ray within 1e-6 of a triangle's side may fall on either side of it.
+        assert edge.mean() < 0.01
+        np.testing.assert_array_equal(found[~edge], expected[~edge])
+        np.testing.assert_allclose(seen.range_m[valid], range_m, rtol=0, atol=1e-8)
+        one = render(scene, SMALL, pose, 1)[valid]
+        np.testing.assert_array_equal(one[~edge], expected[~edge])
+        np.testing.assert_array_equal(render(scene, SMALL, pose, 4), render_every_sample(scene, SMALL, pose, 4))
+
+
+@pytest.mark.filterwarnings("ignore::harness.errors.Notice")
+def test_a_point_on_a_rug_is_visible_from_the_other_view():
+    directions, valid = pixel_directions(SMALL)
+    scene = room(rug(20), rug(30, 0.5, 0.3))
+    seen = truth(scene, VIEWS[0], directions, valid, pose_2=VIEWS[1], wrap_columns=False)
+    assert seen.unoccluded[valid].all()
+
+
+@pytest.mark.filterwarnings("ignore::harness.errors.Notice")
+def test_faces_that_float32_cannot_part_are_parted_by_range():
+    # The first rug lies a tenth of a micrometre above the second: float32 has steps of 2e-7 m there.
+    scene = room(rug(20, height=1e-6 + 1e-7), rug(30, height=1e-6))
+    directions, valid = pixel_directions(SMALL)
+    image = render(scene, SMALL, VIEWS[0], 1)
+    on_rug = ranges(scene, VIEWS[0], directions, valid)
+    points = VIEWS[0].position_m + on_rug[..., None] * directions
+    inside = valid & (np.abs(points[..., :2]) < 0.99).all(axis=-1) & (points[..., 2] < 1e-3)
+    assert inside.sum() > 500
+    assert (image[inside] == 20).all()
+
+
+def test_it_is_said_once_and_by_name():
+    with pytest.warns(Notice, match=r"coincident: faces of 'room' and 'rug' coincide; the later one is seen"):
+        render(room(rug(20, name="rug")), SMALL, VIEWS[0], 1)
+    with pytest.warns(Notice, match=r"'object 1 \(plane\)' and 'object 2 \(plane\)'"):
+        ranges(room(rug(20, height=0.1), rug(30, 0.7, height=0.1)), VIEWS[0], np.array([[[0, 0, -1.0]]]), [[True]])
+
+
+@pytest.mark.parametrize(
+    "things",
+    [
+        (Box(kind="box", size_m=(0.5, 0.5, 1), position_m=(2, 0, 0), texture=grey(20)),),  # stands on the floor
+        (
+            Box(kind="box", size_m=(0.5, 0.5, 0.5), position_m=(2, 0, 0), texture=grey(20)),
+            Box(kind="box", size_m=(0.5, 0.5, 0.5), position_m=(2, 0, 0.5), texture=grey(30)),  # stands on it
+            Box(kind="box", size_m=(0.5, 0.5, 0.5), position_m=(2, 0.5, 0), texture=grey(40)),  # beside it
+        ),
+        (rug(20, x=-1.0, height=0.1), rug(30, x=1.0, height=0.1)),  # side by side
+        (rug(20, height=0.001),),
+    ],
+    ids=["on the floor", "stacked", "side by side", "a millimetre"],
+)
+def test_what_only_touches_is_not_coincident(things):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for pose in VIEWS:
+            render(room(*things), SMALL, pose, 1)
+
+
+@pytest.mark.parametrize("name", ["box", "corridor", "room"])
+def test_shipped_scenes_have_none(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        render(load_scene(name), SMALL, Pose(position_m=(0, 0, 1)), 1)
+
+
+def test_the_command_line_says_it_in_one_line(tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(
+        'name = "two rugs"\n[[objects]]\nkind = "box"\nname = "walls"\ninward = true\nsize_m = [4, 4, 3]\n'
+        'texture = { kind = "grey", value = 9 }\n'
+        '[[objects]]\nkind = "plane"\nname = "rug"\nsize_m = [1, 1]\ntexture = { kind = "grey", value = 99 }\n'
+    )
+    arguments = ["render", str(tmp_path / "scene.toml"), "--at", "0", "0", "1", "--samples", "1"]
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "coincide" in line]
+    assert len(lines) == 1
+    assert "'walls' and 'rug'" in lines[0]
