@@ -24,7 +24,6 @@ version = release = harness.__version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
@@ -51,7 +50,6 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # shapes and units are in the text; `ArrayLike` written out says less
 autodoc_default_options = {"exclude-members": "model_config, model_post_init"}
 napoleon_google_docstring = False
-autosummary_generate = True
 
 math_eqref_format = "({number})"
 html_math_renderer = "svg"

@@ -1,5 +1,6 @@
 """The documentation's own machinery: formulas that show without the network, and numbers that are computed."""
 
+import doctest
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from browser import chromium, visit
 
+import harness
 from harness.geometry.triangulation import paper_law, sensitivity_to_alpha_2
 
 ROOT = Path(__file__).parent.parent
@@ -73,3 +75,29 @@ def test_the_theory_page_compares_the_laws_rightly() -> None:
         # The page has three decimals.
         assert float(exact) == pytest.approx(law, abs=5e-4)
         assert float(short) == pytest.approx(paper_law(range_m, baseline_m) * np.radians(1), abs=5e-4)
+
+
+def python_blocks(page: str) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["README.md", "docs/quick-start.md"])
+def test_python_on_a_page_gives_what_the_page_shows(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    blocks = python_blocks(page)
+    sessions = "\n".join(block for block in blocks if block.startswith(">>>"))
+    test = doctest.DocTestParser().get_doctest(sessions, {}, page, page, 0)
+    complaints: list[str] = []
+    doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test, out=complaints.append)
+    assert test.examples
+    assert not complaints
+    for block in blocks:
+        if not block.startswith(">>>"):
+            exec(compile(block, page, "exec"), {})
+
+
+def test_the_api_page_has_every_public_name() -> None:
+    page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"auto(?:function|class|exception):: harness\.(\w+)$", page, re.MULTILINE))
+    assert named == set(harness.__all__) - {"__version__"}

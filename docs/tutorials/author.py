@@ -18,7 +18,7 @@ import harness
 #
 # A plane sweep: for many ranges, look up where view 2 would see every pixel's point, and keep the range at which both
 # views look most alike. The answer is :math:`\alpha_2` in radians, and NaN where there is no match. This is the file
-# ``plane_sweep.py``; it lies beside this script.
+# ``plane_sweep.py``; to run this script elsewhere, put the file beside it.
 #
 # .. literalinclude:: /examples/plane_sweep.py
 #    :lines: 3-

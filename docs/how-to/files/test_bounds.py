@@ -1,7 +1,6 @@
 """Error bounds of a matcher, held by a test suite."""
 
-from harness.pipeline.trial import run_trial
-from harness.runs.experiment import load_experiment
+from harness import load_experiment, run_trial
 from harness.testing.assertions import assert_density, assert_median_error, assert_within_law
 
 
