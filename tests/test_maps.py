@@ -3,6 +3,7 @@
 import builtins
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from harness.cli import main
 from harness.errors import InputError
 from harness.pipeline import maps as maps_module
 from harness.pipeline.maps import MAPS, README, TrialMaps, has_maps, maps_file, maps_of, read_maps, write_maps
+from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome, run_trial
 from harness.runs.executors import Workplace
 from harness.runs.experiment import load_experiment
 from harness.runs.run import standing, sweep
 from harness.runs.store import Store
+from harness.spec import parse
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +83,7 @@ def test_the_text_beside_the_files_names_every_array(maps: TrialMaps, tmp_path: 
         height, width = maps.grid.shape
         assert archive["phi"].shape == (width,)
         assert archive["z"].shape == (height,)
+        assert parse(Trial, tomllib.loads(str(archive["settings"]))) == maps.trial
         assert archive["baseline_m"] == pytest.approx(0.5, abs=1e-15)
         assert all(archive[name].shape == (height, width) for name in MAPS)
 

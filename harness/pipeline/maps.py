@@ -20,6 +20,7 @@ from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.environment import code_hash
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
+from harness.spec import dump_toml
 
 Mask = NDArray[np.bool_]
 
@@ -58,7 +59,7 @@ Every map is [height, width] of view 1's panorama: row 0 at the top, columns asc
 phi            rad   [width]: azimuth of the columns
 z                    [height]: height of the rows on the unit cylinder; the elevation is atan(z)
 baseline_m     m     scalar: |t|
-settings             the trial's settings, JSON text
+settings             the trial's settings, TOML text
 code                 SHA-256 of the source and libraries that made the file
 
 Range is the Euclidean distance from the effective viewpoint, not a depth along an axis.
@@ -167,7 +168,7 @@ class TrialMaps(OneLine):
             "phi": ("phi", self.grid.phi, {"units": "rad", "long_name": "azimuth"}),
             "z": ("z", self.grid.z, {"units": "1", "long_name": "height on the unit cylinder"}),
         }
-        return xarray.Dataset(maps, coordinates, {"key": self.key, "settings": self.trial.model_dump_json()})
+        return xarray.Dataset(maps, coordinates, {"key": self.key, "settings": dump_toml(self.trial)})
 
     def _repr_html_(self) -> str:
         """The panorama and the range, seen from inside: azimuth descends to the right."""
@@ -241,7 +242,7 @@ def write_maps(maps: TrialMaps, folder: Path) -> None:
         phi=maps.grid.phi,
         z=maps.grid.z,
         baseline_m=maps.trial.motion.baseline_m,
-        settings=maps.trial.model_dump_json(),
+        settings=dump_toml(maps.trial),
         code=code_hash(),
     )
     write(maps_file(folder, maps.key), stream.getvalue())
