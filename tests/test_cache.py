@@ -1,5 +1,7 @@
 """The cache of renders: never a wrong image, never more than the limit, and shared by processes."""
 
+import hashlib
+import io
 import os
 import subprocess
 import sys
@@ -171,3 +173,46 @@ def test_command(tmp_path: Path) -> None:
     assert shown.startswith(f"{tmp_path / 'cache' / 'renders'}: 2 renders, 0.1 MB")
     assert "0 renders" in omnirange(tmp_path, "cache", "--clear").stdout
     assert not list((tmp_path / "cache" / "renders").iterdir())
+
+
+@pytest.mark.parametrize("content", [b"x" * 99, b"", "other type", "object", "other name"])
+def test_what_answers_to_its_checksum_and_is_no_image_is_made_anew(tmp_path: Path, content: bytes | str) -> None:
+    """Somebody has computed the checksum, or copied another image's file here."""
+    cache, make = RenderCache(tmp_path, 10**6), Maker()
+    cache.get("key", make)
+    path = only_file(tmp_path)
+    if content == "other name":
+        cache.get("other", Maker(2 * IMAGE))
+        (other,) = set(path.parent.iterdir()) - {path}
+        path.write_bytes(other.read_bytes())
+    else:
+        stream = io.BytesIO()
+        if content == "other type":
+            np.save(stream, np.arange(3))
+        elif content == "object":
+            np.save(stream, np.array([{}]), allow_pickle=True)
+        data = stream.getvalue() if isinstance(content, str) else content
+        path.write_bytes(hashlib.sha256(path.name.encode() + data).digest() + data)
+    assert np.array_equal(RenderCache(tmp_path, 10**6).get("key", make), IMAGE)
+    assert make.calls == 2
+
+
+def test_a_pipe_in_its_place_is_not_waited_for(tmp_path: Path) -> None:
+    cache, make = RenderCache(tmp_path, 10**6), Maker()
+    cache.get("key", make)
+    path = only_file(tmp_path)
+    path.unlink()
+    os.mkfifo(path)
+    assert np.array_equal(cache.get("key", make), IMAGE)
+
+
+def test_a_cache_that_may_only_be_read_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = Maker()
+    RenderCache(tmp_path, 10**6).get("key", make)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(30, "Read-only file system")
+
+    monkeypatch.setattr(os, "utime", refuse)
+    assert np.array_equal(RenderCache(tmp_path, 10**6).get("key", make), IMAGE)
+    assert make.calls == 1

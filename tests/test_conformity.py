@@ -4,6 +4,7 @@ command and the pytest fixture say so."""
 import importlib.util
 import io
 import itertools
+import os
 import subprocess
 import sys
 import tomllib
@@ -231,11 +232,7 @@ def test_marks_where_the_terminal_knows_letters_alone(monkeypatch: pytest.Monkey
 def plugin() -> list[str]:
     """Its name for pytest, unless it is installed so that pytest finds it."""
     found = metadata.entry_points(group="pytest11")
-    return (
-        []
-        if any(each.value == "harness.testing.pytest_plugin" for each in found)
-        else ["-p", "harness.testing.pytest_plugin"]
-    )
+    return [] if any(each.value == "omnirange_pytest" for each in found) else ["-p", "omnirange_pytest"]
 
 
 def run_suite(pytester: pytest.Pytester, call: str) -> pytest.RunResult:
@@ -268,12 +265,31 @@ def test_other_suites_pay_nothing(pytester: pytest.Pytester) -> None:
         "import sys\ndef test_other():\n    assert not {'numpy', 'pydantic', 'numba'} & set(sys.modules)\n"
     )
     options = ["-m", "pytest", *plugin(), "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "-q"]
-    done = subprocess.run(
-        [sys.executable, *options], cwd=pytester.path, capture_output=True, text=True, timeout=60, check=False
-    )
+    done = subprocess.run([sys.executable, *options], cwd=pytester.path, capture_output=True, text=True, check=False)
     assert "1 passed" in done.stdout, done.stdout
 
 
 def test_pytest_finds_it_in_an_installed_program() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert project["entry-points"]["pytest11"] == {"omnirange": "harness.testing.pytest_plugin"}
+    assert project["entry-points"]["pytest11"] == {"omnirange": "omnirange_pytest"}
+
+
+@pytest.mark.parametrize("kind", ["package", "module"])
+def test_suites_beside_a_package_of_the_same_name_run(pytester: pytest.Pytester, kind: str) -> None:
+    """A folder `harness` of another project comes first on the path; only who asks for the fixture is told."""
+    if kind == "package":
+        pytester.mkpydir("harness")
+    else:
+        pytester.makepyfile(harness="")
+    pytester.makepyfile(
+        test_other="def test_other():\n    pass\n", test_mine="def test_mine(omnirange_check):\n    pass\n"
+    )
+    paths = os.pathsep.join([str(pytester.path), str(ROOT)])
+    line = [sys.executable, "-m", "pytest", "-p", "omnirange_pytest", "-p", "no:cacheprovider", "-q"]
+    environment = os.environ | {"PYTHONPATH": paths, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    for file, code, says in (("test_other.py", 0, "1 passed"), ("test_mine.py", 2, "hides omnirange's package")):
+        done = subprocess.run(
+            [*line, file], cwd=pytester.path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert says in done.stdout + done.stderr
+        assert (done.returncode == 0) == (code == 0)

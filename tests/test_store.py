@@ -1,5 +1,6 @@
 """The file of a run: what is kept, what is refused, and who may hold it."""
 
+import os
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -130,4 +131,45 @@ def test_another_schema_is_refused(tmp_path: Path) -> None:
 def test_a_folder_in_its_place_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.sqlite").mkdir()
     with pytest.raises(InputError, match="cannot be opened for writing"):
+        Store(tmp_path / "run.sqlite")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        'UPDATE trials SET payload = \'{"figures": {"density": 1.0}}\'',  # well-formed, and wrong
+        "UPDATE trials SET payload = substr(payload, 1, 5)",
+        "UPDATE trials SET payload = x'ff00'",
+        "UPDATE trials SET payload = CAST(x'ff00' AS TEXT)",  # not UTF-8
+        "UPDATE trials SET seconds = 5",
+        "UPDATE trials SET state = 'failed'",
+        "UPDATE trials SET message = 'x'",
+        "UPDATE trials SET seal = ''",
+    ],
+)
+def test_a_row_that_was_changed_is_refused(tmp_path: Path, change: str) -> None:
+    path = tmp_path / "run.sqlite"
+    with Store(path) as store:
+        store.add([DONE])
+        assert store.finished("a") == {"a": DONE}
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(change)
+    with Store(path) as store, pytest.raises(InputError, match=r"run\.sqlite: "):
+        store.finished("a")
+
+
+@pytest.mark.parametrize("value", ["'null'", "'{'", "5", "x'ff'", "CAST(x'ff' AS TEXT)"])
+def test_a_fact_that_was_changed_is_refused(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "run.sqlite"
+    with Store(path) as store:
+        store.set_fact("name", "x")
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(f"UPDATE facts SET value = {value}")
+    with Store(path) as store, pytest.raises(InputError, match=r"run\.sqlite: "):
+        store.fact("name")
+
+
+def test_a_pipe_in_its_place_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "run.sqlite")
+    with pytest.raises(InputError, match="is not a regular file"):
         Store(tmp_path / "run.sqlite")

@@ -119,6 +119,6 @@ def test_as_a_program(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_tests_of_the_page(folder: Path, pytester: pytest.Pytester) -> None:
     shutil.copy(folder / "test_plane_sweep.py", pytester.path)
-    installed = any(each.value == "harness.testing.pytest_plugin" for each in metadata.entry_points(group="pytest11"))
-    plugin = [] if installed else ["-p", "harness.testing.pytest_plugin"]
+    installed = any(each.value == "omnirange_pytest" for each in metadata.entry_points(group="pytest11"))
+    plugin = [] if installed else ["-p", "omnirange_pytest"]
     pytester.runpytest_inprocess(*plugin, "-p", "no:cacheprovider").assert_outcomes(passed=len(CHECKS))

@@ -1,7 +1,7 @@
 """Renders kept on disk between runs, by their contents' identity, within a limit of size.
 
-A file is the SHA-256 of what follows, and a NumPy array. It is written whole or not at all; one that does not answer
-to its checksum is made anew. Any number of processes may share the folder.
+A file is the SHA-256 of its name and of what follows, a NumPy array. It is written whole or not at all; one that does
+not answer to its checksum is made anew. Any number of processes may share the folder.
 """
 
 import hashlib
@@ -97,7 +97,7 @@ class RenderCache:
             return
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(path, hashlib.sha256(data).digest() + data, durable=False)
+            replace_file(path, _seal(path, data) + data, durable=False)
         except OSError:  # a full or read-only disk costs time, not the run
             return
         self._room -= len(data)
@@ -137,17 +137,30 @@ def _remove(path: Path) -> None:
 
 
 def _read(path: Path) -> NDArray[np.float32] | None:
+    """The image in a file of the cache; None when there is none, or it is not what was written there."""
     try:
-        data = path.read_bytes()
-        if hashlib.sha256(data[_DIGEST:]).digest() != data[:_DIGEST]:
+        if not path.is_file():  # a pipe would be waited for
             return None
+        data = path.read_bytes()
     except OSError:
         return None
-    with suppress(OSError):  # a cache that may only be read
-        os.utime(path)  # for the order of removal
-    image = np.load(io.BytesIO(data[_DIGEST:]))
+    if _seal(path, data[_DIGEST:]) != data[:_DIGEST]:
+        return None
+    try:
+        image = np.load(io.BytesIO(data[_DIGEST:]))
+    except Exception:  # noqa: BLE001 - somebody has put something else there; NumPy fails in many ways
+        return None
+    if not isinstance(image, np.ndarray) or image.dtype != np.float32:
+        return None
+    with suppress(OSError):  # in a cache that may only be read there is no order of removal
+        os.utime(path)
     image.flags.writeable = False
-    return np.asarray(image)
+    return image
+
+
+def _seal(path: Path, data: bytes) -> bytes:
+    """SHA-256 of a file's name and contents: one that was copied over another is noticed too."""
+    return hashlib.sha256(path.name.encode() + data).digest()
 
 
 def _name(key: Hashable) -> str:

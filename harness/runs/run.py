@@ -274,7 +274,7 @@ def write_summary(result: Result, folder: Path) -> None:
 
 
 def write_report(result: Result, report: str, store: Store, folder: Path) -> None:
-    """Write `report.html`, and keep in the store that what is written belongs to its rows.
+    """Write `report.html`, and keep in the store that what is written, file by file, belongs to its rows.
 
     Raises
     ------
@@ -282,13 +282,24 @@ def write_report(result: Result, report: str, store: Store, folder: Path) -> Non
         When the folder cannot be written to.
     """
     write(folder / "report.html", report)
-    store.set_fact("reported", _digest(result.experiment, store))
+    store.set_fact("reported", [_digest(result.experiment, store), _hashes(folder)])
 
 
 def is_reported(experiment: Experiment, store: Store, folder: Path) -> bool:
-    """Whether all that would be written from the rows is there already."""
-    written = all((folder / name).is_file() for name in WRITTEN)
-    return written and store.fact("reported") == _digest(experiment, store)
+    """Whether all that would be written from the rows is there already, and as it was written."""
+    hashes = _hashes(folder)
+    return None not in hashes.values() and store.fact("reported") == [_digest(experiment, store), hashes]
+
+
+def _hashes(folder: Path) -> dict[str, str | None]:
+    """SHA-256 of the files made from the rows, by name; None for what is no regular file."""
+    hashes: dict[str, str | None] = dict.fromkeys(WRITTEN)
+    for name in WRITTEN:
+        path = folder / name
+        if path.is_file() and not path.is_symlink():
+            with path.open("rb") as stream:
+                hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return hashes
 
 
 def columns_of(experiment: Experiment) -> list[str]:

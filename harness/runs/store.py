@@ -1,9 +1,11 @@
 """The file that holds a run: one SQLite database, safe against a kill at any moment.
 
 A trial is one row, written in one transaction when it is finished. Rows are told apart by the trial's key and the
-code that made them: those of other code are never read, and never overwritten.
+code that made them: those of other code are never read, and never overwritten. Each has a seal, the hash of all that
+is in it: one that was cut or changed since is refused.
 """
 
+import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable
@@ -15,11 +17,14 @@ from typing import Any, Literal, Self
 from harness.errors import InputError
 from harness.pipeline.environment import code_hash
 
-_APPLICATION, _SCHEMA = 0x6F6D6E69, 1
+_APPLICATION, _SCHEMA = 0x6F6D6E69, 2
 """SQLite's `application_id` of our files ("omni"), and the `user_version`, that of the tables below."""
 
+_DAMAGE = (sqlite3.Error, UnicodeError)
+"""What reading a damaged file raises; the second from names that are no text any more."""
+
 _TABLES = """
-CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL, seal TEXT NOT NULL);
 CREATE TABLE trials (
     key TEXT NOT NULL,
     code TEXT NOT NULL,
@@ -29,6 +34,7 @@ CREATE TABLE trials (
     seconds TEXT NOT NULL,
     message TEXT NOT NULL,
     traceback TEXT NOT NULL,
+    seal TEXT NOT NULL,
     PRIMARY KEY (key, code)
 );
 """
@@ -88,15 +94,17 @@ class Store:
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._code = code_hash()
+        if path is not None and path.exists() and not path.is_file() and not path.is_dir():
+            raise InputError("is not a regular file; move it away, or give another folder", file=path)
         try:
             self._connection = sqlite3.connect(path or ":memory:", timeout=0, isolation_level=None)
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise self._explained(error) from error
         try:
             self._open()
         except BaseException as error:
             self._connection.close()  # nobody else will: there is no store to leave
-            if isinstance(error, sqlite3.Error):
+            if isinstance(error, _DAMAGE):
                 raise self._explained(error) from error
             raise
 
@@ -128,23 +136,35 @@ class Store:
         self._do("COMMIT")
 
     def finished(self, keys: Iterable[str]) -> dict[str, Finished]:
-        """The rows that today's code made of these trials, by key."""
+        """The rows that today's code made of these trials, by key.
+
+        Raises
+        ------
+        InputError
+            When one of them is not as it was written.
+        """
         wanted = set(keys)
-        rows = self._do(
-            "SELECT key, scene, state, payload, seconds, message, traceback FROM trials WHERE code = ?", self._code
-        )
-        return {row[0]: Finished(*row) for row in rows if row[0] in wanted}
+        found = {}
+        for key, *values, seal in self._rows(
+            "SELECT key, scene, state, payload, seconds, message, traceback, seal FROM trials WHERE code = ?",
+            self._code,
+        ):
+            if key in wanted:
+                if seal != _seal(key, self._code, *values):
+                    raise self._changed(f"the row of trial {key}")
+                found[key] = Finished(key, *values)
+        return found
 
     def states(self, keys: Iterable[str]) -> dict[str, str]:
         """The states alone, which is quicker."""
         wanted = set(keys)
-        rows = self._do("SELECT key, state FROM trials WHERE code = ?", self._code)
+        rows = self._rows("SELECT key, state FROM trials WHERE code = ?", self._code)
         return {key: state for key, state in rows if key in wanted}
 
     def foreign(self, keys: Iterable[str], scenes: Iterable[str]) -> Foreign:
         """How many rows are of other code than today's, or of none of these trials."""
         wanted, known = set(keys), set(scenes)
-        rows = self._do("SELECT key, code, scene FROM trials").fetchall()
+        rows = self._rows("SELECT key, code, scene FROM trials")
         strange = [scene for key, code, scene in rows if code == self._code and key not in wanted]
         other_scene = sum(scene not in known for scene in strange)
         return Foreign(sum(row[1] != self._code for row in rows), other_scene, len(strange) - other_scene)
@@ -154,41 +174,67 @@ class Store:
         self._do("BEGIN IMMEDIATE")
         try:
             self._connection.executemany(
-                "INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?, ?, ?) "
+                "INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) "
                 "ON CONFLICT DO UPDATE SET state = excluded.state, payload = excluded.payload, "
-                "seconds = excluded.seconds, message = excluded.message, traceback = excluded.traceback "
+                "seconds = excluded.seconds, message = excluded.message, traceback = excluded.traceback, "
+                "seal = excluded.seal "
                 "WHERE trials.state = 'failed'",
-                [
-                    (row.key, self._code, row.scene, row.state, row.payload, row.seconds, row.message, row.traceback)
-                    for row in rows
-                ],
+                [(*values, _seal(*values)) for values in map(self._values, rows)],
             )
             self._do("COMMIT")
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise self._explained(error) from error
         finally:
             if self._connection.in_transaction:
                 self._connection.rollback()
 
+    def _values(self, row: Finished) -> tuple[str, ...]:
+        return row.key, self._code, row.scene, row.state, row.payload, row.seconds, row.message, row.traceback
+
     def fact(self, name: str) -> Any:
-        """Something else that the run knows, None if it does not."""
-        row = self._do("SELECT value FROM facts WHERE name = ?", name).fetchone()
-        return None if row is None else json.loads(row[0])
+        """Something else that the run knows, None if it does not.
+
+        Raises
+        ------
+        InputError
+            When it is not as it was written.
+        """
+        rows = self._rows("SELECT value, seal FROM facts WHERE name = ?", name)
+        if not rows:
+            return None
+        ((value, seal),) = rows
+        if seal != _seal(name, value):
+            raise self._changed(f"what is kept as '{name}'")
+        return json.loads(value)
 
     def set_fact(self, name: str, value: Any) -> None:
         """Keep something JSON-able beside the rows."""
-        self._do("INSERT OR REPLACE INTO facts VALUES (?, ?)", name, json.dumps(value))
+        text = json.dumps(value)
+        self._do("INSERT OR REPLACE INTO facts VALUES (?, ?, ?)", name, text, _seal(name, text))
+
+    def _changed(self, what: str) -> InputError:
+        return InputError(
+            f"{what} is not as it was written: the file is damaged or was edited; move it away, or give another folder "
+            "with --out",
+            file=self._path,
+        )
+
+    def _rows(self, statement: str, *values: Any) -> list[Any]:
+        try:
+            return self._connection.execute(statement, values).fetchall()
+        except _DAMAGE as error:
+            raise self._explained(error) from error
 
     def _do(self, statement: str, *values: Any) -> sqlite3.Cursor:
         try:
             return self._connection.execute(statement, values)
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise self._explained(error) from error
 
     def _number(self, statement: str) -> int:
         return int(self._do(statement).fetchone()[0])
 
-    def _explained(self, error: sqlite3.Error) -> Exception:
+    def _explained(self, error: Exception) -> Exception:
         code = getattr(error, "sqlite_errorcode", None)
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             text = "another omnirange is at work in this folder; wait for it to end, or give another folder with --out"
@@ -201,3 +247,8 @@ class Store:
                 f"is not a run of omnirange, or is damaged ({error}); move it away, or give another folder with --out"
             )
         return InputError(text, file=self._path)
+
+
+def _seal(*values: Any) -> str:
+    """SHA-256 over values and where each of them ends."""
+    return hashlib.sha256(json.dumps([repr(value) for value in values]).encode()).hexdigest()

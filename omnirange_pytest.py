@@ -5,8 +5,9 @@ A test that asks for it runs once for each check of `harness.testing.conformity`
     def test_my_matcher(omnirange_check):
         omnirange_check("my_module:my_function", window=5)
 
-pytest loads this file in every suite of an environment in which the program is installed, so it imports nothing until
-a test asks for the fixture.
+pytest loads this file in every suite of an environment in which the program is installed. So it has a name that nobody
+else has, also where a folder `harness` of another project comes first, and imports nothing until a test asks for the
+fixture.
 """
 
 from collections.abc import Callable
@@ -20,8 +21,13 @@ _FIXTURE = "omnirange_check"
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One test for each check."""
     if _FIXTURE in metafunc.fixturenames:
-        from harness.testing.conformity import CHECKS
+        try:
+            from harness.testing.conformity import CHECKS
+        except ModuleNotFoundError as error:
+            import harness
 
+            where = getattr(harness, "__file__", None) or next(iter(harness.__path__))
+            raise pytest.UsageError(f"{_FIXTURE}: {where} hides omnirange's package of the same name") from error
         metafunc.parametrize(_FIXTURE, CHECKS, ids=[check.name for check in CHECKS], indirect=True)
 
 

@@ -1,0 +1,102 @@
+"""Files of a run that were cut, emptied or replaced are written anew; a damaged database is refused by name."""
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+from sweeps import write_small
+
+from harness.cli import main
+from harness.runs.run import WRITTEN
+
+SEED = 20
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run, and all that is written of it."""
+    folder = tmp_path_factory.mktemp("damaged")
+    write_small(folder / "e.toml", '[axes]\n"matching.subpixel" = ["none", "parabola"]\n')
+    assert main(["run", str(folder / "e.toml"), "--out", str(folder / "o")]) == 0
+    return folder
+
+
+def damaged(data: bytes, draws: random.Random) -> bytes:
+    """Cut, emptied, overwritten in places, or longer than before."""
+    kind = draws.randrange(5)
+    if kind == 0:
+        return data[: draws.randrange(len(data))]
+    if kind == 1:
+        return b""
+    if kind == 2:
+        return b"\0" * len(data)
+    if kind == 3:
+        changed = bytearray(data)
+        for _ in range(draws.choice([1, 5, 100])):
+            changed[draws.randrange(len(changed))] ^= draws.randrange(1, 256)
+        return bytes(changed)
+    return data + draws.randbytes(100)
+
+
+@pytest.mark.parametrize("name", ["experiment.toml", "trials.csv", "summary.json", "report.html"])
+def test_what_differs_is_written_anew(made: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    out, draws = made / "o", random.Random(f"{SEED} {name}")
+    of_a_time = ("report.html", "environment.json")
+    same = {each: (out / each).read_bytes() for each in WRITTEN if each not in of_a_time}
+    (out / name).write_bytes(damaged((out / name).read_bytes(), draws))
+    assert main(["run", str(made / "e.toml"), "--out", str(out)]) == 0
+    assert "nothing is left to do" not in capsys.readouterr().out
+    assert {each: (out / each).read_bytes() for each in same} == same
+    assert (out / "report.html").read_bytes().endswith(b"</html>")
+    assert main(["run", str(made / "e.toml"), "--out", str(out)]) == 0
+    assert "nothing is left to do" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["dangling", "loop", "victim"])
+def test_a_link_in_place_of_a_table_is_replaced(made: Path, kind: str) -> None:
+    table, victim = made / "o" / "trials.csv", made / "victim"
+    before = table.read_bytes()
+    victim.write_bytes(before)  # even one with the right content is not what was written
+    table.unlink()
+    table.symlink_to({"dangling": made / "nowhere", "loop": table, "victim": victim}[kind])
+    assert main(["run", str(made / "e.toml"), "--out", str(made / "o"), "--no-report"]) == 0
+    assert not table.is_symlink()
+    assert table.read_bytes() == victim.read_bytes() == before
+    assert not (made / "nowhere").exists()
+
+
+def test_a_damaged_database_never_gives_another_number(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever happens to it, the run is refused with its name, or gives the very table."""
+    out, draws = made / "o", random.Random(SEED)
+    whole, table = (out / "run.sqlite").read_bytes(), (out / "trials.csv").read_bytes()
+    try:
+        for _ in range(25):
+            (out / "run.sqlite").write_bytes(damaged(whole, draws))
+            capsys.readouterr()
+            code = main(["run", str(made / "e.toml"), "--out", str(out), "--no-report"])
+            said = capsys.readouterr().err
+            if code:
+                assert (code, said.count("\n"), "run.sqlite: " in said) == (2, 1, True), said
+            else:
+                assert (out / "trials.csv").read_bytes() == table
+    finally:
+        for rest in ("run.sqlite-journal", "run.sqlite-wal", "run.sqlite-shm"):
+            (out / rest).unlink(missing_ok=True)
+        (out / "run.sqlite").write_bytes(whole)
+
+
+@pytest.mark.parametrize("name", ["run.sqlite", "trials.csv"])
+def test_a_pipe_or_folder_in_its_place_is_refused_by_name(
+    made: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = made / "o" / name
+    whole = path.read_bytes()
+    for make in (os.mkfifo, os.mkdir):
+        path.unlink()
+        make(path)
+        assert main(["run", str(made / "e.toml"), "--out", str(made / "o"), "--no-report"]) == 2
+        said = capsys.readouterr().err
+        assert (said.count("\n"), f"{name}: " in said) == (1, True)
+        path.rmdir() if path.is_dir() else path.unlink()
+        path.write_bytes(whole)
