@@ -55,7 +55,7 @@ def omnirange(folder: Path, *arguments: object) -> subprocess.CompletedProcess[s
         env=environment(folder) | {"PYTHONPATH": str(Path(__file__).parent.parent)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
 
@@ -92,7 +92,7 @@ def rows(out: Path) -> dict[str, tuple[str, str]]:
     return {key: (state, seconds) for key, state, seconds in found}
 
 
-def wait_for(folder: Path, bytes_at_least: int, seconds: float = 30) -> None:
+def wait_for(folder: Path, bytes_at_least: int, seconds: float = 600) -> None:
     """Wait until a run's file has grown: some trials are in it."""
     deadline = time.monotonic() + seconds
     database = folder / "run.sqlite"

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parent.parent
 def lint_imports(folder: Path) -> subprocess.CompletedProcess:
     command = "import sys; sys.path.insert(0, ''); from importlinter.cli import lint_imports_command as c; c()"
     arguments = [sys.executable, "-c", command, "--no-cache"]
-    return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
 
 
 @pytest.fixture

@@ -218,18 +218,14 @@ def test_whatever_goes_wrong_is_one_line(script: str, said: str, pair: Pair, tmp
 def test_the_time_limit_ends_all_that_was_started(pair: Pair, tmp_path: Path) -> None:
     """The grandchild holds on to stderr, ignores what can be ignored, and is gone all the same."""
     script = f"(trap '' TERM INT HUP; echo here >&2; echo $$ > {tmp_path}/pid; sleep 61.25) &\nsleep 61.25\n"
-    begun = time.monotonic()
     text = complaint(pair, fast(tmp_path, script, timeout_s=1.0))
-    assert time.monotonic() - begun < 20
     assert text == "program matcher.sh: was not done after timeout_s = 1 s, and was killed; its last words: here"
     assert not _sleepers("61.25")
 
 
 def test_nothing_is_left_running_behind_a_good_answer(pair: Pair, tmp_path: Path) -> None:
     script = npy(tmp_path, np.full((16, 60), 1.5)) + "sleep 62.5 &\n"
-    begun = time.monotonic()
     fast(tmp_path, script).match(pair)
-    assert time.monotonic() - begun < 20
     assert not _sleepers("62.5")
 
 
