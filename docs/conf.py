@@ -72,6 +72,7 @@ programoutput_prompt_template = "$ {command}\n{output}"
 
 html_theme = "pydata_sphinx_theme"
 html_title = "omnirange"
+html_context = {"default_mode": "auto"}
 html_sidebars = {"quick-start": [], "concepts": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

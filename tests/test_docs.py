@@ -11,7 +11,8 @@ import pytest
 from browser import chromium, visit
 
 import harness
-from harness.geometry.triangulation import paper_law, sensitivity_to_alpha_2
+from harness.cli import main
+from harness.geometry.triangulation import paper_law, range_from_angles, sensitivity_to_alpha_2
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -101,3 +102,27 @@ def test_the_api_page_has_every_public_name() -> None:
     page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
     named = set(re.findall(r"auto(?:function|class|exception):: harness\.(\w+)$", page, re.MULTILINE))
     assert named == set(harness.__all__) - {"__version__"}
+
+
+def test_the_drawing_shows_the_geometry_of_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(DOCS)
+    import make_concepts as drawing
+
+    point = drawing.towards(drawing.ALPHA_1, drawing.RANGE_1)
+    # Both rays meet in p, and the wrong one meets ray 1 where the program would put the point: three roundings each.
+    assert point == pytest.approx(drawing.V2 + drawing.towards(drawing.ALPHA_2, drawing.RANGE_2), abs=1e-14)
+    for alpha_2, drawn in ((drawing.ALPHA_2, drawing.RANGE_1), (drawing.ALPHA_2 - drawing.ERROR, drawing.RANGE_1_OFF)):
+        assert drawn == pytest.approx(float(range_from_angles(drawing.ALPHA_1, alpha_2, 1.0)), rel=1e-14)
+    # x_1 is on the cylinder, in the epipolar plane and in the direction of p.
+    x_1 = drawing.on_cylinder(drawing.ALPHA_1)
+    assert np.hypot(x_1[0], x_1[1]) == pytest.approx(drawing.RADIUS, rel=1e-14)
+    assert np.cross(x_1, point) == pytest.approx(np.zeros(3), abs=1e-14)
+
+
+def test_the_command_line_page_has_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    commands = re.findall(r"^    ([a-z]+)(?: |$)", capsys.readouterr().out, re.MULTILINE)
+    page = (DOCS / "reference" / "command-line.md").read_text(encoding="utf-8")
+    assert sorted(commands) == sorted(re.findall(r"^## (\w+)$", page, re.MULTILINE))
+    assert len(commands) > 5
