@@ -14,7 +14,7 @@ import io, multiprocessing, os, signal, sys
 
 for module, names in {
     os: ("sched_getaffinity", "sched_setaffinity", "killpg", "getpgid", "setpgid", "setsid", "fork", "forkpty",
-         "getuid", "geteuid", "getpwuid", "O_NOFOLLOW", "O_DIRECTORY", "mkfifo", "nice", "statvfs"),
+         "getuid", "geteuid", "getpwuid", "O_NOFOLLOW", "O_DIRECTORY", "mkfifo", "nice"),
     signal: ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "alarm", "pthread_kill", "pthread_sigmask"),
 }.items():
     for name in names:
