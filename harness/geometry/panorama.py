@@ -10,7 +10,10 @@ from pydantic import Field, model_validator
 
 from harness.display import OneLine
 from harness.geometry.angles import Array, cylinder_point, normalise
-from harness.spec import Finite, Spec
+from harness.spec import Spec
+
+Height = Annotated[float, Field(ge=-1000, le=1000)]
+"""Height on the unit cylinder, no unit: 1000 is a twentieth of a degree from the zenith."""
 
 
 class Grid(Spec):
@@ -24,10 +27,10 @@ class Grid(Spec):
     """Columns around the cylinder; one column is one pixel of disparity, 2 pi/width_px radians."""
     height_px: Annotated[int, Field(ge=3, le=16384)] = 200
     """Rows from z_max down to z_min."""
-    z_max: Finite = 0.34
+    z_max: Height = 0.34
     """Upper edge of the panorama on the unit cylinder, no unit: the tangent of the elevation. The default's top
     row, 18.6°, is the highest whose cubic taps all lie inside the default sensor's rim at 20°."""
-    z_min: Finite = -1.4053
+    z_min: Height = -1.4053
     """Lower edge of the panorama on the unit cylinder, no unit: the tangent of the elevation."""
 
     @model_validator(mode="after")

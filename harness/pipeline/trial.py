@@ -21,6 +21,7 @@ from harness.geometry.pose import Motion, Pose
 from harness.matching.interface import Matches, Support
 from harness.matching.pair import Pair
 from harness.matching.ranging import ranges_of
+from harness.pipeline.sight import check_sight
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
@@ -325,11 +326,12 @@ def run_trial(
     Raises
     ------
     InputError
-        When the scene cannot be seen from where the views stand.
+        When the scene cannot be seen from where the views stand, or nothing can be matched.
     """
     work = Work(trial, cache or StageCache(), observe, threads)
     for pose, key in zip(work.setup.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         _check_view(trial.scene, pose, key)
+    check_sight(trial, work.setup.told.motion)
     work.both(RENDER)
     pair, seen, matches = work(PAIR), work(TRUTH), work(MATCH)
     range_m, reason = work(RANGE)

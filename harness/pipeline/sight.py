@@ -1,0 +1,78 @@
+"""Whether there is anything to see and to match, before it is rendered: what cannot come out is refused by its key."""
+
+import warnings
+from functools import lru_cache
+
+import numpy as np
+
+from harness.camera.lens import Lens
+from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.errors import InputError, Notice
+from harness.geometry.panorama import Grid, cylinder
+from harness.geometry.pose import Motion
+from harness.pipeline.specification import Trial
+
+LITTLE = 0.05
+"""A share of pixels below which there is a notice: figures of so few say little."""
+
+
+def check_sight(trial: Trial, motion: Motion) -> None:
+    """Refuse a trial in which nothing can be seen or matched, and give notice where it is next to nothing.
+
+    Parameters
+    ----------
+    motion
+        What the matcher is told.
+
+    Raises
+    ------
+    InputError
+        When no pixel of the sensor sees anything, no pixel of the panorama is seen, or the matcher's samples cannot
+        follow the epipolar curves. `error.key` is the key that helps.
+    """
+    on_sensor, on_panorama = _shares(trial.sensor, trial.panorama)
+    remedy = "" if on_sensor and on_panorama else _remedy(trial.sensor, trial.panorama)
+    if on_sensor == 0 or remedy:
+        raise InputError(
+            f"no pixel of the image sees what the panorama shows; {remedy or 'change sensor.camera or sensor.field'}",
+            key="trial.sensor",
+        )
+    lowest, highest = trial.sensor.field.elevation_min_deg, trial.sensor.field.elevation_max_deg
+    z = " .. ".join(f"{np.tan(np.radians(np.clip(each, -89.9, 89.9))):.2f}" for each in (lowest, highest))
+    if on_panorama == 0:
+        raise InputError(
+            f"the sensor sees no row of the panorama: it sees z from {z}; change z_min and z_max",
+            key="trial.panorama.z_max",
+        )
+    sampling, _ = trial.matching.sampled(motion.t_v1)
+    if sampling == "phi" and np.hypot(*motion.t_v1[:2]) <= 1e-9 * motion.baseline_m:
+        raise InputError(
+            "along a vertical baseline phi stays the same, so there are no samples in phi; "
+            'use matching.kind = "window" with sampling = "alpha", or "sgm"',
+            key="trial.matching.sampling",
+        )
+    if on_sensor < LITTLE:
+        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see trial.sensor.camera.focal_px")
+    if on_panorama < LITTLE:
+        _notice(f"only {on_panorama:.1%} of the panorama is seen: z from {z}; see trial.panorama.z_min and z_max")
+
+
+def _notice(text: str) -> None:
+    warnings.warn(text, Notice, stacklevel=1)
+
+
+@lru_cache(maxsize=8)
+def _shares(sensor: Sensor, grid: Grid) -> tuple[float, float]:
+    """Of the image's pixels and of the panorama's, those that see something."""
+    return float(pixel_directions(sensor)[1].mean()), float(project(sensor, cylinder(grid))[1].mean())
+
+
+def _remedy(sensor: Sensor, grid: Grid) -> str:
+    """The key to blame: the first one without which something would be seen; empty when there is none."""
+    plain = sensor.model_copy(update={"lens": Lens()})
+    if _shares(plain, grid)[1] > LITTLE:
+        return "its lens bends the picture away; use weaker coefficients in sensor.lens"
+    square = plain.model_copy(update={"camera": plain.camera.model_copy(update={"aspect": 1.0})})
+    if _shares(square, grid)[1] > LITTLE:
+        return f"sensor.camera.aspect = {sensor.camera.aspect:g} stretches the picture off the image; it is about 1"
+    return ""
