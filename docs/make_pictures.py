@@ -19,7 +19,7 @@ PAGE = """<body style="margin:0;background:white"><div id="all" style="width:108
 
 def main() -> None:
     """Run the experiment, lay the report's own figures out on a page, and photograph it."""
-    outcomes = run_experiment(load_experiment("paper")).details
+    outcomes = run_experiment(load_experiment("paper")).outcomes
     methods = methods_of(outcomes)
     with theme.style():
         top = [images.environment(outcomes[0]), images.mirror_image(outcomes[0])]

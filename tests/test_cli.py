@@ -304,10 +304,10 @@ def test_an_axis_over_matchers_drops_axes_that_one_of_them_does_not_know():
 
 def test_details_keep_to_what_a_matcher_takes():
     """The base trial's window settings are for `window`; `column` does not take all of them."""
-    from harness.runs.run import _with_method
+    from harness.runs.details import with_method
 
     base = load_experiment("paper", sets=["matching.sampling=alpha", "matching.pitch_px=0.7"]).planned[0].trial
     other = load_experiment("paper", sets=["matching.kind=column"]).planned[0].trial
-    assert _with_method(base, other).matching == other.matching
+    assert with_method(base, other).matching == other.matching
     finer = load_experiment("paper", sets=["matching.window_px=7"]).planned[0].trial
-    assert _with_method(finer, other).matching == other.matching.model_copy(update={"window_px": 7})
+    assert with_method(finer, other).matching == other.matching.model_copy(update={"window_px": 7})

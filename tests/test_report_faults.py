@@ -102,8 +102,7 @@ def test_tables_and_summary_are_there_when_the_report_fails(monkeypatch, tmp_pat
 
     monkeypatch.setattr(build, "build_report", broken)
     out = tmp_path / "out"
-    with pytest.raises(RuntimeError):
-        main(["run", str(toml(tmp_path)), "--out", str(out), "--debug"])
+    assert main(["run", str(toml(tmp_path)), "--out", str(out)]) == 70
     written = {"trials.csv", "timings.csv", "experiment.toml", "summary.json", "environment.json"}
     assert written <= {path.name for path in out.iterdir()}
 
@@ -162,3 +161,115 @@ def test_a_foreign_matplotlibrc_and_backend_change_nothing(tmp_path):
     (tmp_path / "plain").mkdir()
     expected = drawn(tmp_path / "plain", MPLBACKEND="")
     assert drawn(tmp_path, MPLBACKEND="no such backend") == expected
+
+
+# --- A run of somebody else ---------------------------------------------------------------------------------------
+
+PROGRAM = """import sys, numpy as np
+from pathlib import Path
+Path({mark!r}).touch()
+np.save(Path(sys.argv[2]) / "alpha_2.npy", np.full((50, 180), 1.5))
+"""
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> tuple[Path, Path]:
+    """An experiment whose matcher is a program, and the file that the program touches."""
+    mark, script = tmp_path / "ran", tmp_path / "matcher.py"
+    script.write_text(PROGRAM.format(mark=str(mark)), encoding="utf-8")
+    command = [sys.executable, str(script), "{input}", "{output}"]
+    return toml(tmp_path, matching={"kind": "program", "command": command}), mark
+
+
+@pytest.mark.slow
+def test_a_report_runs_no_program_unless_it_is_let(foreign, tmp_path, capsys):
+    experiment, mark = foreign
+    out = tmp_path / "out"
+    assert main(["run", str(experiment), "--out", str(out), "--no-report"]) == 0
+    mark.unlink()
+    assert main(["report", str(out)]) == 0
+    assert not mark.exists()
+    said = capsys.readouterr().err
+    assert "left out of the report: program: its matcher is not part of omnirange" in said
+    html = (out / "report.html").read_text(encoding="utf-8")
+    assert "--run-code lets it be run" in Document(html).text
+    assert html.count("Not shown: this section needs the pixels") == 7
+    assert 'id="measures"' in html
+
+    assert main(["report", str(out), "--run-code"]) == 0
+    assert mark.exists()
+    mark.unlink()
+    assert "Not shown" not in (out / "report.html").read_text(encoding="utf-8")
+
+    # From now on the answer is kept with the run, and the program may even be gone.
+    (tmp_path / "matcher.py").unlink()
+    assert main(["report", str(out)]) == 0
+    assert not mark.exists()
+    assert "Not shown" not in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_an_answer_comes_back_bit_by_bit():
+    from harness.runs.details import packed, unpacked
+
+    outcome = run_small(axes={}).outcomes[0]
+    matches, grid = outcome.matches, outcome.trial.panorama
+    again = unpacked(packed(matches), grid)
+    for name in ("alpha_2", "confidence", "sigma_alpha_2", "refined", "k", "reasons"):
+        one, other = getattr(matches, name), getattr(again, name)
+        assert (one is None) == (other is None), name
+        assert one is None or (one.dtype == other.dtype and one.tobytes() == other.tobytes()), name
+
+
+@pytest.mark.parametrize("what", ["no archive", "a pickle", "another shape", "far too large", "no angles"])
+def test_no_answer_is_taken_on_trust(what):
+    import io
+
+    import numpy as np
+
+    from harness.geometry.panorama import Grid
+    from harness.runs.details import unpacked
+
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = {
+        "a pickle": {"alpha_2": np.array([[print]], dtype=object)},
+        "another shape": {"alpha_2": np.zeros((3, 4))},
+        "far too large": {"alpha_2": np.zeros((50, 1800))},
+        "no angles": {"alpha_2": np.full((50, 180), 99.0)},
+    }
+    if what in arrays:
+        np.savez_compressed(stream, **arrays[what])
+    assert unpacked(stream.getvalue() or b"PK", Grid(width_px=180, height_px=50)) is None
+
+
+@pytest.mark.slow
+def test_a_report_without_the_files_of_its_scene_says_what_is_left_out(tmp_path, capsys):
+    import trimesh
+
+    mesh = tmp_path / "scene" / "pillar.ply"
+    mesh.parent.mkdir()
+    pillar = trimesh.creation.box((0.4, 0.4, 2.0), trimesh.transformations.translation_matrix((1.5, 1.0, 1.0)))
+    mesh.write_bytes(pillar.export(file_type="ply"))
+    from harness.simulation.scene import load_scene
+
+    box = load_scene("box").model_dump(mode="json", exclude_none=True)
+    box["objects"].append({"kind": "mesh", "file": str(mesh), "texture": {"kind": "grey", "value": 120.0}})
+    experiment, out = toml(tmp_path, scene=box), tmp_path / "out"
+    assert main(["run", str(experiment), "--out", str(out)]) == 0
+    with_pixels = (out / "report.html").read_text(encoding="utf-8")
+    mesh.parent.rename(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "pillar.ply").write_bytes(pillar.export(file_type="ply") + b"\n")
+
+    from harness.simulation.fingerprint import fingerprint
+
+    if hasattr(fingerprint, "cache_clear"):
+        fingerprint.cache_clear()  # another process would not have it
+    capsys.readouterr()
+    assert main(["report", str(out)]) == 0
+    assert "left out of the report: window" in capsys.readouterr().err
+    html = (out / "report.html").read_text(encoding="utf-8")
+    text = Document(html).text
+    assert "pillar.ply" in text
+    assert html.count("Not shown: this section needs the pixels") == 7
+    measured = re.compile(r'<td data-measure="[a-z0-9_.]+">[^<]*</td>')
+    assert measured.findall(html) == measured.findall(with_pixels)
+    assert (out / "summary.json").read_text(encoding="utf-8").count("wall") >= 1

@@ -11,11 +11,12 @@ from harness.errors import InputError
 from harness.files import write
 from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
 from harness.runs.experiment import Experiment, value_at
+from harness.runs.recorded import recorded
 from harness.runs.run import DATABASE, Result, Row, columns_of, result_from, rows_of, write_report, write_summary
 from harness.runs.settings_reference import unit_of
 from harness.runs.store import Store
 from harness.runs.worker import run_here
-from harness.spec import as_table, parse
+from harness.spec import as_table
 
 _MOST_ROWS = 20
 """Of a table in a notebook."""
@@ -34,10 +35,13 @@ class RunResult:
         Where the run is kept; None for a run in memory.
     """
 
-    def __init__(self, experiment: Experiment, rows: list[Row], folder: Path | None = None) -> None:
+    def __init__(
+        self, experiment: Experiment, rows: list[Row], folder: Path | None = None, *, run_code: bool = True
+    ) -> None:
         self.experiment = experiment
         self.folder = folder
         self._rows = rows
+        self._run_code = run_code
 
     def __repr__(self) -> str:
         done = sum(row.state == "done" for row in self._rows)
@@ -163,6 +167,12 @@ class RunResult:
         """
         planned = self._planned(trial)
         kept = None if self.folder is None else read_maps(self.folder / FOLDER, planned.trial)
+        if kept is None and planned.trial.matching.runs_foreign_code and not self._run_code:
+            raise InputError(
+                "its maps are not kept, and its matcher is not part of omnirange; open_results(folder, run_code=True) "
+                "lets it be run",
+                key=planned.key,
+            )
         return kept or maps_of(run_here(planned.trial))
 
     def report(self, file: str | Path | None = None) -> Path:
@@ -198,7 +208,10 @@ class RunResult:
 
     @cached_property
     def _result(self) -> Result:
-        return result_from(self.experiment, self._rows)
+        if self.folder is None:
+            return result_from(self.experiment, self._rows, run_code=self._run_code)
+        with Store(self.folder / DATABASE) as store:
+            return result_from(self.experiment, self._rows, store, run_code=self._run_code)
 
     def _planned(self, trial: str | int | Mapping[str, Any] | None) -> Any:
         every = self.experiment.planned
@@ -221,13 +234,16 @@ class RunResult:
         return found[0]
 
 
-def open_results(folder: str | Path) -> RunResult:
+def open_results(folder: str | Path, *, run_code: bool = False) -> RunResult:
     """The results of a run in a folder.
 
     Parameters
     ----------
     folder
         The output folder of `omnirange run` or `harness.run`.
+    run_code
+        Whether programs and plug-ins that the run names may be run. What the report shows is kept with the run and
+        needs none.
 
     Returns
     -------
@@ -251,14 +267,14 @@ def open_results(folder: str | Path) -> RunResult:
     if not database.is_file():
         raise InputError(f"holds no run: there is no {DATABASE} in it", file=folder)
     with Store(database) as store:
-        experiment = parse(Experiment, store.fact("experiment"), file=database)
+        experiment = recorded(store, database)
         rows = rows_of(experiment, store)
     if not rows:
         raise InputError(
             "no trial was made by the program, libraries and scenes as they are now; run the experiment again",
             file=folder,
         )
-    return RunResult(experiment, rows, folder)
+    return RunResult(experiment, rows, folder, run_code=run_code)
 
 
 def _leaves(table: Mapping[str, Any], stem: str = "") -> list[str]:

@@ -15,26 +15,32 @@ def add(commands: Commands) -> None:
         "report",
         run,
         brief="write a run's report anew",
-        description="Write the tables, the summary and the report of a run anew, from its folder alone.",
+        description="Write the tables, the summary and the report of a run anew, from what its folder holds. "
+        "No program and no plug-in that the run names is run.",
     )
     finished = command.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
     completers.offer(finished, completers.folders)
+    command.add_argument(
+        "--run-code",
+        action="store_true",
+        help="run the programs and plug-ins that the run names where their answers are not kept; only for runs that "
+        "you trust",
+    )
 
 
 def run(options: Namespace) -> int:
     """Write everything that is made from the rows of a run."""
-    from harness.runs.experiment import Experiment
+    from harness.runs.recorded import recorded
     from harness.runs.run import DATABASE, standing
     from harness.runs.store import Store
-    from harness.spec import parse
 
     database = options.folder / DATABASE
     if not database.is_file():
         raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
     with Store(database) as store:
-        experiment = parse(Experiment, store.fact("experiment"), file=database)
+        experiment = recorded(store, database)
         now = standing(experiment, store)
         say_foreign(now.foreign)
         if now.done < now.total:
             print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
-        return write(experiment, store, options.folder, given=options.folder)
+        return write(experiment, store, options.folder, given=options.folder, run_code=options.run_code)

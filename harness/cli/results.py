@@ -23,6 +23,7 @@ def write(
     given: str | Path,
     shown: Path | None = None,
     with_report: bool = True,
+    run_code: bool = True,
 ) -> int:
     """Write everything that is made from the rows, say what came out, and give the exit code.
 
@@ -34,6 +35,8 @@ def write(
         What the run was made from, for messages.
     shown
         The folder in the user's words, for messages.
+    run_code
+        Whether matchers may be run that are not part of this program.
 
     Raises
     ------
@@ -49,7 +52,7 @@ def write(
     if now.done and with_report:
         from harness.report.build import build_report
 
-        result = result_of(experiment, store)
+        result = result_of(experiment, store, run_code=run_code)
         write_summary(result, folder)  # before the report: what can be read without it is not lost with it
         not_drawn: list[str] = []
         gc.freeze()  # rows are millions of objects that stay: not to be searched again while figures are drawn
@@ -57,6 +60,8 @@ def write(
             write_report(result, build_report(result, not_drawn), store, folder)
         finally:
             gc.unfreeze()
+        for each in result.details.left_out:
+            print(f"omnirange: left out of the report: {each.matcher}: {each.reason}", file=sys.stderr)
         for failure in not_drawn:
             print(f"omnirange: a figure of the report could not be drawn: {failure}", file=sys.stderr)
         show(result.summary, shown)
@@ -80,7 +85,8 @@ def show(summary: dict[str, Any], folder: Path) -> None:
     from rich.console import Console
 
     console = Console()
-    console.print(methods_table(summary))
+    if summary["comparison"]:
+        console.print(methods_table(summary))
     console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False, markup=False)
 
 

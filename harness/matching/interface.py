@@ -92,6 +92,11 @@ class MatcherSettings(Spec, ABC):
         return ""
 
     @property
+    def runs_foreign_code(self) -> bool:
+        """Whether to match is to run code that is not part of this program."""
+        return False
+
+    @property
     def step(self) -> str:
         """The sub-pixel step, by its name; `own` for a matcher that has no choice of them."""
         return "own"
@@ -151,6 +156,11 @@ class Parametrised(MatcherSettings):
     def __eq__(self, other: object) -> bool:
         # By text, as NaN is not equal to itself, and 1 and 1.0 are two parameters.
         return type(self) is type(other) and self._text == other._text
+
+    @property
+    def runs_foreign_code(self) -> bool:
+        """Always: what takes parameters is somebody else's function or program."""
+        return True
 
     def __hash__(self) -> int:
         return hash(self._text)

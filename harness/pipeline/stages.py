@@ -140,6 +140,10 @@ class Work:
             self._results[stage, view] = result
         return cast("T", self._results[stage, view])
 
+    def give(self, stage: Stage[T], result: T) -> None:
+        """Take a result that is known already; the stage is not run."""
+        self._results[stage, 0] = result
+
     def both(self, stage: Stage[T]) -> tuple[T, T]:
         """The results of a stage for both views."""
         return self(stage, 0), self(stage, 1)

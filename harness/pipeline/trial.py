@@ -311,6 +311,7 @@ def run_trial(
     observe: Observer = lambda _: None,
     *,
     threads: int | None = None,
+    answer: Matches | None = None,
 ) -> Outcome:
     """Run the whole pipeline with one set of settings.
 
@@ -322,6 +323,8 @@ def run_trial(
         Called with the name of each stage as it begins.
     threads
         Of one trial; all available CPUs when None. No figure depends on it.
+    answer
+        What the matcher answered to these settings before; it is not run then.
 
     Raises
     ------
@@ -332,6 +335,8 @@ def run_trial(
     for pose, key in zip(work.setup.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         _check_view(trial.scene, pose, key)
     check_sight(trial, work.setup.told.motion)
+    if answer is not None:
+        work.give(MATCH, answer)
     work.both(RENDER)
     pair, seen, matches = work(PAIR), work(TRUTH), work(MATCH)
     range_m, reason = work(RANGE)

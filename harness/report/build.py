@@ -10,7 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
 from harness.evaluation.limit import GROSS_PX
 from harness.evaluation.statistics import FEW_SEEDS
-from harness.matching.registry import method_of
 from harness.pipeline.trial import Outcome
 from harness.report import (
     confidence,
@@ -32,7 +31,7 @@ from harness.report import (
 from harness.report.curve import Curve
 from harness.report.law import example
 from harness.report.law.sections import sections_of
-from harness.report.methods import Method, methods_of
+from harness.report.methods import Method, methods_of, names_of
 from harness.report.sweep import Sweep, sweep_of, texts_of, values_of
 from harness.report.theme import Picture
 from harness.runs.run import Result
@@ -70,47 +69,61 @@ def build_report(result: Result, failures: list[str] | None = None) -> str:
     failures
         Gets a line for each panel that could not be drawn; the page says so in its place.
     """
-    methods = methods_of(result.outcomes, result.experiment.planned)
-    outcome = methods[0].outcome
-    reference = outcome.reference
+    planned = result.experiment.planned
+    methods = methods_of(result.outcomes, planned)
+    compared = names_of(result.details.trials, planned)
+    compared = [each for each in compared if each.key in result.summary["comparison"]]
+    trial = methods[0].outcome.trial if methods else result.details.trials[0]
     swept = sweep_of(result)
-    column_deg = float(np.degrees(outcome.trial.panorama.phi_pitch))
+    column_deg = float(np.degrees(trial.panorama.phi_pitch))
     with theme.style() as missing:
-        figures = draw(methods)
+        base = _of_base_trial(methods) if methods else {}
         over_all = _over_all_trials(result, swept, methods, column_deg)
     if failures is not None:
         failures.extend(missing)
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
-        trial=outcome.trial,
+        trial=trial,
         methods=methods,
+        compared=compared,
+        left_out=result.details.left_out,
         places=_places(result, methods),
-        abstract=list(words.abstract(result, methods)),
+        abstract=list(words.abstract(result, trial, compared)),
         overview=list(words.overview(result, swept)),
         columns=words.COLUMNS,
         varied=_varied(result),
-        figures=figures,
-        downloads=downloads.of_base_trial(methods, figures.search, figures.row),
         min_sine=MIN_SINE_ALPHA_1,
         gross_px=GROSS_PX,
-        toward=_azimuth_of_t(outcome),
-        domain_px=int(reference.domain.sum()),
-        domain_share=float(reference.domain.mean()),
-        wall_px=int((reference.domain & reference.wall).sum()),
         column_deg=column_deg,
-        stepped=method_of(outcome.trial.matching)[1] == "none",
+        stepped=trial.matching.whole_samples,
         law=example,
         example=example.worked_example(),
-        within=[example.within_steps(method.outcome, method.label) for method in methods],
-        settings=words.settings(outcome.trial),
+        settings=words.settings(trial),
         toml=dump_toml(result.experiment),
         sweep=swept,
         surfaces=sweeps.SURFACES,
         few_seeds=len(swept.seeds) < FEW_SEEDS,
-        sections=_sections(result, swept, over_all),
+        sections=_sections(result, swept, over_all, methods),
+        **base,
         **over_all,
     )
+
+
+def _of_base_trial(methods: list[Method]) -> dict[str, Any]:
+    """Figures, tables and numbers that are made from the pixels of the base trial."""
+    reference = methods[0].outcome.reference
+    figures = draw(methods)
+    return {
+        "figures": figures,
+        "downloads": downloads.of_base_trial(methods, figures.search, figures.row),
+        "toward": _azimuth_of_t(methods[0].outcome),
+        "domain_px": int(reference.domain.sum()),
+        "domain_share": float(reference.domain.mean()),
+        "wall_px": int((reference.domain & reference.wall).sum()),
+        "within": [example.within_steps(method.outcome, method.label) for method in methods],
+        "regions_base": regions.of_base_trial(methods),
+    }
 
 
 def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column_deg: float) -> dict[str, Any]:
@@ -128,7 +141,6 @@ def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column
         "near": near,
         "regions": region_pictures,
         "regions_table": regions_table,
-        "regions_base": regions.of_base_trial(methods),
         "measures": measures.all_measures(swept),
         "stepwise": steps.steps(swept),
         "limited": limit.limit(swept, result.summary["limit"]) if "limit" in result.summary else None,
@@ -142,7 +154,7 @@ def _over_all_trials(result: Result, swept: Sweep, methods: list[Method], column
     return found
 
 
-def _sections(result: Result, swept: Sweep, over_all: dict[str, Any]) -> dict[str, str]:
+def _sections(result: Result, swept: Sweep, over_all: dict[str, Any], methods: list[Method]) -> dict[str, str]:
     """Identifiers and titles, in the order of the page."""
     of_all = {
         "sweeps": "Errors over every axis" if swept.axes else "Errors over the range",
@@ -173,7 +185,7 @@ def _sections(result: Result, swept: Sweep, over_all: dict[str, Any]) -> dict[st
         "confidence": "Confidence",
         "law": "The law of the range error: worked example" if over_all["findings"] else "The law of the range error",
     }
-    if not over_all["sure"].pictures:
+    if methods and not over_all["sure"].pictures:
         del of_base["confidence"]
     last = {"failures": "Failures"} if result.summary["trials"]["failed"] else {}
     last |= {"settings": "Settings", "environment": "Provenance and durations"}
@@ -231,12 +243,12 @@ def _azimuth_of_t(outcome: Outcome) -> float | None:
     return float(np.degrees(np.arctan2(y, x))) if level else None
 
 
-def _places(result: Result, methods: list[Method]) -> list[tuple[Method, str]]:
-    """Each method with where its trial lies on the axes."""
+def _places(result: Result, methods: list[Method]) -> list[tuple[Method, str, str]]:
+    """Each method with where its trial lies on the axes, and the trial's key."""
     return [
-        (method, ", ".join(f"{key} = {value}" for key, value in place.items()))
+        (method, ", ".join(f"{key} = {value}" for key, value in place.items()), key_of_trial)
         for method in methods
-        for place, outcome in zip(result.places, result.outcomes, strict=True)
+        for place, key_of_trial, outcome in zip(result.places, result.details.keys, result.outcomes, strict=True)
         if outcome is method.outcome
     ]
 

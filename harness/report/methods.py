@@ -7,21 +7,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.display import told_apart
+from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.runs.experiment import Planned
 from harness.runs.methods import method_id
-from harness.runs.run import by_method, names_in
+from harness.runs.run import by_method, methods_in, names_in
 
 
 @dataclass(frozen=True)
-class Method:
-    """One method and its outcome."""
+class Named:
+    """What a method is called, and its colour."""
 
     key: str
     """As in `summary.json`."""
     label: str
     colour: str
+
+
+@dataclass(frozen=True)
+class Method(Named):
+    """One method and its outcome."""
+
     outcome: Outcome
 
 
@@ -58,10 +65,16 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]
 def methods_of(outcomes: list[Outcome], planned: Sequence[Planned] = ()) -> list[Method]:
     """The methods of an experiment, in the order in which they were run."""
     named = by_method(outcomes, planned)
-    names = names_in(outcomes, planned)
-    name_of = {key: names[method_id(outcome.trial.matching)] for key, outcome in named.items()}
-    appearance = looks(list(name_of.values()))
-    return [Method(key, *appearance[name_of[key]], outcome) for key, outcome in named.items()]
+    names = names_of([outcome.trial for outcome in outcomes], planned)
+    return [Method(each.key, each.label, each.colour, named[each.key]) for each in names]
+
+
+def names_of(trials: list[Trial], planned: Sequence[Planned] = ()) -> list[Named]:
+    """The names of the methods of some trials, in their order."""
+    names = names_in(trials, planned)
+    named = {key: names[method_id(trials[i].matching)] for key, i in methods_in(trials, planned).items()}
+    appearance = looks(list(named.values()))
+    return [Named(key, *appearance[name]) for key, name in named.items()]
 
 
 def common(methods: list[Method]) -> NDArray[np.bool_]:

@@ -26,6 +26,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, Null
 from numpy.typing import NDArray
 from PIL import Image
 
+from harness import interrupts
+
 PIXEL, SUBPIXEL, TRUTH = "#D55E00", "#0072B2", "#000000"
 """Colours after Okabe and Ito, told apart by colour-blind readers too."""
 SPARE = ("#009E73", "#CC79A7", "#56B4E9", "#E69F00")
@@ -141,6 +143,7 @@ def panel(draw: Callable[_P, Picture]) -> Callable[_P, Picture]:
         except Exception as error:
             if failures is None:
                 raise
+            interrupts.check()  # Ctrl-C may come wrapped as another error
             name = f"{draw.__module__.rpartition('.')[2]}.{draw.__name__.strip('_')}"
             reason = " ".join(f"{type(error).__name__}: {error}".split())[:500]
             failures.append(f"{name}: {reason}")

@@ -1,7 +1,7 @@
 """Numbers in words and cells. What is said here follows from the numbers, and says no more than they do."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from harness.matching.interface import MatcherSettings
 from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
-from harness.report.methods import Method
+from harness.report.methods import Named
 from harness.report.sweep import Axis, Sweep
 from harness.runs.run import Result
 from harness.spec import as_table
@@ -74,9 +74,8 @@ def symbols(text: str) -> Markup:
     return Markup(re.sub(pattern, lambda found: _SYMBOLS[found[0]], escape(text)))  # noqa: S704  # escaped before
 
 
-def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
-    """Sentences for the head of the report."""
-    trial = methods[0].outcome.trial
+def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator[str]:
+    """Sentences for the head of the report, about the base trial and how the methods compare on it."""
     matcher, grid, camera = trial.matching, trial.panorama, trial.sensor.camera
     noise = f" and noise of σ = {trial.noise.sigma_grey:g} grey levels" if trial.noise.sigma_grey else ""
     yield (
@@ -85,6 +84,9 @@ def abstract(result: Result, methods: list[Method]) -> Iterator[str]:
         f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched {_by(matcher)}."
     )
     walls, everything = result.summary["comparison_wall"], result.summary["comparison"]
+    if not everything:
+        yield "How the methods compare on it cannot be shown here."
+        return
     yield from _compared("On wall pixels", walls, methods)
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
 
@@ -124,7 +126,7 @@ def _few(texts: list[str]) -> str:
     return ", ".join(texts) if len(texts) <= 8 else f"{len(texts)} values from {texts[0]} to {texts[-1]}"
 
 
-def _compared(where: str, measures: dict[str, Any], methods: list[Method], *, gross: bool = False) -> Iterator[str]:
+def _compared(where: str, measures: dict[str, Any], methods: Sequence[Named], *, gross: bool = False) -> Iterator[str]:
     named = {method.key: measures[method.key] for method in methods if method.key in measures}
     known = {key: m for key, m in named.items() if m["range_median_abs_m"] is not None}
     if not known:

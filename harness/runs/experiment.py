@@ -24,6 +24,7 @@ from harness.matching.source_files import State, state_of
 from harness.pipeline.specification import Trial
 from harness.runs.methods import MethodName, method_id, method_names
 from harness.runs.values import Settings, shown, text_of
+from harness.simulation.fingerprint import fingerprint
 from harness.simulation.scene import load_scene
 from harness.spec import Spec, as_table, checked_plain, parse
 from harness.toml import parse_toml, read_toml
@@ -121,6 +122,11 @@ class Experiment(Spec):
             name: getattr(self.trial, name) if name in base and part is base[name] else part
             for name, part in table.items()
         }
+
+    @cached_property
+    def scene_fingerprints(self) -> frozenset[str]:
+        """The `fingerprint` of each scene of the trials."""
+        return frozenset(fingerprint(each.trial.scene) for each in self.planned)
 
     def _check_count(self) -> None:
         """Count before anything is enumerated."""

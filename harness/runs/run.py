@@ -23,23 +23,21 @@ from harness.pipeline.environment import environment, source_hash
 from harness.pipeline.maps import has_maps
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
-from harness.runs import executors, worker
+from harness.runs import executors
 from harness.runs.analysis import cell_table, law_of, limit_of
+from harness.runs.details import Details, details_of, keep
 from harness.runs.experiment import Experiment, Planned, value_at
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
+from harness.runs.recorded import record
 from harness.runs.store import Finished, Foreign, Store
 from harness.runs.sweep import run_sweep
-from harness.runs.values import Settings, shown, text_of
-from harness.simulation.fingerprint import fingerprint
+from harness.runs.values import Settings, text_of
 from harness.spec import as_table, dump_toml
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
 """What `summary.json` and the report call the paper's two methods."""
-
-MOST_DETAILS = 6
-"""How many methods are looked at in detail: their maps and profiles still fit a page."""
 
 DATABASE = "run.sqlite"
 WRITTEN = (
@@ -85,21 +83,21 @@ class Result(OneLine):
     """Of all trials that are finished, in the experiment's order."""
     cells: pd.DataFrame
     """The cells of all trials that are done, see `analysis.cell_table`."""
-    details: list[Outcome]
-    """The base trial, with up to two of the sub-pixel methods on the axes."""
+    details: Details
+    """The base trial by each method."""
     summary: dict[str, Any]
     environment: dict[str, Any]
 
     @property
     def outcomes(self) -> list[Outcome]:
-        """The same as `details`."""
-        return self.details
+        """What came of the trials that are shown in detail."""
+        return self.details.outcomes
 
     @property
     def places(self) -> list[Settings]:
         """Where the details lie on the axes."""
         columns = columns_of(self.experiment)
-        tables = [as_table(outcome.trial) for outcome in self.details]
+        tables = [as_table(outcome.trial) for outcome in self.outcomes]
         return [{key: value_at(table, key) for key in columns} for table in tables]
 
 
@@ -107,12 +105,17 @@ class Result(OneLine):
 class Standing:
     """How far a run has come."""
 
-    plan: Plan
-    """Of the trials that are still to be run; those that failed among them."""
+    left: list[Planned]
+    """The trials that are still to be run; those that failed among them."""
     total: int
     done: int
     failed: int
     foreign: Foreign
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The order in which they are best run."""
+        return plan(self.left)
 
 
 def open_run(experiment: Experiment, folder: Path) -> Store:
@@ -133,7 +136,7 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
                 file=folder,
             )
         store.set_fact("name", experiment.name)
-        store.set_fact("experiment", as_table(experiment))
+        record(experiment, store)
         until_it_is_opened.pop_all()  # from here on it is the caller's to close
     return store
 
@@ -152,13 +155,12 @@ def standing(experiment: Experiment, store: Store, maps: Path | None = None) -> 
         for each in experiment.planned
         if states.get(each.key) != "done" or not (maps is None or has_maps(maps, each.key))
     ]
-    scenes = {fingerprint(each.trial.scene) for each in experiment.planned}
     return Standing(
-        plan=plan(left),
+        left=left,
         total=len(experiment.planned),
         done=len(experiment.planned) - len(left),
         failed=sum(state == "failed" for state in states.values()),
-        foreign=store.foreign((each.key for each in experiment.planned), scenes),
+        foreign=store.foreign((each.key for each in experiment.planned), experiment.scene_fingerprints),
     )
 
 
@@ -185,15 +187,9 @@ def sweep(
     run_sweep(left.batches(min(longest, 1.0)), store, place, observe, maps)
 
 
-def result_of(experiment: Experiment, store: Store) -> Result:
-    """All that is known of a run; the details are computed.
-
-    Raises
-    ------
-    InputError
-        When no trial is done.
-    """
-    return result_from(experiment, rows_of(experiment, store))
+def result_of(experiment: Experiment, store: Store, *, run_code: bool = True) -> Result:
+    """All that is known of a run; see `result_from`."""
+    return result_from(experiment, rows_of(experiment, store), store, run_code=run_code)
 
 
 def rows_of(experiment: Experiment, store: Store) -> list[Row]:
@@ -202,15 +198,25 @@ def rows_of(experiment: Experiment, store: Store) -> list[Row]:
     return [Row(each, finished[each.key]) for each in experiment.planned if each.key in finished]
 
 
-def result_from(experiment: Experiment, rows: list[Row]) -> Result:
-    """The result that rows add up to, see `result_of`."""
+def result_from(
+    experiment: Experiment, rows: list[Row], store: Store | None = None, *, run_code: bool = True
+) -> Result:
+    """The result that rows add up to, with the trials that are shown in detail; see `details.details_of`.
+
+    Raises
+    ------
+    InputError
+        When no trial is done.
+    """
     done = [row for row in rows if row.state == "done"]
     if not done:
         raise InputError("no trial is done with the program as it is now, so there is nothing to report")
-    details = _details(experiment, done[0].planned.trial)
-    summary = _summary(experiment, details) | {
-        "trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)},
-    }
+    details = details_of(experiment, [row.planned for row in done], store, run_code=run_code)
+    comparison = details.comparison or _comparison(details.outcomes, experiment.planned)
+    if store:
+        keep(details, comparison, experiment, store)
+    summary = {"schema": SCHEMA, "experiment": experiment.name} | comparison
+    summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
     cells = cell_table((row.planned, row.payload) for row in done)
     limit = limit_of((row.planned, row.payload) for row in done)
     if limit:
@@ -218,8 +224,8 @@ def result_from(experiment: Experiment, rows: list[Row]) -> Result:
     law = law_of(cells)
     if law is not None:
         summary["law"] = law
-    scenes = sorted({fingerprint(each.trial.scene) for each in experiment.planned})
-    return Result(experiment, rows, cells, details, summary, environment() | {"scene_sha256": " ".join(scenes)})
+    scenes = " ".join(sorted(experiment.scene_fingerprints))
+    return Result(experiment, rows, cells, details, summary, environment() | {"scene_sha256": scenes})
 
 
 def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:
@@ -373,61 +379,35 @@ def compare(outcomes: dict[str, Outcome], *, wall_only: bool) -> dict[str, Measu
     return {name: measure(domain, valid, outcome.errors) for name, outcome in outcomes.items()}
 
 
-def names_in(outcomes: Sequence[Outcome], planned: Sequence[Planned] = ()) -> Mapping[MethodId, MethodName]:
-    """What the methods of outcomes are called, within an experiment if its trials are given."""
-    return method_names([*(each.trial.matching for each in planned), *(each.trial.matching for each in outcomes)])
+def names_in(trials: Sequence[Trial], planned: Sequence[Planned] = ()) -> Mapping[MethodId, MethodName]:
+    """What the methods of trials are called, within an experiment if its trials are given."""
+    return method_names([each.matching for each in (*(one.trial for one in planned), *trials)])
 
 
 def by_method(outcomes: list[Outcome], planned: Sequence[Planned] = ()) -> dict[str, Outcome]:
-    """The first outcome of each method, by the name that `summary.json` has for it.
+    """The first outcome of each method, by the name that `summary.json` has for it; see `methods_in`."""
+    return {name: outcomes[i] for name, i in methods_in([each.trial for each in outcomes], planned).items()}
+
+
+def methods_in(trials: Sequence[Trial], planned: Sequence[Planned] = ()) -> dict[str, int]:
+    """The names that `summary.json` has for the methods of some trials, and the first trial of each.
 
     `pixel` and `subpixel` when the paper's two methods are all there are; otherwise the matcher and its sub-pixel step.
     """
-    names = names_in(outcomes, planned)
-    methods: dict[MethodName, Outcome] = {}
-    for outcome in outcomes:
-        methods.setdefault(names[method_id(outcome.trial.matching)], outcome)
-    windows = all(isinstance(outcome.trial.matching, WindowMatcher) for outcome in outcomes)
+    names = names_in(trials, planned)
+    methods: dict[MethodName, int] = {}
+    for i, trial in enumerate(trials):
+        methods.setdefault(names[method_id(trial.matching)], i)
+    windows = all(isinstance(trial.matching, WindowMatcher) for trial in trials)
     kinds, steps = {kind for kind, _ in methods}, {step for _, step in methods}
     if windows and len(kinds) == 1 and steps <= METHODS.keys():
-        return {METHODS[step]: outcome for (_, step), outcome in methods.items()}
-    return {kind if step == "own" else f"{kind} {step}": outcome for (kind, step), outcome in methods.items()}
+        return {METHODS[step]: i for (_, step), i in methods.items()}
+    return {kind if step == "own" else f"{kind} {step}": i for (kind, step), i in methods.items()}
 
 
-def _details(experiment: Experiment, first_done: Trial) -> list[Outcome]:
-    """The base trial by every method on the axes, the first few of them.
-
-    A method that fails is left out. A base trial that none can carry out gives way to the first trial that was done.
-    """
-    methods: dict[MethodName, Trial] = {}
-    for each in experiment.planned:
-        methods.setdefault(each.method, each.trial)
-    chosen = list(methods.values())[:MOST_DETAILS]
-    for base in (experiment.trial, first_done):
-        outcomes = []
-        for trial in chosen:
-            with contextlib.suppress(Exception):  # its rows say why; the others are shown all the same
-                outcomes.append(worker.run_here(_with_method(base, trial)))
-        if outcomes:
-            return outcomes
-    raise InputError(f"the first trial that was done cannot be carried out again: {shown(experiment.planned[0].place)}")
-
-
-def _with_method(base: Trial, other: Trial) -> Trial:
-    """The base trial, matched as another one is; with its own settings as far as they say the same."""
-    matching = other.matching
-    if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
-        mixed = base.matching.model_dump() | {"kind": matching.kind, "subpixel": matching.subpixel}
-        with contextlib.suppress(ValueError):  # pydantic's: what this kind does not take; its own settings then
-            matching = WindowMatcher.model_validate(mixed)
-    return base.model_copy(update={"matching": matching})
-
-
-def _summary(experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
-    named = by_method(outcomes, experiment.planned)
+def _comparison(outcomes: list[Outcome], planned: Sequence[Planned]) -> dict[str, Any]:
+    named = by_method(outcomes, planned)
     return {
-        "schema": SCHEMA,
-        "experiment": experiment.name,
-        "comparison": compare(named, wall_only=False),
-        "comparison_wall": compare(named, wall_only=True),
+        "comparison": compare(named, wall_only=False) if named else {},
+        "comparison_wall": compare(named, wall_only=True) if named else {},
     }

@@ -8,7 +8,7 @@ is in it: one that was cut or changed since is refused.
 import hashlib
 import json
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +38,12 @@ CREATE TABLE trials (
     PRIMARY KEY (key, code)
 );
 """
+
+
+_ANSWERS = """CREATE TABLE IF NOT EXISTS answers (
+    key TEXT NOT NULL, code TEXT NOT NULL, data BLOB NOT NULL, PRIMARY KEY (key, code)
+)"""
+"""Apart from the others: files begun before there were any are good still."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +139,7 @@ class Store:
             raise InputError("was written by another version of omnirange; give another folder", file=self._path)
         elif self._do("PRAGMA quick_check").fetchone()[0] != "ok":
             raise sqlite3.DatabaseError("quick_check")
+        self._do(_ANSWERS)
         self._do("COMMIT")
 
     def finished(self, keys: Iterable[str]) -> dict[str, Finished]:
@@ -190,6 +197,26 @@ class Store:
 
     def _values(self, row: Finished) -> tuple[str, ...]:
         return row.key, self._code, row.scene, row.state, row.payload, row.seconds, row.message, row.traceback
+
+    def answer(self, key: str) -> bytes | None:
+        """What is kept of a matcher's answer to a trial, None if nothing is; see `answers`."""
+        row = self._do("SELECT data FROM answers WHERE key = ? AND code = ?", key, self._code).fetchone()
+        return None if row is None else bytes(row[0])
+
+    def set_answers(self, answers: Mapping[str, bytes]) -> None:
+        """Keep these answers, by key of the trial, and no others."""
+        self._do("BEGIN IMMEDIATE")
+        try:
+            self._connection.execute("DELETE FROM answers")
+            self._connection.executemany(
+                "INSERT INTO answers VALUES (?, ?, ?)", [(key, self._code, data) for key, data in answers.items()]
+            )
+            self._do("COMMIT")
+        except sqlite3.Error as error:
+            raise self._explained(error) from error
+        finally:
+            if self._connection.in_transaction:
+                self._connection.rollback()
 
     def fact(self, name: str) -> Any:
         """Something else that the run knows, None if it does not.

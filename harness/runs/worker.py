@@ -12,6 +12,7 @@ from typing import Any
 from harness import interrupts
 from harness.errors import InputError, described, printable
 from harness.files import cache_folder, read_regular, replace_file
+from harness.matching.interface import Matches
 from harness.pipeline.environment import code_hash
 from harness.pipeline.maps import maps_of, write_maps
 from harness.pipeline.render_cache import RenderCache
@@ -85,11 +86,11 @@ def work(batch: Batch) -> list[Finished]:
     return [_finish(key, scene, _replaced(table, here), batch.threads, maps) for key, scene, table in batch.trials]
 
 
-def run_here(trial: Trial, *, threads: int | None = None) -> Outcome:
-    """Run a trial with all that this thread has kept from those before."""
+def run_here(trial: Trial, *, threads: int | None = None, answer: Matches | None = None) -> Outcome:
+    """Run a trial with all that this thread has kept from those before; see `trial.run_trial`."""
     if not hasattr(_local, "cache"):
         _local.cache = StageCache(backing={"render": RenderCache()})
-    return run_trial(trial, _local.cache, threads=threads)
+    return run_trial(trial, _local.cache, threads=threads, answer=answer)
 
 
 def forget() -> None:

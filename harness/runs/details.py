@@ -1,0 +1,193 @@
+"""The trials that a report shows in detail: the base trial by each method, pixel by pixel.
+
+What the matchers answered is kept in the run's file. A report is made from that, and runs no code that is not part of
+this program.
+"""
+
+import contextlib
+import hashlib
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness import interrupts
+from harness.errors import InputError
+from harness.geometry.panorama import Grid
+from harness.matching.interface import Matches, as_matches
+from harness.matching.registry import method_of
+from harness.matching.window.settings import WindowMatcher
+from harness.pipeline.specification import Trial
+from harness.pipeline.trial import Outcome
+from harness.runs import worker
+from harness.runs.experiment import Experiment, Planned
+from harness.runs.methods import MethodName
+from harness.runs.recorded import RecordedExperiment
+from harness.runs.store import Store
+from harness.simulation.fingerprint import fingerprint
+from harness.spec import as_table, parse
+
+MOST_DETAILS = 6
+"""How many methods are looked at in detail: their maps and profiles still fit a page."""
+
+_FACT = "details"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A trial that should be shown in detail and cannot be."""
+
+    matcher: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Details:
+    """The trials in detail."""
+
+    trials: list[Trial]
+    """All that should be shown."""
+    keys: list[str]
+    outcomes: list[Outcome]
+    """Those that are, with their keys."""
+    left_out: list[LeftOut]
+    comparison: dict[str, Any] | None
+    """What `summary.json` has of their comparison, as kept with the run; None where it is to be worked out."""
+
+
+def details_of(
+    experiment: Experiment, done: list[Planned], store: Store | None = None, *, run_code: bool = True
+) -> Details:
+    """Carry out the trials to be shown, the matching itself only where its answer is not kept.
+
+    A method that fails is left out. A base trial that none can carry out gives way to the first trial that was done.
+
+    Parameters
+    ----------
+    done
+        The trials that are done.
+    store
+        The run's file, where answers are kept; None for a run in memory.
+    run_code
+        Whether matchers may be run that are not part of this program.
+    """
+    memory = _Memory(experiment, store)
+    methods: dict[MethodName, Trial] = {}
+    for each in experiment.planned:
+        methods.setdefault(each.method, each.trial)
+    chosen = list(methods.values())[:MOST_DETAILS]
+    found = Details([], [], [], [], None)
+    for base in dict.fromkeys((experiment.trial, done[0].trial)):
+        trials = [with_method(base, trial) for trial in chosen]
+        looks = [memory.look(trial, run_code=run_code) for trial in trials]
+        seen = [look for look in looks if not isinstance(look, LeftOut)]
+        missing = [look for look in looks if isinstance(look, LeftOut)]
+        if seen or not found.trials:
+            found = Details(trials, [key for key, _ in seen], [outcome for _, outcome in seen], missing, None)
+        if seen:
+            break
+    if found.left_out and memory.comparison:
+        found = Details(found.trials, found.keys, found.outcomes, found.left_out, memory.comparison)
+    return found
+
+
+def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, store: Store) -> None:
+    """Keep the answers of all that are shown in a run's file, with what came of their comparison."""
+    if details.left_out and isinstance(experiment, RecordedExperiment):
+        return  # what is kept says more than what could be shown here
+    trials = [
+        {"key": key, "scene": fingerprint(outcome.trial.scene), "trial": as_table(outcome.trial)}
+        for key, outcome in zip(details.keys, details.outcomes, strict=True)
+    ]
+    fact = {"plan": _plan_hash(experiment), "trials": trials, "comparison": comparison}
+    if store.fact(_FACT) != fact:
+        pairs = zip(details.keys, details.outcomes, strict=True)
+        store.set_answers({key: packed(outcome.matches) for key, outcome in pairs})
+        store.set_fact(_FACT, fact)
+
+
+class _Memory:
+    """What a run's file holds of the trials shown in detail."""
+
+    def __init__(self, experiment: Experiment, store: Store | None) -> None:
+        self._store = store
+        self._recorded = isinstance(experiment, RecordedExperiment)
+        self._scenes = experiment.scene_fingerprints
+        fact = store.fact(_FACT) if store else None
+        self.comparison: dict[str, Any] | None = None
+        self._kept: list[tuple[Trial, str, str]] = []
+        with contextlib.suppress(KeyError, TypeError, InputError):  # a file that was meddled with: nothing is kept
+            # Another plan may have been made since with other files of a matcher.
+            if fact and (not self._recorded or fact["plan"] == _plan_hash(experiment)):
+                self._kept = [(parse(Trial, each["trial"]), each["key"], each["scene"]) for each in fact["trials"]]
+                self.comparison = fact["comparison"] if self._recorded else None
+
+    def look(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:
+        """A trial's key and outcome, or why there is none."""
+        name = " ".join(each for each in method_of(trial.matching) if each not in {"own", "none"})
+        kept = next(((key, scene) for each, key, scene in self._kept if each == trial), None)
+        try:
+            scene = fingerprint(trial.scene)
+            if self._recorded and (scene != kept[1] if kept else scene not in self._scenes):
+                return LeftOut(name, "the files of its scene are not what they were when the run was made")
+            key = kept[0] if kept and self._recorded else trial.key
+            answer = self._answer(key, trial.panorama) if kept and kept[0] == key else None
+            if answer is None and trial.matching.runs_foreign_code and not run_code:
+                why = "its matcher is not part of omnirange and its answer is not kept; --run-code lets it be run"
+                return LeftOut(name, why)
+            return key, worker.run_here(trial, answer=answer)
+        except Exception as error:  # noqa: BLE001 - its rows say why; the others are shown all the same
+            interrupts.check()  # Ctrl-C may come wrapped as another error
+            reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            return LeftOut(name, " ".join(reason.split())[:500])
+
+    def _answer(self, key: str, grid: Grid) -> Matches | None:
+        data = self._store.answer(key) if self._store else None
+        return None if data is None else unpacked(data, grid)
+
+
+def with_method(base: Trial, other: Trial) -> Trial:
+    """The base trial, matched as another one is; with its own settings as far as they say the same."""
+    matching = other.matching
+    if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
+        mixed = base.matching.model_dump() | {"kind": matching.kind, "subpixel": matching.subpixel}
+        with contextlib.suppress(ValueError):  # pydantic's: what this kind does not take; its own settings then
+            matching = WindowMatcher.model_validate(mixed)
+    return base.model_copy(update={"matching": matching})
+
+
+def _plan_hash(experiment: Experiment) -> str:
+    keys = json.dumps([each.key for each in experiment.planned])
+    return hashlib.sha256(keys.encode()).hexdigest()
+
+
+# --- Answers as bytes ---------------------------------------------------------------------------------------------
+
+_ARRAYS = ("alpha_2", "confidence", "sigma_alpha_2", "reason", "refined", "k")
+
+
+def packed(matches: Matches) -> bytes:
+    """A matcher's answer as a compressed NPZ archive of its arrays."""
+    arrays = {name: array for name in _ARRAYS if (array := getattr(matches, name)) is not None}
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def unpacked(data: bytes, grid: Grid) -> Matches | None:
+    """The answer that was packed; None where the bytes are no answer on this panorama.
+
+    Nothing in an archive is taken on trust: no pickle, no array larger than the panorama asks for.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if any(each.file_size > 8 * grid.shape[0] * grid.shape[1] + 4096 for each in archive.infolist()):
+                return None
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            found = {name: arrays[name] for name in _ARRAYS if name in arrays.files}
+        return as_matches(Matches(**found), grid, "the answer")
+    except (zipfile.BadZipFile, OSError, ValueError, TypeError, EOFError, MemoryError, InputError, KeyError):
+        return None
