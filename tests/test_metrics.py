@@ -1,10 +1,12 @@
 """Figures, regions and cells against plain definitions."""
 
+import re
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from harness.cli import main
 from harness.evaluation.cells import MIN_PIXELS, NORMAL, cells
 from harness.evaluation.errors import Errors
 from harness.evaluation.groups import (
@@ -18,10 +20,9 @@ from harness.evaluation.groups import (
     places,
     sorted_parts,
 )
+from harness.evaluation.metric_table import METRICS, Metric, is_metric, metric
 from harness.evaluation.metrics import (
     CORE,
-    ERROR_EDGES_PX,
-    FRACTION_BINS,
     error_histograms,
     fraction_histograms,
     measure,
@@ -29,10 +30,14 @@ from harness.evaluation.metrics import (
     measure_more,
     measure_regions,
     share_of_estimates,
-    tally,
 )
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.evaluation.tally import ERROR_EDGES_PX, FRACTION_BINS, tally
 from harness.pipeline.row import row_of
+from harness.report import compare, measures
+from harness.report.build import build_report
+from harness.runs.experiment import load_experiment
+from harness.runs.run import run_experiment
 
 
 @pytest.fixture
@@ -278,3 +283,37 @@ def test_a_row_is_strict_json(outcome):
 
     row = row_of(outcome)
     assert json.loads(json.dumps(row, allow_nan=False)) == row
+
+
+def test_a_metric_from_outside_is_in_rows_tables_and_comparisons(monkeypatch, tmp_path, capsys):
+    """One entry, and nothing else: it is computed, written, and shown with its heading, unit and direction."""
+    worst = Metric(
+        "disparity_worst_px", "Disparity", "largest |error|", "px", 1, ".1f", "lower", lambda t: t.quantiles_px[-1]
+    )
+    monkeypatch.setitem(METRICS, worst.name, worst)
+    monkeypatch.setattr(measures, "SHOWN", (*measures.SHOWN, worst.name))
+    monkeypatch.setattr(compare, "COMPARED", (worst.name,))
+    result = run_experiment(load_experiment("smoke", axes=["matching.window_px=5"]), tmp_path / "one", workers=1)
+    row = next(each for each in result.rows if each.state == "done")
+    assert row.payload["figures"][worst.name] > 0
+    assert "Disparity, largest |error|" in build_report(result)
+    assert metric("disparity_worst_px").heading == "Disparity, largest |error|"
+    for name in ("a", "b"):
+        assert main(["run", "smoke", "--out", str(tmp_path / name), "--no-report", "--workers", "1"]) == 0
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert "Disparity, largest |error|, px" in capsys.readouterr().out
+
+
+def test_parts_have_the_heading_and_the_unit_of_the_whole():
+    walls = metric("wall_range_median_abs_m")
+    assert (walls.heading, walls.unit, walls.scale) == ("Walls: range, median |error|", "mm", 1000)
+    assert metric("solid_angle_bad_1px").heading == "Solid angle: above 1\u00a0px"
+    assert is_metric("floor_density")
+    assert not is_metric("matching.window_px")
+
+
+def test_every_figure_of_a_row_is_a_metric_or_of_confidence(outcome):
+    of_confidence = re.compile(r"(ause|auc)_|within_\d_sigma")
+    names = [name for name in row_of(outcome)["figures"] if not of_confidence.match(name)]
+    assert [name for name in names if not is_metric(name)] == []
+    assert len({each.heading for each in METRICS.values()}) == len(METRICS)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from browser import chromium, visit
 
+from harness.evaluation.metric_table import METRICS
 from harness.report import curve, maps, profiles, theme, words
 from harness.report.build import build_report
 from harness.report.law import example
@@ -156,7 +157,7 @@ def test_drawing_leaves_matplotlib_settings_alone(small):
 
 def test_comparison_tables_are_the_summary(paper, report):
     cells = re.findall(r'<td data-measure="([a-z0-9_.]+)">([^<]*)</td>', report)
-    columns = {column.key: column for column in words.COLUMNS}
+    columns = {name: METRICS[name] for name in words.COMPARED}
     expected = [
         (key, measures[key])
         for group in ("comparison_wall", "comparison")

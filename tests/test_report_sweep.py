@@ -17,10 +17,11 @@ from test_report import BOTH, SMALL, Document, run_small
 
 from harness.cli import main
 from harness.errors import InputError
+from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
 from harness.report import locking, measures, regions, sweeps, theme
 from harness.report.build import build_report
-from harness.report.compare import FIGURES, build_comparison
+from harness.report.compare import COMPARED, build_comparison
 from harness.report.law.sections import sections_of
 from harness.report.sweep import Axis, sweep_of, value_text
 from harness.report.words import symbols
@@ -425,7 +426,7 @@ def test_paired_differences_are_those_of_the_trials(runs):
     [pairing] = comparison.pairings
     assert pairing.differing == {"matching.kind": ("window", "column")}
     assert (pairing.pairs, pairing.seeds, pairing.why_none) == (6, 3, "")
-    assert len(pairing.differences) == 2 * len(FIGURES)
+    assert len(pairing.differences) == 2 * len(COMPARED)
     for each in pairing.differences:
         first, second = (figures_of(runs[name], each.figure) for name in ("window", "column"))
         off = [second[place] - first[place] for place in first if place[1] == each.step]
@@ -479,10 +480,10 @@ def test_compare_fits_a_terminal_of_80_columns(runs, tmp_path, capsys, monkeypat
     assert main(["compare", str(runs["window"]), str(runs["column"]), "--out", str(tmp_path / "page.html")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line.rstrip()) for line in lines if str(tmp_path) not in line) <= 80
-    names = [heading.replace(", median |error|", "").replace("\u00a0", " ") for heading, *_ in FIGURES.values()]
+    names = [metric(name).short.replace("\u00a0", " ") for name in COMPARED]
     rows = [line for line in lines if line.strip().startswith(tuple(names))]
     assert len(rows) == 2 * len(names)  # for the pixel level and for the sub-pixel step
-    assert all(row.rstrip().endswith(("smaller", "larger", "not told apart", "the same")) for row in rows)
+    assert all(row.rstrip().endswith(("better", "worse", "not told apart", "the same")) for row in rows)
 
 
 @pytest.mark.browser

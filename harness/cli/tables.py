@@ -6,6 +6,11 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from harness.evaluation.metric_table import Metric
+
+_SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "range_rmse_m", "range_bias_m")
+"""The metrics of the table that a run ends with."""
+
 
 def methods_table(summary: dict[str, Any]) -> "Table":
     """The main figures of a run, a line for each method and surface.
@@ -17,33 +22,23 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     """
     from rich.markup import escape
 
+    from harness.evaluation.metric_table import METRICS
+
     count = len(summary["comparison"])
     who = {1: "the method", 2: "both methods"}.get(count, "all methods")
     title = f"{escape(summary['experiment'])}: errors over the pixels that {who} matched"
     table = _table(title)
     table.add_column("\npixels", no_wrap=True)
     table.add_column("\nmethod", overflow="fold")  # the only one that may wrap: names can be long
-    headings = (
-        "\ndensity",
-        "disparity\nmedian px",
-        "bad\n> 1 px",
-        "range\nmedian mm",
-        "range\nRMSE mm",
-        "range\nbias mm",
-    )
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+    columns = [METRICS[name] for name in _SHOWN]
+    for each in columns:
+        table.add_column(_in_two_lines(each), justify="right", no_wrap=True)
     for key, where in (("comparison_wall", "walls"), ("comparison", "all")):
         for method, m in summary[key].items():
             table.add_row(
                 where,
                 escape({"subpixel": "sub-pixel"}.get(method, method)),
-                _figure(m["density"], 100, "{:.1f} %"),
-                _figure(m["disparity_median_abs_px"], 1, "{:.3f}"),
-                _figure(m["bad_1px"], 100, "{:.1f} %"),
-                _figure(m["range_median_abs_m"], 1000, "{:.1f}"),
-                _figure(m["range_rmse_m"], 1000, "{:.1f}"),
-                _figure(m["range_bias_m"], 1000, "{:+.1f}"),
+                *(_figure(m[each.name], each) for each in columns),
             )
         table.add_section()
     return table
@@ -82,5 +77,12 @@ def _table(title: str | None = None) -> "Table":
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
 
 
-def _figure(value: float | None, scale: float, form: str) -> str:
-    return "none" if value is None else form.format(scale * value)
+def _in_two_lines(metric: "Metric") -> str:
+    """A heading as narrow as its figures: the quantity above, the statistic and the unit below."""
+    statistic = metric.statistic.replace("|error|", "").strip()
+    above, below = (metric.quantity.lower(), statistic) if statistic else ("", metric.quantity.lower())
+    return f"{above}\n{below} {metric.unit}".replace("\u00a0", " ")
+
+
+def _figure(value: float | None, metric: "Metric") -> str:
+    return "none" if value is None else format(metric.scale * value, metric.form)

@@ -7,7 +7,7 @@ import numpy as np
 
 from harness.evaluation._grouping_kernels import GROSS
 from harness.evaluation.groups import medians_of_seen
-from harness.evaluation.metrics import Tally
+from harness.evaluation.tally import Tally
 from harness.geometry.triangulation import paper_law
 
 MIN_PIXELS = 200

@@ -11,8 +11,8 @@ from harness.evaluation.metrics import (
     measure_more,
     measure_regions,
     share_of_estimates,
-    tally,
 )
+from harness.evaluation.tally import tally
 from harness.pipeline.sample import calibration_of, confidence_of, sampled, with_bounds
 from harness.pipeline.trial import Outcome
 

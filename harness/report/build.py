@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from harness.evaluation.errors import MIN_SINE_ALPHA_1
 from harness.evaluation.limit import GROSS_PX
+from harness.evaluation.metric_table import METRICS
 from harness.evaluation.statistics import FEW_SEEDS
 from harness.pipeline.trial import Outcome
 from harness.report import (
@@ -91,7 +92,8 @@ def build_report(result: Result, failures: list[str] | None = None) -> str:
         places=_places(result, methods),
         abstract=list(words.abstract(result, trial, compared)),
         overview=list(words.overview(result, swept)),
-        columns=words.COLUMNS,
+        columns=[METRICS[name] for name in words.COMPARED],
+        cell=words.cell,
         varied=_varied(result),
         min_sine=MIN_SINE_ALPHA_1,
         gross_px=GROSS_PX,

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from harness.errors import InputError
+from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
 from harness.pipeline.specification import Trial
@@ -26,18 +27,18 @@ from harness.runs.values import identity_of, value_of
 READ = ("experiment.toml", "trials.csv")
 """Written by every run. They are read rather than the rows, so that runs of other code can be compared."""
 
-FIGURES: dict[str, tuple[str, str, str, float]] = {
-    "wall_disparity_median_abs_px": ("Walls: disparity, median |error|", "px", ".3f", 1),
-    "wall_range_median_abs_m": ("Walls: range, median |error|", "mm", ".1f", 1000),
-    "floor_disparity_median_abs_px": ("Floor: disparity, median |error|", "px", ".3f", 1),
-    "floor_range_median_abs_m": ("Floor: range, median |error|", "mm", ".1f", 1000),
-    "disparity_median_abs_px": ("All: disparity, median |error|", "px", ".3f", 1),
-    "range_median_abs_m": ("All: range, median |error|", "mm", ".1f", 1000),
-    "range_rmse_m": ("All: range, RMSE", "mm", ".0f", 1000),
-    "bad_1px": ("All: above 1\u00a0px", "%", ".1f", 100),
-    "density": ("All: density", "%", ".1f", 100),
-}
-"""Heading, unit, format and scale."""
+COMPARED = (
+    "wall_disparity_median_abs_px",
+    "wall_range_median_abs_m",
+    "floor_disparity_median_abs_px",
+    "floor_range_median_abs_m",
+    "disparity_median_abs_px",
+    "range_median_abs_m",
+    "range_rmse_m",
+    "bad_1px",
+    "density",
+)
+"""The metrics that runs are compared by."""
 
 _NONE = identity_of("", None)
 _STEP = "matching.subpixel"
@@ -84,7 +85,12 @@ class Difference:
         if self.between is None:
             return "one seed: not told"
         low, high = self.between
-        return "not told apart" if low <= 0 <= high else "larger" if low > 0 else "smaller"
+        if low <= 0 <= high:
+            return "not told apart"
+        better = metric(self.figure).better
+        if better == "near zero":
+            return "larger" if low > 0 else "smaller"
+        return "better" if (low > 0) == (better == "higher") else "worse"
 
 
 @dataclass(frozen=True)
@@ -114,11 +120,12 @@ class Comparison:
         """For a terminal: run, figure with unit, sub-pixel step, first, second, difference with interval, verdict."""
         for pairing in self.pairings:
             for each in pairing.differences:
-                heading, unit, form, scale = FIGURES[each.figure]
+                shown = metric(each.figure)
+                form, scale = shown.form, shown.scale
                 span = "" if each.between is None else f" {interval(each.between, _signed(form), scale)}"
                 yield (
                     pairing.second.name,
-                    f"{heading.replace(', median |error|', '')}, {unit}".replace("\u00a0", " "),
+                    f"{shown.short}, {shown.unit}".replace("\u00a0", " "),
                     _STEPS.get(each.step, each.step),
                     figure(scale * each.first, form),
                     figure(scale * each.second, form),
@@ -209,7 +216,7 @@ def _run(
         # A setting that is a table or a list takes the place of all that was under it.
         kept = {key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)}
         settings.append({key: value for key, value in (kept | changed).items() if value != _NONE})
-    figures = [{key: _number(row.get(key)) for key in FIGURES} for row in done]
+    figures = [{key: _number(row.get(key)) for key in COMPARED} for row in done]
     packages = facts.pop("packages", {})
     flat = {key: str(value) for key, value in facts.items() if key != "finished"}
     return Run(folder, name, experiment, settings, figures, flat | {key: str(value) for key, value in packages.items()})
@@ -306,7 +313,7 @@ def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Itera
     )
     if frame.empty:
         return
-    for name in FIGURES:
+    for name in COMPARED:
         for step, part in frame.groupby("step", sort=False):
             known = part.dropna(subset=[f"first_{name}", f"second_{name}"])
             if known.empty:
@@ -351,10 +358,11 @@ def _table(pairing: Pairing) -> Table:
     head[-1] = Heading("Second run is", text=True)
     rows = []
     for each in pairing.differences:
-        heading, unit, form, scale = FIGURES[each.figure]
+        shown = metric(each.figure)
+        form, scale = shown.form, shown.scale
         rows.append(
             [
-                words(f"{heading} ({unit})"),
+                words(f"{shown.heading} ({shown.unit})"),
                 words(_STEPS.get(each.step, each.step) or "–"),
                 count(each.pairs),
                 number(each.first, form, scale),
@@ -408,10 +416,10 @@ def _picture(shown: list[Difference]) -> Picture:
         ax.hlines(y, spans[:, 0], spans[:, 1], color=colour, linewidth=1.6)
         ax.plot(share, y, "o", color=colour, markersize=5, label=theme.plain(label))
         told += [
-            f"{FIGURES[each.figure][0]}, {label} {figure(value, '+.0f')} %"
+            f"{metric(each.figure).heading}, {label} {figure(value, '+.0f')} %"
             for each, value in zip(mine, share, strict=True)
         ]
-    ax.set_yticks(range(len(names)), [FIGURES[name][0].replace("\u00a0", " ") for name in names])
+    ax.set_yticks(range(len(names)), [metric(name).heading.replace("\u00a0", " ") for name in names])
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="x", color="#E8E8E8", linewidth=0.5)

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from harness.evaluation.metrics import FRACTION_BINS
 from harness.evaluation.statistics import Curve, mean_over_seeds
+from harness.evaluation.tally import FRACTION_BINS
 from harness.report import theme
 from harness.report.data import Data
 from harness.report.sweep import Sweep, Way

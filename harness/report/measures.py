@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from harness.evaluation.metric_table import METRICS, metric
 from harness.evaluation.statistics import mean_over_seeds
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.sweep import Axis, Sweep, Way
@@ -15,41 +16,20 @@ from harness.runs.values import shown
 MOST_ROWS = 240
 """Of a table on the page; more are not read there, and are in its data."""
 
-MEASURES: dict[str, tuple[str, str, str, float]] = {
-    "density": ("Density", "%", ".1f", 100),
-    "disparity_median_abs_px": ("Disparity, median |error|", "px", ".3f", 1),
-    "disparity_mae_px": ("Disparity, mean |error|", "px", ".3f", 1),
-    "disparity_rmse_px": ("Disparity, RMSE", "px", ".3f", 1),
-    "disparity_bias_px": ("Disparity, median signed", "px", "+.3f", 1),
-    "bad_0.5px": ("Above 0.5\u00a0px", "%", ".1f", 100),
-    "bad_1px": ("Above 1\u00a0px", "%", ".1f", 100),
-    "bad_2px": ("Above 2\u00a0px", "%", ".1f", 100),
-    "bad_4px": ("Above 4\u00a0px", "%", ".1f", 100),
-    "disparity_a50_px": ("A50", "px", ".3f", 1),
-    "disparity_a90_px": ("A90", "px", ".3f", 1),
-    "disparity_a95_px": ("A95", "px", ".3f", 1),
-    "disparity_a99_px": ("A99", "px", ".2f", 1),
-    "range_median_abs_m": ("Range, median |error|", "mm", ".1f", 1000),
-    "range_mae_m": ("Range, mean |error|", "mm", ".1f", 1000),
-    "range_rmse_m": ("Range, RMSE", "mm", ".0f", 1000),
-    "range_bias_m": ("Range, bias", "mm", "+.1f", 1000),
-    "range_abs_rel": ("AbsRel", "%", ".2f", 100),
-    "range_silog": ("SILog", "", ".4f", 1),
-    "range_delta_1.05": ("δ < 1.05", "%", ".1f", 100),
-    "range_delta_1.1": ("δ < 1.1", "%", ".1f", 100),
-    "range_delta_1.25": ("δ < 1.25", "%", ".1f", 100),
-    "wall_disparity_median_abs_px": ("Walls: disparity, median", "px", ".3f", 1),
-    "wall_range_median_abs_m": ("Walls: range, median", "mm", ".1f", 1000),
-    "floor_disparity_median_abs_px": ("Floor: disparity, median", "px", ".3f", 1),
-    "floor_range_median_abs_m": ("Floor: range, median", "mm", ".1f", 1000),
-    "solid_angle_density": ("Solid angle: density", "%", ".1f", 100),
-    "solid_angle_disparity_median_abs_px": ("Solid angle: disparity, median", "px", ".3f", 1),
-    "solid_angle_bad_1px": ("Solid angle: above 1\u00a0px", "%", ".1f", 100),
-    "solid_angle_range_median_abs_m": ("Solid angle: range, median", "mm", ".1f", 1000),
-    "solid_angle_range_rmse_m": ("Solid angle: range, RMSE", "mm", ".0f", 1000),
-    "refined": ("Refined", "%", ".1f", 100),
-}
-"""Heading, unit, format and scale of the columns; figures that are not named here are in the data alone."""
+SHOWN = (
+    *(name for name in METRICS if name != "refined"),
+    "wall_disparity_median_abs_px",
+    "wall_range_median_abs_m",
+    "floor_disparity_median_abs_px",
+    "floor_range_median_abs_m",
+    "solid_angle_density",
+    "solid_angle_disparity_median_abs_px",
+    "solid_angle_bad_1px",
+    "solid_angle_range_median_abs_m",
+    "solid_angle_range_rmse_m",
+    "refined",
+)
+"""The metrics of the columns; those that are not named here are in the data alone."""
 
 _ON_PAPER = (
     "density",
@@ -70,7 +50,7 @@ def all_measures(sweep: Sweep) -> Table:
     """One row for each method and place on the axes: means over seeds, intervals under the two main figures."""
     keys = [axis.key for axis in sweep.axes]
     known = [name for name in sweep.trials if name not in {"matcher", "subpixel", "seed", *keys}]
-    columns = [name for name in MEASURES if name in known]
+    columns = [metric(name) for name in SHOWN if name in known]
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
     left_out = 0
@@ -96,10 +76,10 @@ def all_measures(sweep: Sweep) -> Table:
             left_out += 1
             continue
         cells = []
-        for name in columns:
-            _, _, form, scale = MEASURES[name]
-            span = spans[name] if name in _WITH_INTERVAL and np.isfinite(spans[name]).all() else None
-            cells.append(number(float(means[name]), form, scale, span))
+        for each in columns:
+            span = spans[each.name]
+            between = span if each.name in _WITH_INTERVAL and np.isfinite(span).all() else None
+            cells.append(number(float(means[each.name]), each.form, each.scale, between))
         rows.append(
             [
                 words(way.label, way.colour),
@@ -113,11 +93,11 @@ def all_measures(sweep: Sweep) -> Table:
         Heading(axis.name, axis.label.removeprefix(axis.name).strip(" ()"), text=not axis.numeric)
         for axis in sweep.axes
     ]
-    head += [Heading("Seeds"), *(Heading(*MEASURES[name][:2]) for name in columns)]
+    head += [Heading("Seeds"), *(Heading(each.heading, each.unit) for each in columns)]
     headings = [f"{name}{end}" for name in known for end in ("", "_ci95_low", "_ci95_high")]
     data = Data("measures", ["matcher", "subpixel", *keys, "seeds", *headings], plain)
     first = len(head) - len(columns)
-    screen_only = tuple(first + i for i, name in enumerate(columns) if name not in _ON_PAPER)
+    screen_only = tuple(first + i for i, each in enumerate(columns) if each.name not in _ON_PAPER)
     return Table(head, rows, data, left_out, screen_only)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from harness.evaluation.metric_table import METRICS
 from harness.evaluation.statistics import mean_over_seeds, weighted_median
 from harness.geometry.angles import Array
 from harness.report import theme
@@ -24,12 +25,8 @@ SPLITS = {
     "elevation": "Elevation",
     "range": "True range",
 }
-_MEASURES = (
-    ("disparity_median_abs_px", "Disparity, median |error|", "px", ".3f", 1.0),
-    ("bad_1px", "Error above 1\u00a0px", "%", ".1f", 100.0),
-    ("range_median_abs_m", "Range, median |error|", "mm", ".1f", 1000.0),
-)
-_KEYS = ("density", *(name for name, *_ in _MEASURES))
+_MEASURES = tuple(METRICS[name] for name in ("disparity_median_abs_px", "bad_1px", "range_median_abs_m"))
+_KEYS = ("density", *(each.name for each in _MEASURES))
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
             values = mine.pivot_table(index=["seed", "trial"], columns="place", values=key, aggfunc="mean")
             if values.empty:
                 continue
-            curve = mean_over_seeds(values, logarithmic="median" in key)
+            curve = mean_over_seeds(values, logarithmic=METRICS[key].geometric)
             for place, mean, low, high in zip(values.columns, curve.mean, curve.low, curve.high, strict=True):
                 curves.setdefault((way, key), {})[_Part(*places[place])] = (float(mean), float(low), float(high))
     pixels = table.groupby(["split", "part"])["pixels"].mean()
@@ -75,7 +72,7 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
                     words(way.label, way.colour),
                     count(round(float(pixels[part.split, part.part]))),
                     _cell(figures.get("density"), ".1f", 100),
-                    *(_cell(figures.get(name), form, scale) for name, _, _, form, scale in _MEASURES),
+                    *(_cell(figures.get(each.name), each.form, each.scale) for each in _MEASURES),
                 ]
             )
             plain.append([way.matcher, way.subpixel, part.split, part.part])
@@ -90,7 +87,7 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
         Heading("Pixels", "mean"),
         Heading("Density", "%"),
     ]
-    head += [Heading(name, unit) for _, name, unit, _, _ in _MEASURES]
+    head += [Heading(each.heading, each.unit) for each in _MEASURES]
     return [_picture(sweep, parts, curves)], Table(head, rows, data)
 
 
@@ -200,8 +197,8 @@ def of_base_trial(methods: list[Method]) -> Table:
     solid_angle = np.broadcast_to((1 + grid.z[:, None] ** 2) ** -1.5, grid.shape).ravel()
     head = [Heading("Split", text=True), Heading("Part", text=True), Heading("Method", text=True), Heading("Pixels")]
     head += [Heading("Density", "% of pixels"), Heading("Density", "% of solid angle")]
-    for _, name, unit, _, _ in _MEASURES:
-        head += [Heading(name, f"{unit}, per pixel"), Heading(name, f"{unit}, per solid angle")]
+    for each in _MEASURES:
+        head += [Heading(each.heading, f"{each.unit}, per {per}") for per in ("pixel", "solid angle")]
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
     for region in outcome.regions:
@@ -220,11 +217,11 @@ def of_base_trial(methods: list[Method]) -> Table:
             )
             plain.append([region.split, part, method.key, region.pixels.size, float(weights.sum())])
             plain[-1] += [measures["density"] for measures in figures]
-            for key, _, _, form, scale in _MEASURES:
-                rows[-1] += [number(measures[key], form, scale) for measures in figures]
-                plain[-1] += [measures[key] for measures in figures]
+            for each in _MEASURES:
+                rows[-1] += [number(measures[each.name], each.form, each.scale) for measures in figures]
+                plain[-1] += [measures[each.name] for measures in figures]
     headings = ["split", "part", "method", "pixels", "solid_angle_weight", "density", "density_solid_angle"]
-    headings += [f"{key}{end}" for key, *_ in _MEASURES for end in ("", "_solid_angle")]
+    headings += [f"{each.name}{end}" for each in _MEASURES for end in ("", "_solid_angle")]
     return Table(head, rows, Data("regions-base-trial", headings, plain))
 
 
@@ -235,7 +232,7 @@ def _measured(method: Method, pixels: NDArray[np.intp], weights: Array | None = 
     disparity = np.abs(outcome.errors.disparity_px.ravel()[pixels][seen])
     distance = np.abs(outcome.errors.range_m.ravel()[pixels][seen])
     if not disparity.size:
-        return {"density": 0.0, **dict.fromkeys((name for name, *_ in _MEASURES), np.nan)}
+        return {"density": 0.0, **dict.fromkeys((each.name for each in _MEASURES), np.nan)}
     if weights is None:
         medians = float(np.median(disparity)), float(np.median(distance))
         shares = float(seen.mean()), float((disparity > 1).mean())

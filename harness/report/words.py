@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup, escape
 
+from harness.evaluation.metric_table import Metric
 from harness.matching.interface import MatcherSettings
 from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
@@ -16,34 +16,23 @@ from harness.report.sweep import Axis, Sweep
 from harness.runs.run import Result
 from harness.spec import as_table
 
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table of measures."""
-
-    key: str
-    """As in `summary.json`."""
-    heading: str
-    unit: str
-    scale: float
-    form: str
-
-    def cell(self, measures: dict[str, Any]) -> str:
-        """The figure in the column's unit; a dash where there is none."""
-        value = measures.get(self.key)
-        return "–" if value is None else figure(self.scale * value, self.form)
-
-
-COLUMNS = (
-    Column("density", "Density", "%", 100, ".1f"),
-    Column("disparity_median_abs_px", "Disparity, median |error|", "px", 1, ".3f"),
-    Column("disparity_rmse_px", "Disparity, RMSE", "px", 1, ".3f"),
-    Column("bad_1px", "Error above 1\u00a0px", "%", 100, ".2f"),
-    Column("range_median_abs_m", "Range, median |error|", "mm", 1000, ".1f"),
-    Column("range_mae_m", "Range, mean |error|", "mm", 1000, ".1f"),
-    Column("range_rmse_m", "Range, RMSE", "mm", 1000, ".1f"),
-    Column("range_bias_m", "Range, bias", "mm", 1000, "+.1f"),
+COMPARED = (
+    "density",
+    "disparity_median_abs_px",
+    "disparity_rmse_px",
+    "bad_1px",
+    "range_median_abs_m",
+    "range_mae_m",
+    "range_rmse_m",
+    "range_bias_m",
 )
+"""The metrics of the tables that compare methods, in the order of their columns."""
+
+
+def cell(metric: Metric, measures: dict[str, Any]) -> str:
+    """A figure in the metric's unit; a dash where there is none."""
+    value = measures.get(metric.name)
+    return "–" if value is None else figure(metric.scale * value, metric.form)
 
 
 def figure(value: float, form: str) -> str:

@@ -1,0 +1,109 @@
+"""The table of metrics: one entry each, which rows, tables, report, terminal and `compare` all read.
+
+A metric that is not about every pixel of the domain carries the part that it is about before its name, as in
+`wall_range_median_abs_m`; see `metric`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from harness.evaluation.tally import Tally
+
+Better = Literal["lower", "higher", "near zero"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A figure that sums up the errors of a trial."""
+
+    name: str
+    """As in rows, `trials.csv` and `summary.json`; with the unit that it has there."""
+    quantity: str
+    """What it is about: the first part of the heading."""
+    statistic: str
+    """What is made of it: the second part of the heading; may be empty."""
+    unit: str
+    """As shown."""
+    scale: float
+    """Shown is `scale` times the value."""
+    form: str
+    """Format of what is shown."""
+    better: Better
+    """Which way is better."""
+    of: Callable[[Tally], float] | None = None
+    """How it is made of a trial's errors over the domain. None for the core figures, which also exist for parts of the
+    picture; see `metrics.CORE`."""
+    geometric: bool = False
+    """Averaged over trials as a geometric mean, which suits medians of positive errors; otherwise arithmetically."""
+
+    @property
+    def heading(self) -> str:
+        """For a column: quantity and statistic."""
+        return f"{self.quantity}, {self.statistic}" if self.statistic else self.quantity
+
+    @property
+    def short(self) -> str:
+        """The heading for where room is scarce: errors are absolute unless said otherwise."""
+        return self.heading.replace(", median |error|", "").replace(", mean |error|", ", mean")
+
+
+PARTS = {"wall": "Walls", "floor": "Floor", "solid_angle": "Solid angle"}
+"""The parts that a name may begin with, and their headings."""
+
+
+def metric(name: str) -> Metric:
+    """The metric of this name, of the whole domain or of one of `PARTS`.
+
+    Raises
+    ------
+    KeyError
+        When there is none.
+    """
+    for part, heading in PARTS.items():
+        if name.startswith(f"{part}_"):
+            whole = METRICS[name.removeprefix(f"{part}_")]
+            return replace(whole, name=name, quantity=f"{heading}: {whole.quantity[0].lower()}{whole.quantity[1:]}")
+    return METRICS[name]
+
+
+def is_metric(name: str) -> bool:
+    """Whether there is a metric of this name; see `metric`."""
+    try:
+        metric(name)
+    except KeyError:
+        return False
+    return True
+
+
+def _metrics(*entries: Metric) -> dict[str, Metric]:
+    return {each.name: each for each in entries}
+
+
+METRICS: dict[str, Metric] = _metrics(
+    Metric("density", "Density", "", "%", 100, ".1f", "higher"),
+    Metric("disparity_median_abs_px", "Disparity", "median |error|", "px", 1, ".3f", "lower", geometric=True),
+    Metric("disparity_rmse_px", "Disparity", "RMSE", "px", 1, ".3f", "lower"),
+    Metric("bad_1px", "Above 1\u00a0px", "", "%", 100, ".2f", "lower"),
+    Metric("range_median_abs_m", "Range", "median |error|", "mm", 1000, ".1f", "lower", geometric=True),
+    Metric("range_mae_m", "Range", "mean |error|", "mm", 1000, ".1f", "lower"),
+    Metric("range_rmse_m", "Range", "RMSE", "mm", 1000, ".1f", "lower"),
+    Metric("range_bias_m", "Range", "bias", "mm", 1000, "+.1f", "near zero"),
+    Metric("disparity_mae_px", "Disparity", "mean |error|", "px", 1, ".3f", "lower", lambda t: t.mean_abs_px),
+    Metric("disparity_bias_px", "Disparity", "median signed", "px", 1, "+.3f", "near zero", lambda t: t.median_px[0]),
+    Metric("bad_0.5px", "Above 0.5\u00a0px", "", "%", 100, ".2f", "lower", lambda t: t.above[0] / t.matched),
+    Metric("bad_2px", "Above 2\u00a0px", "", "%", 100, ".2f", "lower", lambda t: t.above[1] / t.matched),
+    Metric("bad_4px", "Above 4\u00a0px", "", "%", 100, ".2f", "lower", lambda t: t.above[2] / t.matched),
+    Metric("disparity_a50_px", "A50", "", "px", 1, ".3f", "lower", lambda t: t.quantiles_px[1]),
+    Metric("disparity_a90_px", "A90", "", "px", 1, ".3f", "lower", lambda t: t.quantiles_px[2]),
+    Metric("disparity_a95_px", "A95", "", "px", 1, ".3f", "lower", lambda t: t.quantiles_px[3]),
+    Metric("disparity_a99_px", "A99", "", "px", 1, ".2f", "lower", lambda t: t.quantiles_px[4]),
+    Metric("range_abs_rel", "AbsRel", "", "%", 100, ".2f", "lower", lambda t: t.abs_rel),
+    Metric("range_silog", "SILog", "", "", 1, ".4f", "lower", lambda t: float(t.logarithm.std())),
+    Metric("range_delta_1.05", "δ < 1.05", "", "%", 100, ".1f", "higher", lambda t: t.within[0] / t.matched),
+    Metric("range_delta_1.1", "δ < 1.1", "", "%", 100, ".1f", "higher", lambda t: t.within[1] / t.matched),
+    Metric("range_delta_1.25", "δ < 1.25", "", "%", 100, ".1f", "higher", lambda t: t.within[2] / t.matched),
+    Metric("refined", "Refined", "", "%", 100, ".1f", "higher"),
+)
+"""All metrics by name, in the order of the columns. An entry with `of` needs nothing else: rows have it, and all that
+reads rows."""

@@ -1,0 +1,114 @@
+"""A trial's errors added up and sorted, once for all figures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.evaluation import _grouping_kernels as _kernels
+from harness.evaluation.errors import Errors
+from harness.evaluation.groups import ascending, mean_of_middles, medians
+from harness.evaluation.regions import SURFACES, Layout
+from harness.geometry.angles import Array
+
+Mask = NDArray[np.bool_]
+
+ERROR_EDGES_PX = np.concatenate([[0.0], np.geomspace(1e-3, 300, 56)])
+"""Of the histogram of absolute disparity errors, from which distributions are drawn."""
+
+FRACTION_BINS = 40
+
+_QUANTILES = np.array([0.5, 0.9, 0.95, 0.99])
+_LIMITS_PX = np.array([0.5, 2.0, 4.0])
+_LIMITS_RATIO = np.log([1.05, 1.1, 1.25])
+_EDGE_BITS = ERROR_EDGES_PX.astype(np.float32).view(np.uint32)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """A trial's errors, added up and sorted once for all figures. Arrays `[n]` are of `layout.groups.pixels`."""
+
+    layout: Layout
+    seen: Mask
+    """`[n]`: with an estimate."""
+    count: NDArray[np.int64]
+    """`[groups]`: seen pixels of each."""
+    sums: Array
+    """`[groups, kinds]`, of their errors; kinds are columns of `_kernels`."""
+    median_abs_px: Array
+    median_abs_m: Array
+    median_px: Array
+    """`[groups]`; the last one of signed errors. NaN where nothing is seen."""
+    mean_abs_px: float
+    abs_rel: float
+    logarithm: Array
+    """`[seen pixels of the domain]`: log(estimate/truth)."""
+    above: NDArray[np.int64]
+    within: NDArray[np.int64]
+    """Seen pixels of the domain with an error above each of three limits, and with a ratio below each of three."""
+    weighted: Array
+    """`[kinds]`: the sums over the domain, weighted by solid angle; see `_kernels.add_errors`."""
+    quantiles_px: Array
+    """Of the domain's absolute errors: the median weighted by solid angle, and four that are not weighted."""
+    weighted_median_m: float
+    histogram: NDArray[np.int64]
+    """`[surfaces, bins]`: absolute errors in pixels between `ERROR_EDGES_PX`."""
+
+    @property
+    def matched(self) -> int:
+        """How many pixels of the domain have an estimate."""
+        return self.logarithm.size
+
+
+def tally(layout: Layout, valid: Mask, found: Errors) -> Tally:
+    """Add up and sort a trial's errors.
+
+    Parameters
+    ----------
+    valid
+        `[height, width]`: pixels with an estimate; one without a true point is left out.
+    """
+    groups, surface, weight = layout.groups, layout.surface, layout.solid_angle
+    disparity, distance = found.disparity_px.ravel(), found.range_m.ravel()
+    size = groups.pixels.size
+    seen, strata = np.empty(size, dtype=bool), np.empty(size, dtype=np.int32)
+    absolute_px, off_m, logarithm = np.empty((3, size))
+    of_class, sums = (np.zeros((len(each), _kernels.KINDS)) for each in (groups.labels, groups.sizes))
+    weighted, domain, (above, within) = np.zeros(_kernels.KINDS), np.zeros(3), np.zeros((2, 3), dtype=np.int64)
+    _kernels.add_errors(
+        groups.pixels, groups.classes, surface, weight, layout.range_m, disparity, distance, valid.ravel(),
+        _LIMITS_PX, _LIMITS_RATIO,
+        seen, strata, absolute_px, off_m, logarithm, of_class, domain, weighted, above, within,
+    )  # fmt: skip
+    _kernels.add_classes(groups.labels, of_class, sums)
+    count, negative = sums[:, [_kernels.COUNT, _kernels.NEGATIVE]].astype(np.int64).T
+    number = int(domain[0])
+    by_px, by_m = ascending(seen, absolute_px), ascending(seen, off_m)
+    middles_px, middles_signed = medians(groups, strata, count, negative, by_px)
+    middles_m, _ = medians(groups, strata, count, negative, by_m)
+    ranks = np.minimum((_QUANTILES * number).astype(np.int64), number - 1)
+    histogram, quantiles = np.zeros((len(SURFACES), ERROR_EDGES_PX.size - 1), dtype=np.int64), np.full(5, np.nan)
+    half = weighted[_kernels.COUNT] / 2
+    _kernels.distribution(
+        by_px, absolute_px, surface, weight, half, ERROR_EDGES_PX, _EDGE_BITS, ranks, histogram, quantiles
+    )
+    with np.errstate(invalid="ignore"):
+        mean_abs_px, abs_rel = domain[1:] / number
+    return Tally(
+        layout=layout,
+        seen=seen,
+        count=count,
+        sums=sums,
+        median_abs_px=mean_of_middles(middles_px, absolute_px),
+        median_abs_m=mean_of_middles(middles_m, off_m),
+        median_px=mean_of_middles(middles_signed, disparity[groups.pixels]),
+        mean_abs_px=float(mean_abs_px),
+        abs_rel=float(abs_rel),
+        logarithm=logarithm[:number],
+        above=above,
+        within=within,
+        weighted=weighted,
+        quantiles_px=quantiles,
+        weighted_median_m=_kernels.weighted_middle(by_m, off_m, surface, weight, half),
+        histogram=histogram,
+    )
