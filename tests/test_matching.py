@@ -307,7 +307,7 @@ def test_equal_costs_have_no_minimum():
     [
         ({"window_px": 8}, "odd"),
         ({"d_min_m": 5, "d_max_m": 2}, "below"),
-        ({"pitch_px": 0}, "greater than 0"),
+        ({"pitch_px": 0}, "greater than"),
     ],
 )
 def test_impossible_settings_are_refused(wrong, message):
