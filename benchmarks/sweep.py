@@ -106,7 +106,7 @@ class Took:
 
     seconds: float = 0.0
     cpu_s: float = 0.0
-    """Of this process and of its workers."""
+    """CPU time of this process and of its workers."""
     memory: list[int] = field(default_factory=list)
     """Resident bytes of the largest worker, twice a second."""
 

@@ -86,7 +86,7 @@ def _cut(text: str, most: int) -> str:
 # --- Pictures in a notebook ---------------------------------------------------------------------------------------
 
 _WIDTH_PX = 720
-"""Of a picture on a page; larger arrays are thinned out, since a notebook keeps every picture that it shows."""
+"""Width of a picture; larger arrays are thinned out, since a notebook keeps every picture that it shows."""
 
 
 def grey(values: Any) -> bytes:

@@ -17,7 +17,7 @@ from harness.errors import InputError
 from harness.toml import levels, read_toml
 
 LARGEST = 1e60
-"""Of all numbers with a unit, and of the inverses of positive ones: products of several neither overflow nor vanish."""
+"""The limit of all numbers with a unit, and of the inverses of positive ones: products of several stay finite."""
 Positive = Annotated[float, Field(gt=0, ge=1 / LARGEST, le=LARGEST, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]

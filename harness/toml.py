@@ -10,7 +10,7 @@ from harness.errors import InputError
 from harness.files import read_regular
 
 MOST_BYTES = 4 * 2**20
-"""Of a file: about a hundred thousand lines."""
+"""The largest file: about a hundred thousand lines."""
 MOST_LEVELS = 64
 """Tables and lists inside each other. The deepest key of a specification is at level 8; a matcher's parameters may go
 deeper."""

@@ -28,7 +28,7 @@ class Visit:
 
     page: Page
     requests: list[str] = field(default_factory=list)
-    """Of everything but the file itself and data inside it."""
+    """Requests for anything but the file itself and data inside it."""
     complaints: list[str] = field(default_factory=list)
     """Errors and warnings on the console, and uncaught exceptions."""
 

@@ -239,7 +239,7 @@ def test_matching_costs_are_those_of_the_definition(blur, box_px):
 @pytest.mark.parametrize("t", DIRECTIONS)
 @pytest.mark.parametrize("pitch_px", [1.0, 0.5])
 def test_samples_lie_on_the_epipolar_curve(t, pitch_px):
-    """Of the pixel itself, up to half a step along and half a row around: less than a whole step together."""
+    """The pixel itself may be off by half a step along and half a row around: less than a whole step together."""
     g = geometry(t, d_min_m=0.8, pitch_px=pitch_px)
     places = g.places.directions
     step = pitch_px * GRID.phi_pitch

@@ -19,7 +19,7 @@ from harness.runs.worker import run_here
 from harness.spec import as_table
 
 _MOST_ROWS = 20
-"""Of a table in a notebook."""
+"""The most rows of a table in a notebook."""
 
 _SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "range_rmse_m")
 

@@ -10,7 +10,7 @@ PRODUCTS = 15
 """Different entries of a symmetric 5 x 5 matrix."""
 
 TAPS = 6
-"""Of a quintic B-spline, along each axis."""
+"""Taps of a quintic B-spline, along each axis."""
 
 _NOTHING = 1e-10
 """A pivot below this share of its diagonal is rounding: sums of 10⁴ products, parted into three directions of which two

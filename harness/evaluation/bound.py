@@ -53,7 +53,7 @@ PLANE_TOLERANCE = 1e-4
 """Two pixels are on one plane when their m differ by less than this share of |m|: 0.002 px in a disparity of 20."""
 
 _STEP_PX = 1e-3
-"""Of the central differences of rays: a share of 1e-10 is lost to rounding, and less to the third derivative."""
+"""Step of the central differences of rays: a share of 1e-10 is lost to rounding, and less to the third derivative."""
 
 
 @dataclass(frozen=True, repr=False)

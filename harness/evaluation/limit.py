@@ -15,7 +15,7 @@ GROSS_PX = 3.0
 """An error beyond this is another match, not an imprecise one."""
 
 MIN_DRAWS = 0.5
-"""Of the draws of a pixel at least this share must be there, and not gross, for its spread to count."""
+"""The least share of a pixel's draws that must be there, and not gross, for its spread to count."""
 
 
 @dataclass(frozen=True)

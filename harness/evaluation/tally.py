@@ -14,7 +14,7 @@ from harness.geometry.angles import Array
 Mask = NDArray[np.bool_]
 
 ERROR_EDGES_PX = np.concatenate([[0.0], np.geomspace(1e-3, 300, 56)])
-"""Of the histogram of absolute disparity errors, from which distributions are drawn."""
+"""Edges of the histogram of absolute disparity errors, from which distributions are drawn."""
 
 FRACTION_BINS = 40
 
@@ -49,7 +49,7 @@ class Tally:
     weighted: Array
     """`[kinds]`: the sums over the domain, weighted by solid angle; see `_kernels.add_errors`."""
     quantiles_px: Array
-    """Of the domain's absolute errors: the median weighted by solid angle, and four that are not weighted."""
+    """Quantiles of the domain's absolute errors: the median weighted by solid angle, and four that are not weighted."""
     weighted_median_m: float
     histogram: NDArray[np.int64]
     """`[surfaces, bins]`: absolute errors in pixels between `ERROR_EDGES_PX`."""

@@ -48,7 +48,7 @@ class Pair(OneLine):
     images: tuple[NDArray[np.float32], NDArray[np.float32]]
     """The mirror images `[sensor height, sensor width]`, grey levels of 0 .. 255, 0 where the sensor sees nothing."""
     sensor: Sensor
-    """Of both views."""
+    """The sensor of both views."""
     motion: Motion
     """From view 1 to view 2."""
     grid: Grid

@@ -214,7 +214,7 @@ class _Source:
     code: str
     """The same without data files: what a process that has loaded it goes by."""
     states: Mapping[Path, State]
-    """Of all files, and of the folders of packages."""
+    """States of all files, and of the folders of packages."""
 
     @property
     def is_current(self) -> bool:
@@ -227,7 +227,7 @@ class _Source:
 
 _known: dict[str, _Source] = {}
 _loaded: dict[str, tuple[ModuleSpec | None, str]] = {}
-"""Of each module that was loaded: as what it was, and the code that it was made of."""
+"""Each module that was loaded: as what it was, and the code that it was made of."""
 
 
 def _source(kind: str) -> str:
@@ -303,7 +303,7 @@ def _files(spec: ModuleSpec | None) -> tuple[Path, list[Path]]:
 
 
 def _version(module: str) -> str:
-    """Of the package that brought an installed module."""
+    """The version of the package that brought an installed module."""
     try:
         return importlib.metadata.version(module)
     except importlib.metadata.PackageNotFoundError:

@@ -25,7 +25,7 @@ _LAGS = 6
 """As far as correlations are looked for, in pixels: four standard deviations of the usual filter."""
 
 _LEAST_SHARE = 0.5
-"""Of a window's pixels at least this share must have a match and lie in both panoramas."""
+"""The least share of a window's pixels that must have a match and lie in both panoramas."""
 
 
 def sigma_alpha_2(pair: Pair, matcher: MatcherSettings, matches: Matches) -> Array:

@@ -25,7 +25,7 @@ from harness.spec import dump_toml
 Mask = NDArray[np.bool_]
 
 FOLDER = "maps"
-"""Of a run's output folder."""
+"""The folder of maps in a run's output folder."""
 
 MAPS = {
     "panorama_1": ("grey", "view 1's panorama, grey levels of 0 .. 255"),

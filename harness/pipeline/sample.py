@@ -9,7 +9,7 @@ from harness.geometry.angles import Array
 from harness.pipeline.trial import Outcome
 
 _EVERY = 5
-"""Of the curve's hundred steps, for a figure."""
+"""Every how many of the curve's hundred steps a figure needs."""
 
 BAD_PX = 1.0
 """What confidence should warn of: an error beyond this."""

@@ -63,7 +63,7 @@ def _notice(text: str) -> None:
 
 @lru_cache(maxsize=8)
 def _shares(sensor: Sensor, grid: Grid) -> tuple[float, float]:
-    """Of the image's pixels and of the panorama's, those that see something."""
+    """The shares of the image's pixels, and of the panorama's, that see something."""
     return float(pixel_directions(sensor)[1].mean()), float(project(sensor, cylinder(grid))[1].mean())
 
 

@@ -54,9 +54,9 @@ class Run:
     """Unique among the runs compared."""
     experiment: str
     settings: list[dict[str, str]]
-    """Of each trial: dotted key and value, as `identity_of` tells values apart; without those that are none."""
+    """Settings of each trial: dotted key and value, as `identity_of` tells values apart; those that are none left out."""
     figures: list[dict[str, float]]
-    """Of each trial that is done; NaN where there is none."""
+    """The figures of each trial that is done; NaN where there is none."""
     facts: dict[str, str]
     """Versions, machine, hash of the source."""
 

@@ -18,7 +18,7 @@ class Data:
     """A table of plain numbers to download."""
 
     name: str
-    """Of the file, without its ending."""
+    """The file's name, without its ending."""
     headings: Sequence[str]
     rows: Sequence[Sequence[Any]]
 
@@ -50,7 +50,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Heading:
-    """Of a column."""
+    """The heading of a column."""
 
     name: str
     unit: str = ""
@@ -66,7 +66,7 @@ class Cell:
     value: float | str | None = None
     """None sorts last."""
     colour: str = ""
-    """Of a method's key beside the text."""
+    """The colour of a method's key beside the text."""
     below: str = ""
     """A second, smaller line."""
 

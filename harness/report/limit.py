@@ -13,7 +13,7 @@ from harness.report.sweep import Sweep, Way, in_words
 from harness.report.theme import HALF, Picture
 
 Entry = dict[str, Any]
-"""Of the summary's `limit`."""
+"""An entry of the summary's `limit`."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from harness.report.sweeps import SURFACES
 from harness.report.theme import FAINT, HALF, Picture
 
 MIDDLE = (np.arange(FRACTION_BINS) / FRACTION_BINS + 0.5) % 1.0 - 0.5
-"""Of the bins, as a distance from the nearest whole sample."""
+"""Middles of the bins, as a distance from the nearest whole sample."""
 
 
 def histograms(sweep: Sweep) -> tuple[list[Picture], Data, dict[str, dict[str, float]]]:

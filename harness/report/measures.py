@@ -14,7 +14,7 @@ from harness.runs.run import Result
 from harness.runs.values import shown
 
 MOST_ROWS = 240
-"""Of a table on the page; more are not read there, and are in its data."""
+"""The most rows of a table on the page; nobody reads more there, and all are in its data."""
 
 SHOWN = (
     *(name for name in METRICS if name != "refined"),

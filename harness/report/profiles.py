@@ -26,9 +26,9 @@ class Row:
     domain: int
     """Pixels of the domain in it."""
     matched: int
-    """Of these, those for which every method has an estimate."""
+    """How many of these every method has an estimate for."""
     wall: float
-    """Of the domain, the share on walls."""
+    """The share of the domain that lies on walls."""
 
     @property
     def surface(self) -> str:

@@ -30,7 +30,7 @@ class Swept:
     id: str
     title: str
     label: str
-    """Of the axis, with its unit."""
+    """The axis's label, with its unit."""
     pictures: list[Picture]
     data: Data
     law: bool

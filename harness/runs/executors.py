@@ -37,7 +37,7 @@ class Workplace:
     slots: int
     """Batches handed over and not yet returned, at most."""
     threads: int | None = 1
-    """Of a trial."""
+    """The threads of a trial."""
     elsewhere: bool = False
     """Whether workers may be on another machine, which has not got this one's files."""
     name: str = "in this process"

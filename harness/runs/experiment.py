@@ -32,7 +32,7 @@ from harness.toml import parse_toml, read_toml
 _KIND = "matching.kind"
 
 MOST_TRIALS = 100_000
-"""Of an experiment: what can be planned within seconds."""
+"""The most trials of an experiment: what can be planned within seconds."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ class Plan:
 
     trials: tuple[Planned, ...]
     seconds: tuple[float, ...]
-    """Of each trial after the one before it, on one thread; a rough guess, from the sizes of images."""
+    """Seconds of each trial after the one before it, on one thread; a rough guess, from the sizes of images."""
     new_geometry: tuple[bool, ...]
     """Whether a trial has other renders than the one before it."""
 

@@ -80,7 +80,7 @@ class Result(OneLine):
 
     experiment: Experiment
     rows: list[Row]
-    """Of all trials that are finished, in the experiment's order."""
+    """The rows of all trials that are finished, in the experiment's order."""
     cells: pd.DataFrame
     """The cells of all trials that are done, see `analysis.cell_table`."""
     details: Details

@@ -59,7 +59,7 @@ class Finished:
     seconds: str = "{}"
     """JSON: wall time of each stage."""
     message: str = ""
-    """Of a failed trial: one line."""
+    """What went wrong with a failed trial, in one line."""
     traceback: str = ""
 
     @property

@@ -26,7 +26,7 @@ from harness.simulation.fingerprint import LARGEST_ASSET_BYTES, files_read, fing
 from harness.spec import as_table
 
 _CODE = code_hash()
-"""Of the modules as they are loaded: taken now, as the files may be changed under a long run."""
+"""The hash of the modules as they are loaded: taken now, as the files may be changed under a long run."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Batch:
     code: str
     """`code_hash` of who asks."""
     trials: tuple[tuple[str, str, dict[str, Any]], ...]
-    """Of each its key, its scene's fingerprint and its table."""
+    """The key of each trial, its scene's fingerprint and its table."""
     threads: int | None = 1
-    """Of one trial; all available CPUs when None. No row depends on it."""
+    """The threads of one trial; all available CPUs when None. No row depends on it."""
     maps: str | None = None
     """The folder in which to keep every trial's maps, absolute; None to keep none."""
     files: dict[str, bytes] = field(default_factory=dict)

@@ -16,10 +16,10 @@ from harness.simulation._coincident_kernels import settle_hits, sweep
 Ints = NDArray[np.int32]
 
 NEAR = 1e-6
-"""Of the scene's size: within this distance float32 may take one face for the other. The nearer one is then found in
+"""A share of the scene's size: within it float32 may take one face for the other. The nearer one is then found in
 float64."""
 COINCIDENT = 1e-9
-"""Of the scene's size: within this distance both are at one range, and the later one is seen."""
+"""As a share of the scene's size: within this distance both are at one range, and the later one is seen."""
 
 
 @dataclass(frozen=True)

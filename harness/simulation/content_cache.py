@@ -32,7 +32,7 @@ class FileRead:
 
     path: str
     sha256: str
-    """Of its contents, hexadecimal."""
+    """The hash of its contents, hexadecimal."""
     stamp: tuple[int, ...]
     """Size, times and identity on the disk."""
     settled: bool

@@ -36,7 +36,7 @@ def fingerprint(scene: Scene) -> str:
 
 
 def files_read(scene: Scene) -> dict[Path, tuple[FileRead, ...]]:
-    """Of each mesh and image that a scene names, the files that are opened to read it: itself, then others.
+    """The files that are opened to read each mesh and image that a scene names: itself, then others.
 
     Raises
     ------

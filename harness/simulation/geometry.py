@@ -28,7 +28,7 @@ from harness.simulation.texture import Texels, texels_of
 Ints = NDArray[np.int32]
 
 _LIMIT_TEXELS = 2**27
-"""Of all textures of a scene together: half a gigabyte, and as much again for the renderer."""
+"""The most texels of all textures of a scene together: half a gigabyte, and as much again for the renderer."""
 
 _NEAR_M = 64.0
 """Within this of the world's origin, coordinates are counted from there."""
@@ -77,7 +77,7 @@ class Geometry:
     """`[2, 3]`: lowest and highest corner."""
     solids: tuple[Solid, ...]
     object_names: tuple[str, ...]
-    """Of the scene's objects, for messages."""
+    """Names of the scene's objects, for messages."""
     rivals: Rivals
     """Faces that overlap in one plane."""
     embree: Any

@@ -31,7 +31,7 @@ class _Property:
     name: str
     type: str
     count_type: str = ""
-    """Of a list's length; empty for a single value."""
+    """The type of a list's length; empty for a single value."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ class _Lists:
 
 Ints = NDArray[np.int64]
 Table = dict[str, Any]
-"""Of each property its values `[count]`, or its `_Lists`."""
+"""The values `[count]` of each property, or its `_Lists`."""
 
 
 def read_ply(path: Path, *, textured: bool) -> list[MeshPart]:

@@ -28,7 +28,7 @@ from harness.simulation.scene import load_scene
 Mask = NDArray[np.bool_]
 
 ROWS = 160
-"""Of the mirror image, a square: turning it by 90° is exact. A third of the paper's resolution, so that it is quick."""
+"""Side of the mirror image, a square: turning it by 90° is exact. A third of the paper's resolution, to be quick."""
 GRID = Grid(width_px=240, height_px=66)
 OTHER_GRIDS = (Grid(width_px=96, height_px=30), Grid(width_px=300, height_px=40, z_max=0.2, z_min=-0.6))
 
@@ -38,16 +38,16 @@ NEAR_PX = 2.0
 """A disparity larger than this, in columns, is a thing that is not there, when both views are one image: matchers are
 right to a fraction of a column where the texture is the same."""
 ONE_IMAGE_SHARE = 0.25
-"""Of matches that may still have one: candidates of whole columns need not hold infinity itself."""
+"""Share of matches that may still have one: candidates of whole columns need not hold infinity itself."""
 BLANK_SHARE = 0.1
-"""Of pixels on which something may be claimed where there is nothing to go by."""
+"""Share of pixels on which something may be claimed where there is nothing to go by."""
 SEAM_SHARE = 0.02
-"""Of pixels that may change when the rig is turned by a quarter: ties that rounding decides."""
+"""Share of pixels that may change when the rig is turned by a quarter: ties that rounding decides."""
 DENSITY = 0.02
-"""Of the easy scene's pixels that have to be matched, so that there is something to judge. Small images are hard on
+"""Share of the easy scene's pixels that must be matched, so that there is something to judge. Small images are hard on
 matchers that want a wide border."""
 BETTER = 0.8
-"""Of the error of the best single range: what a matcher may have at most."""
+"""The most that a matcher's error may be, as a share of the error of the best single range."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ from harness.threads import in_bands, in_threads
 PER_BIT = 2
 """Costs are counted in halves of a bit."""
 BITS = (2 * kernels.REACH + 1) ** 2 - 1
-"""Of a census code: the most that two pixels differ by."""
+"""Bits of a census code: the most that two pixels differ by."""
 _PER_GREY = 16
 """Steps in a grey level of what the census compares, before the blur adds four bits."""
 
@@ -188,7 +188,7 @@ def frame_about(t: Array) -> tuple[Array, Array, Array]:
 
 
 def geometry_for(pair: Pair, matcher: SemiGlobal) -> Geometry:
-    """Of this pair, within the matcher's limits."""
+    """The geometry of this pair, within the matcher's limits."""
     curves = epipolar_curves(
         pair.grid,
         pair.t_v1,
@@ -202,7 +202,7 @@ def geometry_for(pair: Pair, matcher: SemiGlobal) -> Geometry:
 
 @lru_cache(maxsize=4)
 def geometry_of(curves: Curves) -> Geometry:
-    """Of curves that are sampled in alpha_2."""
+    """The geometry of curves that are sampled in alpha_2."""
     step = float(curves.step[0, 0])
     _, e_1, e_2 = frame_about(curves.t)
     x = directions(curves.grid)

@@ -11,7 +11,7 @@ import numpy as np
 from harness.compiled import kernel
 
 SUMS = 27
-"""Of which the normal equations of a window are made."""
+"""How many sums the normal equations of a window are made of."""
 
 VALUE_NOISE = 0.87423
 SLOPE_NOISE = 2.47461

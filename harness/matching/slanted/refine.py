@@ -48,7 +48,7 @@ _BAND = 40
 """Rows that are worked on at a time; fixed, as a running sum begins anew in each."""
 
 _LEAST_SHARE = 0.35
-"""Of a window's pixels that have to be there: a straight border through its middle leaves half."""
+"""The least share of a window's pixels that must be there: a straight border through its middle leaves half."""
 
 _SLOPE_WEIGHT = 0.0025
 """Slopes of inverse range are 0 ± 2 (1/m per radian) unless texture says more; at a noise of a tenth of contrast."""
@@ -60,16 +60,16 @@ _CENTRE_BONUS = 0.8
 """A moved window has to fit better by a fifth: the standard deviation of a patch's mean square is a quarter."""
 
 _RESIDUAL_WEIGHT = 0.5
-"""Of a window's own residual, beside that of the patch, in the choice."""
+"""Weight of a window's own residual, beside that of the patch, in the choice."""
 
 _AMBIGUOUS = 1.1
 """A second plane that fits as well, but for a tenth, leaves the choice open: there is no texture to tell them apart."""
 
 _MEDIAN_REACH = 2
-"""Of the median over the start, pixels: it takes out single mistakes and those in pairs."""
+"""Reach of the median over the start, pixels: it takes out single mistakes and those in pairs."""
 
 _TEXTURED = 0.25
-"""Of a window's texture per pixel: what the surroundings of a pixel need to have, or it tells of another place."""
+"""The share of a window's texture per pixel that a pixel's surroundings need, or the texture lies elsewhere."""
 
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
@@ -174,7 +174,7 @@ def _reversed(motion: Motion) -> Motion:
 class _View:
     image: Image
     coefficients: Image
-    """Of the interpolating cubic B-spline; NaN where the sensor sees nothing."""
+    """Coefficients of the interpolating cubic B-spline; NaN where the sensor sees nothing."""
 
 
 def _view(image: Image, seen: Mask) -> _View:

@@ -167,7 +167,7 @@ def _one_minus_zncc(costs, total, squares, products, k, number, own_sum, own_spr
 
 @kernel
 def _keep_least(sums, k, number, k_first, k_last, column, least, least_k, most, start, end):
-    """Of the searched samples so far: the least cost, its sample (the first of equals), and the greatest cost."""
+    """Keep, of the samples searched so far, the least cost, its sample (the first of equals), and the greatest cost."""
     for i in range(np.uint64(start), np.uint64(end)):
         value = sums[k, i]
         searched = (number >= k_first[column, i]) & (number <= k_last[column, i])

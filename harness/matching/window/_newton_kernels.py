@@ -19,7 +19,7 @@ ENOUGH = 5e-3
 
 @kernel(inline=True)
 def _weights(f):
-    """Of the cubic B-spline's four coefficients around a place a fraction f after the second one."""
+    """Weights of the cubic B-spline's four coefficients, a fraction f after the second one."""
     g = 1 - f
     return g * g * g / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f / 6
 

@@ -365,7 +365,7 @@ def _columns(image: Integers) -> Integers:
 
 
 def _moments(pixels: Integers, half: int) -> tuple[Array, Array]:
-    """Of every window: the sum, and n times the sum of squares less the sum squared; exact, `[width, height]`."""
+    """The sum of every window, and n times the sum of squares less the sum squared; exact, `[width, height]`."""
     if pixels.shape[1] <= 2 * half:
         return np.zeros(pixels.shape), np.zeros(pixels.shape)
     values = np.pad(pixels.astype(np.int64), ((half, half), (0, 0)), mode="wrap")

@@ -108,6 +108,6 @@ def gauss_newton(
 
 
 def _coefficients(panorama: Panorama) -> Array:
-    """Of the cubic B-spline through all pixels, around the seam; beyond the first and last row it is mirrored."""
+    """Cubic B-spline coefficients through all pixels, around the seam; beyond the first and last row it is mirrored."""
     rows = ndimage.spline_filter1d(panorama.values, order=3, axis=0, mode="mirror", output=np.float64)
     return np.asarray(ndimage.spline_filter1d(rows, order=3, axis=1, mode="grid-wrap", output=np.float64))

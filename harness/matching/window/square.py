@@ -203,7 +203,7 @@ def _images(first: Panorama, second: Panorama, matcher: WindowMatcher) -> _Image
 
 
 def _moments(padded: Array, half: int) -> Array:
-    """Of every window the sum, and n times the sum of squares less the sum squared, 0 where all pixels are equal."""
+    """The sum of every window, and n times the sum of squares less the sum squared, 0 where all pixels are equal."""
     size, height, width = 2 * half + 1, padded.shape[0] - 2 * half, padded.shape[1] - 2 * half
     if height < 1:
         return np.zeros((2, padded.shape[0], width))

@@ -21,7 +21,7 @@ from harness.report.sweeps import SURFACES
 from harness.report.theme import Picture
 
 _RANGES = ("#440154", "#414487", "#2A788E", "#22A884", "#7AD151", "#C9B800")
-"""Of ranges, from near to far."""
+"""Colours of ranges, from near to far."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
 
 
 EDGES_DEG = np.arange(30.0, 151.0, 10.0)
-"""Of the bins of alpha_1."""
+"""Edges of the bins of alpha_1."""
 
 
 @dataclass(frozen=True)
