@@ -63,9 +63,10 @@ if TYPE_CHECKING:
     from harness.api.running import run
     from harness.api.settings import settings
     from harness.api.views import render
+    from harness.camera.intrinsics import Camera, FieldOfView
     from harness.camera.lens import Lens
-    from harness.camera.mirror import Mirror
-    from harness.camera.sensor import Camera, FieldOfView, Sensor, project, unproject
+    from harness.camera.models.hyperboloid import Mirror
+    from harness.camera.sensor import Sensor, project, unproject
     from harness.errors import InputError
     from harness.geometry.panorama import Grid, Panorama
     from harness.geometry.pose import Motion, Pose, relative_motion
@@ -122,9 +123,10 @@ _MODULES = {
     "api.running": ("run",),
     "api.settings": ("settings",),
     "api.views": ("render",),
+    "camera.intrinsics": ("Camera", "FieldOfView"),
     "camera.lens": ("Lens",),
-    "camera.mirror": ("Mirror",),
-    "camera.sensor": ("Camera", "FieldOfView", "Sensor", "project", "unproject"),
+    "camera.models.hyperboloid": ("Mirror",),
+    "camera.sensor": ("Sensor", "project", "unproject"),
     "errors": ("InputError",),
     "geometry.panorama": ("Grid", "Panorama"),
     "geometry.pose": ("Motion", "Pose", "relative_motion"),

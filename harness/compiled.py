@@ -15,8 +15,9 @@ import os
 import pickle
 import platform
 import shutil
+import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -28,12 +29,14 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
+from numba.core.types import BaseTuple
 
 from harness.errors import InputError, Notice
 from harness.files import cache_folder, replace_file, user_cache_folder
 
-SOURCES = ("*/_*kernels.py", "*/*/_*kernels.py")
-"""Files of compiled code, below the package. They import each other, but no Python of the package beside them."""
+SOURCES = ("*/_*kernels.py", "*/*/_*kernels.py", "camera/models/*.py")
+"""Files of compiled code, below the package. What is compiled takes nothing from other files of the package, constants
+included."""
 KEPT_VERSIONS = 8
 """Folders kept of other states of the sources; those used least recently go first."""
 LEAST_FREE_MB = 16
@@ -230,6 +233,8 @@ class _Cache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function for these types of arguments; None where there is none."""
         target_context.refresh()
+        if not _is_of_package(normalize_signature(sig)[0]):
+            return None
         content = _store().read(self._file(sig, target_context.codegen()))
         return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))  # noqa: S301, SLF001
 
@@ -244,5 +249,25 @@ class _Cache(NullCache):
         _store().write(self._file(sig, data.codegen), dumps(data._reduce()))  # noqa: SLF001
 
     def _file(self, sig: Any, codegen: Any) -> str:
-        types = [f"{each}{getattr(each, 'fields', '')}" for each in normalize_signature(sig)[0]]
-        return f"{self._name}-{_sha(repr((types, codegen.magic_tuple(), self._code)).encode())[:32]}"
+        parts = [repr(codegen.magic_tuple()), self._code, *_described(normalize_signature(sig)[0])]
+        return f"{self._name}-{_sha(repr(parts).encode())[:32]}"
+
+
+def _described(types: Any) -> Iterator[str]:
+    """What tells types apart: their names, and the fields' names of named tuples, anywhere in them."""
+    for each in types:
+        yield f"{each} {getattr(each, 'fields', '')}"
+        yield from _described(each if isinstance(each, BaseTuple) else ())
+
+
+def _is_of_package(types: Any) -> bool:
+    """Whether no class among them is of another file than the sources, which may give it other functions."""
+    for each in types:
+        named = getattr(each, "instance_class", None)
+        if named is not None:
+            file = getattr(sys.modules.get(named.__module__), "__file__", None)
+            if file is None or not _store().holds(Path(file)):
+                return False
+        if isinstance(each, BaseTuple) and not _is_of_package(each):
+            return False
+    return True

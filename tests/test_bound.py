@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from harness.camera.sensor import Camera, Sensor, in_field, pixel_directions, project, unproject
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor, in_field, pixel_directions, project, unproject
 from harness.evaluation.bound import cramer_rao, least_std
 from harness.geometry.angles import normalise
 from harness.geometry.panorama import Grid, directions

@@ -5,7 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
-from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.cli import main
 from harness.errors import Notice
 from harness.geometry.pose import Pose

@@ -2,7 +2,8 @@
 
 import pytest
 
-from harness.camera.sensor import Camera, Sensor
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor
 from harness.display import LONGEST
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome, run_trial

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.errors import InputError
 from harness.geometry.pose import Pose
 from harness.simulation.export import write_glb

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from harness.camera.sensor import Camera, Sensor
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor
 from harness.cli import main
 from harness.errors import InputError
 from harness.io import images

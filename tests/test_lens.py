@@ -8,8 +8,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import root
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens, distort, fold_radius
-from harness.camera.sensor import Camera, FieldOfView, Sensor, rays_of
+from harness.camera.sensor import Sensor, rays_of
 
 # Coefficients several times as strong as those of a real lens behind a mirror, of either sign.
 lenses = st.builds(

@@ -8,7 +8,8 @@ import pytest
 from scipy import ndimage
 
 from harness.camera.fill import touches, without_gaps
-from harness.camera.sensor import Camera, Sensor, project
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor, project
 from harness.camera.unwrap import unwrap
 from harness.errors import InputError
 from harness.geometry.angles import normalise

@@ -6,8 +6,9 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from harness.camera import _sampling_kernels as _kernels
+from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
-from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.camera.unwrap import unwrap
 from harness.geometry.panorama import Grid, cylinder, pixel_of, pixel_that_holds
 

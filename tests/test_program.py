@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from PIL import Image
 from sweeps import begin, kill_group, omnirange, write_small
 
-from harness.camera.sensor import Camera, Sensor, load_sensor
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor, load_sensor
 from harness.errors import InputError
 from harness.geometry.panorama import Grid, cylinder
 from harness.geometry.pose import Motion, Pose, relative_motion

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from sweeps import omnirange, rows, write_small
 
-from harness.camera.sensor import Camera, Sensor
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor
 from harness.cli import main
 from harness.errors import InputError
 from harness.geometry.panorama import Grid

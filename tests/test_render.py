@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project, unproject
+from harness.camera.sensor import Sensor, pixel_directions, project, unproject
 from harness.geometry.pose import Pose
 from harness.simulation import render as rendering
 from harness.simulation._rendering_kernels import TRACE, mark_edges

@@ -2,8 +2,9 @@
 
 import pytest
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.sensor import Camera, FieldOfView, Sensor
+from harness.camera.sensor import Sensor
 from harness.errors import InputError, Notice
 from harness.geometry.panorama import Grid
 from harness.matching.semi_global.match import SemiGlobal

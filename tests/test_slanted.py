@@ -7,8 +7,9 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
+from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.angles import normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
+from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.pose import Pose
 from harness.simulation.cast import cast
 from harness.simulation.geometry import geometry_of

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens, distort
-from harness.camera.mirror import Mirror
-from harness.camera.sensor import Camera, FieldOfView, Sensor, pixel_directions, project
+from harness.camera.models.hyperboloid import Mirror
+from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.camera.unified import (
     Unified,
     from_unified,

@@ -1,4 +1,4 @@
-"""The sensor: a perspective camera that looks up into a hyperboloid mirror, and where it stands.
+"""The sensor: a camera of one of the central models, and what its images become.
 
 Nothing here knows of scenes or of stereo.
 """

@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from harness.camera._lens_kernels import bend_all
 from harness.geometry.angles import Array
 from harness.spec import Finite, Spec
 
@@ -35,16 +36,10 @@ def distort(lens: Lens, points: ArrayLike) -> Array:
     `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`, and y' with p1 and p2 exchanged.
     """
     points = np.asarray(points, dtype=np.float64)
-    x, y = points[..., 0], points[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
-    return np.stack(
-        [
-            x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x),
-            y * radial + 2 * lens.p2 * x * y + lens.p1 * (r2 + 2 * y * y),
-        ],
-        axis=-1,
-    )
+    out = np.empty(points.shape)
+    flat = np.ascontiguousarray(points).reshape(-1, 2)
+    bend_all(flat, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, out.reshape(-1, 2))
+    return out
 
 
 @lru_cache(maxsize=64)

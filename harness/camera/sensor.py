@@ -1,74 +1,36 @@
-"""The omnidirectional sensor: mirror, camera, lens and field of view; `project` and `unproject`.
+"""The omnidirectional sensor: a camera model, its image, lens and field of view; `project` and `unproject`.
 
-The image of direction d: the mirror point P (see `mirror`), seen from F1 at the normalised coordinates
-(P_x, P_y)/(P_z + 2e), bent by the lens, scaled to pixels. u runs right and v down; the centre of pixel [v, u] is at
-the integers (u, v).
+How a direction becomes a pixel is the model's affair (`harness.camera.models`). u runs right and v down; the centre of
+pixel [v, u] is at the integers (u, v).
 """
 
-import math
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
+from pydantic import SerializeAsAny, field_validator, model_validator
 
-from harness.camera._unproject_kernels import rays_of_pixels
-from harness.camera.lens import Lens, distort, fold_radius
-from harness.camera.mirror import Mirror, point_on_mirror
+from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
+from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.lens import Lens
+from harness.camera.models import MODELS, CameraModel, Mirror
 from harness.geometry.angles import Array
-from harness.spec import Finite, Positive, Spec, load
+from harness.spec import Spec, load
 
-Pixels = Annotated[int, Field(ge=8, le=16384)]
-
-
-class Camera(Spec):
-    """The perspective camera behind the mirror: 640x480 as in the paper, +20° of elevation 238 px from the centre."""
-
-    width_px: Pixels = 640
-    """Width of the image, pixels."""
-    height_px: Pixels = 480
-    """Height of the image, pixels."""
-    focal_px: Positive = 614.12
-    """Focal length along u, pixels."""
-    aspect: Positive = 1.0
-    """Focal length along v divided by that along u, no unit."""
-    cx_px: Finite = 319.5
-    """Principal point along u, pixels; the centre of the first pixel is 0."""
-    cy_px: Finite = 239.5
-    """Principal point along v, pixels; the centre of the first pixel is 0."""
-
-    @model_validator(mode="after")
-    def _looks_at_its_mirror(self) -> "Camera":
-        for key, at, size in (("cx_px", self.cx_px, self.width_px), ("cy_px", self.cy_px, self.height_px)):
-            if not -0.5 <= at <= size - 0.5:
-                middle = (size - 1) / 2
-                raise ValueError(f"{key} = {at:g} is not on an image of {size} pixels; its middle is {middle:g}")
-        return self
-
-
-class FieldOfView(Spec):
-    """The cone of directions that the sensor sees."""
-
-    elevation_min_deg: Finite = -75.0
-    """Lowest elevation seen, degrees. Below it the camera sees itself: one of 20 mm radius at F1, 73 mm below F0,
-    hides what is under -75°."""
-    elevation_max_deg: Finite = 20.0
-    """Elevation at which the mirror ends, degrees: +20° puts its rim 238 px from the centre, just inside 480 rows."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "FieldOfView":
-        if not -90 <= self.elevation_min_deg < self.elevation_max_deg <= 90:
-            raise ValueError("elevation_min_deg must be below elevation_max_deg, both within -90 .. 90")
-        return self
+if TYPE_CHECKING:
+    AnyModel = CameraModel
+else:
+    AnyModel = SerializeAsAny[Mirror]
 
 
 class Sensor(Spec):
     """A single-viewpoint catadioptric sensor. The defaults are those of the shipped experiments."""
 
-    mirror: Mirror = Mirror()
-    """The hyperboloid mirror."""
+    mirror: AnyModel = Mirror()
+    """The camera model: what bends rays to the camera."""
     camera: Camera = Camera()
     """The perspective camera that looks up at it."""
     lens: Lens = Lens()
@@ -76,21 +38,21 @@ class Sensor(Spec):
     field: FieldOfView = FieldOfView()
     """The cone of directions that the sensor sees."""
 
+    @field_validator("mirror", mode="wrap")
+    @classmethod
+    def _of_any_model(cls, value: Any, validate: Callable[[Any], Mirror]) -> CameraModel:
+        """Models beside the hyperboloid are told apart by their `kind`."""
+        if isinstance(value, Mapping) and "kind" in value:
+            kind = value["kind"]
+            if kind not in MODELS:
+                raise ValueError(f"unknown camera model '{kind}'; there are: {', '.join(MODELS)}")
+            known = "kind" in MODELS[kind].model_fields
+            value = MODELS[kind].model_validate({key: each for key, each in value.items() if known or key != "kind"})
+        return value if isinstance(value, CameraModel) else validate(value)
+
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
-        asymptote = math.degrees(self.mirror.asymptote_rad)
-        if self.field.elevation_max_deg >= asymptote - 0.01:
-            raise ValueError(
-                f"field.elevation_max_deg = {self.field.elevation_max_deg:g} is beyond the mirror's asymptote, "
-                f"asin(a/e) = {asymptote:.2f} deg; lower it or use a mirror with a larger a_m / b_m"
-            )
-        rim, fold = rim_radius(self), fold_radius(self.lens)
-        # Two pixels more than the rim: the corners of the outermost pixels are unprojected too.
-        if rim + 2 / self.camera.focal_px >= fold:
-            raise ValueError(
-                f"lens: the distortion folds the image over at radius {fold:.3f} of the undistorted image, inside "
-                f"the mirror's rim at {rim:.3f}; use weaker coefficients or a lower field.elevation_max_deg"
-            )
+        self.mirror.check(self.camera, self.lens, self.field)
         return self
 
 
@@ -103,13 +65,6 @@ def load_sensor(path: Path) -> Sensor:
         Names the file, the key and what would be right.
     """
     return load(Sensor, path)
-
-
-def rim_radius(sensor: Sensor) -> float:
-    """Undistorted radius of the mirror's rim in normalised image coordinates, `r/(z + 2e)`."""
-    elevation = math.radians(sensor.field.elevation_max_deg)
-    x, _, z = point_on_mirror(sensor.mirror, [math.cos(elevation), 0.0, math.sin(elevation)])
-    return float(x / (z + 2 * sensor.mirror.e_m))
 
 
 def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
@@ -128,22 +83,35 @@ def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
         `[...]`, bool: inside the cone of the field, and on the image.
     """
     directions = np.asarray(directions, dtype=np.float64)
-    camera = sensor.camera
-    p = point_on_mirror(sensor.mirror, directions)
+    pixels = np.empty((*directions.shape[:-1], 2))
+    project_all(np.ascontiguousarray(directions).reshape(-1, 3), parameters_of(sensor), pixels.reshape(-1, 2))
     with np.errstate(invalid="ignore"):
-        normalised = p[..., :2] / (p[..., 2:] + 2 * sensor.mirror.e_m)
-        inside_fold = np.hypot(normalised[..., 0], normalised[..., 1]) <= fold_radius(sensor.lens)
-        bent = distort(sensor.lens, normalised)
-        scale = [camera.focal_px, camera.focal_px * camera.aspect]
-        pixels = np.where(inside_fold[..., None], bent * scale + [camera.cx_px, camera.cy_px], np.nan)
-        valid = in_field(sensor, directions) & on_image(sensor, pixels)
-    return pixels, valid
+        return pixels, in_field(sensor, directions) & on_image(sensor, pixels)
+
+
+def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
+    """How the pixel at which a direction is seen moves with the direction.
+
+    Parameters
+    ----------
+    directions
+        `[..., 3]` in the sensor's frame, of any length.
+
+    Returns
+    -------
+    Array
+        `[..., 2, 3]`, derivatives of (u, v) by (x, y, z), pixels per unit of the directions.
+    """
+    directions = np.asarray(directions, dtype=np.float64)
+    out = np.empty((*directions.shape[:-1], 2, 3))
+    differentiate_all(np.ascontiguousarray(directions).reshape(-1, 3), parameters_of(sensor), out.reshape(-1, 2, 3))
+    return out
 
 
 def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
     """Direction from the effective viewpoint that a pixel sees.
 
-    Closed form but for the lens, which Newton's method undoes within its fold (see `_kernels`).
+    Closed form but for the lens, which Newton's method undoes within its fold (see `harness.camera._lens_kernels`).
 
     Parameters
     ----------
@@ -175,14 +143,15 @@ def rays_of(sensor: Sensor, u: Array, v: Array) -> Array:
         `[n]`, contiguous float64.
     """
     rays = np.empty((3, u.size))
-    rays_of_pixels(u, v, _parameters(sensor), rays[0], rays[1], rays[2])
+    parameters = parameters_of(sensor)
+    compiled_model(type(parameters)).rays(u, v, parameters, rays[0], rays[1], rays[2])
     return rays
 
 
 def in_field(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
     """Whether directions `[..., 3]` (any length) lie in the cone that the sensor sees."""
     directions = np.asarray(directions, dtype=np.float64)
-    lowest, highest = np.sin(np.radians([sensor.field.elevation_min_deg, sensor.field.elevation_max_deg]))
+    lowest, highest = sines_of_field(sensor)
     with np.errstate(invalid="ignore", divide="ignore"):
         sine = directions[..., 2] / np.linalg.norm(directions, axis=-1)
         return (sine >= lowest) & (sine <= highest)
@@ -207,20 +176,12 @@ def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
 
 
 @lru_cache(maxsize=64)
-def _parameters(sensor: Sensor) -> tuple[float, ...]:
-    camera, mirror, lens = sensor.camera, sensor.mirror, sensor.lens
-    return (
-        camera.focal_px,
-        camera.focal_px * camera.aspect,
-        camera.cx_px,
-        camera.cy_px,
-        mirror.a_m,
-        mirror.b_m,
-        mirror.e_m,
-        lens.k1,
-        lens.k2,
-        lens.p1,
-        lens.p2,
-        lens.k3,
-        fold_radius(lens),
-    )
+def parameters_of(sensor: Sensor) -> Any:
+    """What the compiled projection is given: the named tuple of the sensor's camera model."""
+    return sensor.mirror.parameters(sensor.camera, sensor.lens)
+
+
+def sines_of_field(sensor: Sensor) -> tuple[float, float]:
+    """Sines of the lowest and the highest elevation that the sensor sees."""
+    lowest, highest = np.sin(np.radians([sensor.field.elevation_min_deg, sensor.field.elevation_max_deg])).tolist()
+    return lowest, highest

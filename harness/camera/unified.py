@@ -15,9 +15,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.mirror import Mirror
-from harness.camera.sensor import Camera, FieldOfView, Sensor
+from harness.camera.models.hyperboloid import HyperboloidCamera, Mirror
+from harness.camera.sensor import Sensor, parameters_of
+from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.spec import Finite, Positive, Spec
 
@@ -38,17 +40,15 @@ class Unified(Spec):
 
 
 def to_unified(sensor: Sensor) -> Unified:
-    """The unified model that projects as the mirror does; its lens is written otherwise: see `unified_lens`."""
-    eps = sensor.mirror.e_m / sensor.mirror.a_m
-    scale = (eps * eps - 1) / (eps * eps + 1)
-    camera = sensor.camera
-    return Unified(
-        xi=2 * eps / (1 + eps * eps),
-        gamma_u_px=camera.focal_px * scale,
-        gamma_v_px=camera.focal_px * camera.aspect * scale,
-        cx_px=camera.cx_px,
-        cy_px=camera.cy_px,
-    )
+    """The unified model that projects as the mirror does; its lens is written otherwise: see `unified_lens`.
+
+    Raises
+    ------
+    InputError
+        When the sensor's camera model is another one.
+    """
+    camera = _hyperboloid(sensor)
+    return Unified(xi=camera.xi, gamma_u_px=camera.gamma_u, gamma_v_px=camera.gamma_v, cx_px=camera.cu, cy_px=camera.cv)
 
 
 def unified_lens(sensor: Sensor) -> Lens:
@@ -56,10 +56,23 @@ def unified_lens(sensor: Sensor) -> Lens:
 
     With m = s x, s = f/gamma, `x' = x (1 + k1 r²)` reads `m' = m (1 + (k1/s²) |m|²)`; a tangential term shrinks by 1/s.
     OpenCV's omnidir has no k3.
+
+    Raises
+    ------
+    InputError
+        When the sensor's camera model is another one.
     """
-    s = sensor.camera.focal_px / to_unified(sensor).gamma_u_px
-    lens = sensor.lens
-    return Lens(k1=lens.k1 / s**2, k2=lens.k2 / s**4, p1=lens.p1 / s, p2=lens.p2 / s, k3=lens.k3 / s**6)
+    camera = _hyperboloid(sensor)
+    return Lens(
+        k1=camera.k1_unified, k2=camera.k2_unified, p1=camera.p1_unified, p2=camera.p2_unified, k3=camera.k3_unified
+    )
+
+
+def _hyperboloid(sensor: Sensor) -> HyperboloidCamera:
+    camera = parameters_of(sensor)
+    if not isinstance(camera, HyperboloidCamera):
+        raise InputError(f"a {sensor.mirror.title} is not written in the unified model", key="sensor.mirror")
+    return camera
 
 
 def from_unified(

@@ -75,7 +75,7 @@ def mirror_image(outcome: Outcome) -> Picture:
     ax.set_xlabel("$u$ (px)")
     ax.set_ylabel("$v$ (px)")
     alt = f"Mirror image of view 1, {columns} by {rows} pixels: the scene as a disc, the horizon near its rim."
-    return theme.picture(fig, alt, "(b) hyperboloid mirror image of view 1")
+    return theme.picture(fig, alt, f"(b) {outcome.trial.sensor.mirror.title} image of view 1")
 
 
 @theme.panel

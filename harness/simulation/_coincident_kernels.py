@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from harness.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, out):
     """Write pairs of faces whose triangles overlap in one plane, the earlier first, as far as there is room in `out`.
 
@@ -39,7 +40,7 @@ def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, t
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _in_plane(triangle, normal, offset, tolerance):
     for k in range(3):
         p = triangle[k]
@@ -48,7 +49,7 @@ def _in_plane(triangle, normal, offset, tolerance):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _overlap(a, b, normal, tolerance):
     """Whether two triangles in one plane share an area: no side of either parts them (separating axes)."""
     for swap in range(2):
@@ -69,7 +70,7 @@ def _overlap(a, b, normal, tolerance):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def settle_hits(
     starts, rivals, first_triangle, order, corners, face_of_triangle, normals, offsets, tolerance, origin, directions,
     triangle,
@@ -120,13 +121,13 @@ def settle_hits(
         triangle[i] = seen
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline=True)
 def _range(normals, offsets, f, cx, cy, cz, dx, dy, dz):
     nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
     return (offsets[f] - (nx * cx + ny * cy + nz * cz)) / (nx * dx + ny * dy + nz * dz)
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline=True)
 def _inside(corners, cx, cy, cz, dx, dy, dz):
     """Whether a ray passes through a triangle: the three products `d · (v_i x v_j)` have one sign."""
     ax, ay, az = corners[0, 0] - cx, corners[0, 1] - cy, corners[0, 2] - cz

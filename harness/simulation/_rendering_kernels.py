@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from harness.camera._projection_kernels import project
 from harness.compiled import kernel
 
 TRACE = -2
@@ -90,15 +91,13 @@ def rotate_rays(rays, rotation, out):
 
 
 @kernel
-def mark_edges(edges, viewpoint, rotation, sensor, lowest, highest, step, marks):
+def mark_edges(edges, viewpoint, rotation, camera, lowest, highest, step, marks):
     """Set `marks [height, width]` in every pixel that an edge may pass through.
 
     An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than 0.9 pixels, so
     that every point of it is within 0.45 of a sample; a sample marks all pixels within REACH of it, its own and often a
-    neighbour. Points are projected as `harness.camera.sensor.project` does it. `lowest` and `highest` are sines of
-    elevation, beyond which nothing is seen.
+    neighbour. `lowest` and `highest` are sines of elevation, beyond which nothing is seen.
     """
-    a, b, e, fu, fv, cu, cv, k1, k2, p1, p2, k3, fold = sensor
     height, width = marks.shape
     for k in range(edges.shape[0]):
         x, y, z = edges[k, 0, 0] - viewpoint[0], edges[k, 0, 1] - viewpoint[1], edges[k, 0, 2] - viewpoint[2]
@@ -135,18 +134,9 @@ def mark_edges(edges, viewpoint, rotation, sensor, lowest, highest, step, marks)
         for _ in range(samples):
             dx, dy, dz = c * px + s * qx, c * py + s * qy, c * pz + s * qz
             c, s = c * cosine - s * sine, s * cosine + c * sine
-            reach = a - e * dz
-            if reach <= 0.0:
+            u, v, inside = project(dx, dy, dz, camera)
+            if not inside:
                 continue
-            scale = b * b / reach
-            below = scale * dz + 2.0 * e
-            x, y = scale * dx / below, scale * dy / below
-            r2 = x * x + y * y
-            if r2 > fold * fold:
-                continue
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            u = fu * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cu
-            v = fv * (y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)) + cv
             if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
                 continue
             top, bottom = math.floor(v + 0.5 - REACH), math.floor(v + 0.5 + REACH)
@@ -356,30 +346,20 @@ def _continued(range_m, normal, direction, other):
 
 
 @kernel
-def in_view(directions, rotation, sensor, lowest, highest, width, height, out):
+def in_view(directions, rotation, camera, lowest, highest, width, height, out):
     """Write whether world directions `[n, 3]` fall into a sensor's field and onto its image.
 
     As `harness.camera.sensor.project` says it. `rotation` turns the sensor's frame into the world's; `lowest` and
     `highest` are sines of elevation.
     """
-    a, b, e, fu, fv, cu, cv, k1, k2, p1, p2, k3, fold = sensor
     for i in range(out.size):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
         y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
         z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        length = math.sqrt(x * x + y * y + z * z)
-        sine, reach = z / length, a * length - e * z
+        sine = z / math.sqrt(x * x + y * y + z * z)
         out[i] = False
-        if not (lowest <= sine <= highest and reach > 0.0):
+        if not lowest <= sine <= highest:
             continue
-        scale = b * b / reach
-        below = scale * z + 2.0 * e
-        x, y = scale * x / below, scale * y / below
-        r2 = x * x + y * y
-        if math.sqrt(r2) > fold:
-            continue
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) * fu + cu
-        v = (y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)) * fv + cv
-        out[i] = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
+        u, v, inside = project(x, y, z, camera)
+        out[i] = inside and -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5

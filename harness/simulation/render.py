@@ -12,8 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.lens import fold_radius
-from harness.camera.sensor import Sensor, pixel_directions, rays_of
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, rays_of
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -208,7 +207,7 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     """
     _, valid = pixel_directions(sensor)
     corners = _corners_of(sensor)
-    projection = _projection(sensor)
+    camera = parameters_of(sensor)
     step = 0.9 * corners.finest_rad
     # Beyond the field by two pixels: those at the rim reach out with their corners.
     field = sensor.field
@@ -218,7 +217,7 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
 
     def mark(start: int) -> None:
         edges = view.geometry.edges[start : start + _RAYS]
-        mark_edges(edges, view.origin, view.rotation, projection, lowest, highest, step, marks)
+        mark_edges(edges, view.origin, view.rotation, camera, lowest, highest, step, marks)
 
     if with_edges:
         in_threads(mark, range(0, len(view.geometry.edges), _RAYS), threads)
@@ -244,25 +243,6 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
         # Corners that slipped through a crack; the samples are traced with more care.
         out[out == -1] = TRACE
     return out
-
-
-def _projection(sensor: Sensor) -> tuple[float, ...]:
-    camera, mirror, lens = sensor.camera, sensor.mirror, sensor.lens
-    return (
-        mirror.a_m,
-        mirror.b_m,
-        mirror.e_m,
-        camera.focal_px,
-        camera.focal_px * camera.aspect,
-        camera.cx_px,
-        camera.cy_px,
-        lens.k1,
-        lens.k2,
-        lens.p1,
-        lens.p2,
-        lens.k3,
-        fold_radius(lens),
-    )
 
 
 def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int | None) -> Image:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.lens import fold_radius
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, parameters_of, sines_of_field
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -134,21 +133,16 @@ def truth(
 
 def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
     """Whether world directions `[n, 3]` are in the field and on the image of a sensor: the mask of `project` alone."""
-    mirror, camera, lens = sensor.mirror, sensor.camera, sensor.lens
-    lowest, highest = np.sin(np.radians([sensor.field.elevation_min_deg, sensor.field.elevation_max_deg]))
+    lowest, highest = sines_of_field(sensor)
     out = np.empty(len(directions), dtype=bool)
     in_view(
         directions,
         pose.R_world_from_view,
-        (
-            *(mirror.a_m, mirror.b_m, mirror.e_m),
-            *(camera.focal_px, camera.focal_px * camera.aspect, camera.cx_px, camera.cy_px),
-            *(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, fold_radius(lens)),
-        ),
+        parameters_of(sensor),
         lowest,
         highest,
-        camera.width_px,
-        camera.height_px,
+        sensor.camera.width_px,
+        sensor.camera.height_px,
         out,
     )
     return out

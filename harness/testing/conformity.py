@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness import shipped
-from harness.camera.sensor import Camera, Sensor, pixel_directions
+from harness.camera.intrinsics import Camera
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid

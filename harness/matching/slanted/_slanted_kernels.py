@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from harness.camera._projection_kernels import move
 from harness.compiled import kernel
 
 SUMS = 27
@@ -27,27 +28,14 @@ def _in_view_2(x, y, z, w, R, s, camera):
     """Pixel (u, v) at which view 2 sees the point in direction (x, y, z) at inverse range w, how (u, v) changes with
     w, and whether the point is in the field.
 
-    The point lies along q = R (x - w t) = R x + w s, s = -R t; q goes through the unified model (see
-    `harness.camera.unified`), and then through the lens.
+    The point lies along q = R (x - w t) = R x + w s, s = -R t.
     """
-    xi, gamma_u, gamma_v, cu, cv, k1, k2, p1, p2, k3, lowest, highest = camera
+    model, lowest, highest = camera
     qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + w * s[0]
     qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + w * s[1]
     qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
     norm = math.sqrt(qx * qx + qy * qy + qz * qz)
-    below = xi * norm - qz
-    a, b = qx / below, qy / below
-    below_w = xi * (qx * s[0] + qy * s[1] + qz * s[2]) / norm - s[2]
-    a_w, b_w = (s[0] - a * below_w) / below, (s[1] - b * below_w) / below
-    r2 = a * a + b * b
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-    along = slope * (a * a_w + b * b_w)
-    u = gamma_u * (a * radial + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)) + cu
-    v = gamma_v * (b * radial + 2.0 * p2 * a * b + p1 * (r2 + 2.0 * b * b)) + cv
-    both = a_w * b + a * b_w
-    u_w = gamma_u * (a_w * radial + a * along + 2.0 * p1 * both + p2 * (6.0 * a * a_w + 2.0 * b * b_w))
-    v_w = gamma_v * (b_w * radial + b * along + 2.0 * p2 * both + p1 * (6.0 * b * b_w + 2.0 * a * a_w))
+    u, v, u_w, v_w = move(qx, qy, qz, s[0], s[1], s[2], model)
     return u, v, u_w, v_w, lowest * norm <= qz <= highest * norm
 
 

@@ -24,6 +24,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import comb
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -31,8 +32,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera.fill import nearest_known, without_gaps
-from harness.camera.sensor import Sensor, pixel_directions, project
-from harness.camera.unified import to_unified, unified_lens
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, project, sines_of_field
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
@@ -142,7 +142,8 @@ class _Way:
     R: Array
     s: Array
     """-R t: where q = R x + w s of a point goes as its inverse range w grows."""
-    camera: tuple[float, ...]
+    camera: tuple[Any, float, float]
+    """The camera model's parameters, and the sines of the lowest and highest elevation of the field."""
     x: Array
     """`[height, width, 3]`, unit directions of the mirror pixels."""
     seen: Mask
@@ -150,19 +151,10 @@ class _Way:
 
 
 def _way(sensor: Sensor, motion: Motion, known: Mask | None = None) -> _Way:
-    unified, lens, field = to_unified(sensor), unified_lens(sensor), sensor.field
     x, seen = pixel_directions(sensor)
     t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
-    focal = (unified.xi, unified.gamma_u_px, unified.gamma_v_px, unified.cx_px, unified.cy_px)
-    lowest, highest = np.sin(np.radians([field.elevation_min_deg, field.elevation_max_deg])).tolist()
-    return _Way(
-        t,
-        R,
-        -R @ t,
-        (*focal, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, lowest, highest),
-        x,
-        seen if known is None else known,
-    )
+    camera = (parameters_of(sensor), *sines_of_field(sensor))
+    return _Way(t, R, -R @ t, camera, x, seen if known is None else known)
 
 
 def _reversed(motion: Motion) -> Motion:

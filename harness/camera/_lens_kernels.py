@@ -1,4 +1,4 @@
-"""Compiled loop over pixels. Called through `harness.camera.sensor`, which checks the arguments."""
+"""Compiled Brown-Conrady distortion of a point in normalised image coordinates, its derivative and its inverse."""
 
 import math
 
@@ -6,36 +6,41 @@ from harness.compiled import kernel
 
 
 @kernel
-def rays_of_pixels(u, v, parameters, x_out, y_out, z_out):
-    """Write the direction of each pixel's ray, of any length; NaN where the lens has no inverse.
-
-    A camera ray q = (x, y, 1) from F1 meets the mirror at F1 + s q with s = b²/(e - a |q|). Seen from F0 that is the
-    direction (s x, s y, s - 2e). Dividing by s > 0 leaves (x, y, 1 - 2e²/b² + (2 a e/b²) |q|), in which large
-    numbers cancel when b is small beside a. With |q| = 1 + r²/(1 + |q|) nothing cancels but at the horizon:
-    (x, y, (2 a e/b²) r²/(1 + |q|) - b²/(a + e)²).
-    """
-    fu, fv, cx, cy, a, b, e, k1, k2, p1, p2, k3, fold = parameters
-    z_axis = -b * b / ((a + e) * (a + e))
-    z_slope = 2.0 * a * e / (b * b)
-    if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
-        for i in range(u.size):
-            x = (u[i] - cx) / fu
-            y = (v[i] - cy) / fv
-            x_out[i] = x
-            y_out[i] = y
-            r2 = x * x + y * y
-            z_out[i] = z_axis + z_slope * r2 / (1.0 + math.sqrt(1.0 + r2))
-        return
-    for i in range(u.size):
-        x, y = _unbend((u[i] - cx) / fu, (v[i] - cy) / fv, k1, k2, p1, p2, k3, fold)
-        r2 = x * x + y * y
-        x_out[i] = x
-        y_out[i] = y
-        z_out[i] = z_axis + z_slope * r2 / (1.0 + math.sqrt(1.0 + r2))
+def bend(x, y, k1, k2, p1, p2, k3):
+    """The distorted point (x', y') of an undistorted one; see `harness.camera.lens.distort`."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
+    )
 
 
 @kernel
-def _unbend(x_d, y_d, k1, k2, p1, p2, k3, fold):
+def move_bent(x, y, dx, dy, k1, k2, p1, p2, k3):
+    """The distorted point, and how it moves when the undistorted one moves by (dx, dy)."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    along = slope * (x * dx + y * dy)
+    both = dx * y + x * dy
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
+        dx * radial + x * along + 2.0 * p1 * both + p2 * (6.0 * x * dx + 2.0 * y * dy),
+        dy * radial + y * along + 2.0 * p2 * both + p1 * (6.0 * y * dy + 2.0 * x * dx),
+    )
+
+
+@kernel
+def bend_all(points, k1, k2, p1, p2, k3, out):
+    """Write the distorted points of `[n, 2]`."""
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1] = bend(points[i, 0], points[i, 1], k1, k2, p1, p2, k3)
+
+
+@kernel
+def unbend(x_d, y_d, k1, k2, p1, p2, k3, fold):
     """Undistorted point of a distorted one, by Newton's method; NaN when there is none within the fold.
 
     Plain Newton swings from side to side of the image for lenses that bend both ways (k1 and k3 of opposite sign).

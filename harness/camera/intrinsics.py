@@ -1,0 +1,50 @@
+"""What all camera models share: the image and its intrinsic parameters, and the cone that is seen."""
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from harness.spec import Finite, Positive, Spec
+
+Pixels = Annotated[int, Field(ge=8, le=16384)]
+
+
+class Camera(Spec):
+    """The perspective camera behind the mirror: 640x480 as in the paper, +20° of elevation 238 px from the centre."""
+
+    width_px: Pixels = 640
+    """Width of the image, pixels."""
+    height_px: Pixels = 480
+    """Height of the image, pixels."""
+    focal_px: Positive = 614.12
+    """Focal length along u, pixels."""
+    aspect: Positive = 1.0
+    """Focal length along v divided by that along u, no unit."""
+    cx_px: Finite = 319.5
+    """Principal point along u, pixels; the centre of the first pixel is 0."""
+    cy_px: Finite = 239.5
+    """Principal point along v, pixels; the centre of the first pixel is 0."""
+
+    @model_validator(mode="after")
+    def _looks_at_its_mirror(self) -> "Camera":
+        for key, at, size in (("cx_px", self.cx_px, self.width_px), ("cy_px", self.cy_px, self.height_px)):
+            if not -0.5 <= at <= size - 0.5:
+                middle = (size - 1) / 2
+                raise ValueError(f"{key} = {at:g} is not on an image of {size} pixels; its middle is {middle:g}")
+        return self
+
+
+class FieldOfView(Spec):
+    """The cone of directions that the sensor sees."""
+
+    elevation_min_deg: Finite = -75.0
+    """Lowest elevation seen, degrees. Below it the camera sees itself: one of 20 mm radius at F1, 73 mm below F0,
+    hides what is under -75°."""
+    elevation_max_deg: Finite = 20.0
+    """Elevation at which the mirror ends, degrees: +20° puts its rim 238 px from the centre, just inside 480 rows."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "FieldOfView":
+        if not -90 <= self.elevation_min_deg < self.elevation_max_deg <= 90:
+            raise ValueError("elevation_min_deg must be below elevation_max_deg, both within -90 .. 90")
+        return self
