@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     try:
         with interrupts.heard(), patient_output(), warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = _Notices().show
             warnings.simplefilter("default", Notice)  # said, whatever becomes of other warnings
             options = _parser().parse_args(arguments)
             try:
@@ -84,19 +84,30 @@ def _is_unicode(text: str) -> bool:
     return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """Show a notice in one line, as other messages, and the warning of a library as Python does."""
-    if issubclass(category, Notice):
-        print(f"omnirange: {message}", file=sys.stderr)
-    else:
-        print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end="")
+class _Notices:
+    """Shows a notice in one line, as other messages, and once; and the warning of a library as Python does.
+
+    Python's own count of what was said begins anew whenever a library changes its filters for a while.
+    """
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def show(
+        self,
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        """In place of `warnings.showwarning`."""
+        if not issubclass(category, Notice):
+            print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end="")
+        elif str(message) not in self._said:
+            self._said.add(str(message))
+            print(f"omnirange: {message}", file=sys.stderr)
 
 
 def _parser() -> Parser:
