@@ -51,6 +51,7 @@ Angles are radians and lengths metres unless a name says otherwise (`yaw_deg`, `
 Everything is loaded when it is first used: `import harness` takes no time.
 """
 
+import harness.first_moment  # noqa: F401, I001 - before all else: from here on Ctrl-C is answered
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

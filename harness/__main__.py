@@ -12,7 +12,8 @@ from harness.interrupts import EXIT_CODE, end_at_once
 
 def main() -> int:
     """Run the command with the process's arguments; the exit code."""
-    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not when run in the background
+    at_first = signal.getsignal(signal.SIGINT)
+    listens = at_first in (signal.default_int_handler, end_at_once)  # not when run in the background
     if listens:
         signal.signal(signal.SIGINT, end_at_once)
     from harness.cli import main as command

@@ -5,7 +5,6 @@ and libraries that catch everything drop it, or wrap it into an error of their o
 and whoever is about to go on, or to call something a failure, looks at what is remembered first.
 """
 
-import os
 import signal
 import sys
 import threading
@@ -15,13 +14,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-EXIT_CODE = 130
-"""What a program that was ended by Ctrl-C exits with."""
+from harness.first_moment import EXIT_CODE, end, end_at_once
+
+__all__ = ["EXIT_CODE", "check", "end_at_once", "heard", "is_real"]
 
 _SAME_S = 0.3
 """Signals within this time are one Ctrl-C: a terminal sends it to a whole group, and a launcher may pass it on too."""
-
-_exit = os._exit  # as it is here, whatever other code makes of it
 
 _asked_at: list[float] = []
 """When Ctrl-C was pressed since `heard` was entered."""
@@ -74,14 +72,6 @@ def is_real(error: BaseException) -> bool:
     return signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, _on_signal)
 
 
-def end_at_once(_number: int = 0, _frame: FrameType | None = None) -> None:
-    """A signal's handler: end the process without a word to anybody else.
-
-    For the time before there is anything to be lost, or after all is written.
-    """
-    _end("omnirange: interrupted")
-
-
 def _is_ours_to_take() -> bool:
     return signal.getsignal(signal.SIGINT) in (signal.default_int_handler, end_at_once)
 
@@ -89,17 +79,9 @@ def _is_ours_to_take() -> bool:
 def _on_signal(_number: int, _frame: FrameType | None) -> None:
     now = time.monotonic()
     if _asked_at and now - _asked_at[0] > _SAME_S:
-        _end("omnirange: interrupted at once; trials that are written are kept")
+        end("omnirange: interrupted at once; trials that are written are kept")
     _asked_at.append(now)
     raise KeyboardInterrupt
-
-
-def _end(line: str) -> None:
-    show_cursor = b"\x1b[?25h" if os.isatty(2) else b""  # a progress bar has hidden it
-    try:
-        os.write(2, show_cursor + f"\n{line}\n".encode())
-    finally:
-        _exit(EXIT_CODE)  # the database is whole at any moment, and workers end with their parent
 
 
 def _silent_when_asked(unraisable: Any) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from sweeps import begin, write_small
 
-from harness import interrupts
+from harness import first_moment, interrupts
 from harness.cli import main
 from harness.runs import worker
 from harness.runs.experiment import load_experiment
@@ -168,6 +168,54 @@ def test_workers_in_the_midst_of_a_trial_are_not_awaited(tmp_path: Path) -> None
     assert [line for line in said.splitlines() if line] == [
         "omnirange: interrupted; 0 of 2 trials are done and kept; run the same command to go on"
     ]
+
+
+_PRESSED_AS_THE_PACKAGE_LOADS = """
+import sys, _signal
+class Finder:
+    def find_spec(name, path=None, target=None):
+        if "harness" in sys.modules and name != "harness.first_moment":
+            _signal.raise_signal(2)
+sys.meta_path.insert(0, Finder)
+"""
+
+
+@pytest.mark.parametrize("started", [["-m", "harness"], ["omnirange"], ["-X", "utf8", "omnirange"]])
+def test_from_the_first_moment(tmp_path: Path, started: list[str]) -> None:
+    """Pressed at whatever the package loads first: nothing else may be loaded before Ctrl-C is answered."""
+    (tmp_path / "sitecustomize.py").write_text(_PRESSED_AS_THE_PACKAGE_LOADS)
+    (tmp_path / "omnirange").write_text("from harness.__main__ import main\nmain()\n")
+    path = os.pathsep.join([str(tmp_path), str(Path(interrupts.__file__).parents[1])])
+    done = subprocess.run(
+        [sys.executable, *started, "--version"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nomnirange: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("started", "listens"),
+    [
+        (["-m", "harness", "run"], True),
+        (["-W", "error", "/usr/bin/omnirange"], True),
+        (["-m", "pytest", "-m", "harness"], False),
+        (["script.py", "omnirange"], False),
+        (["-c", "import harness", "omnirange"], False),
+        (["-m", "ipykernel_launcher"], False),
+        ([], False),
+    ],
+)
+def test_nothing_changes_in_a_script_or_a_notebook(started: list[str], listens: bool) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        first_moment.listen(["python", *started])
+        assert (signal.getsignal(signal.SIGINT) is first_moment.end_at_once) == listens
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize("moment", ["import", "exec", "shutdown"])
