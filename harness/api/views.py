@@ -51,7 +51,7 @@ def render(
     Raises
     ------
     InputError
-        When an argument is wrong, or the view cannot see the scene.
+        When an argument is wrong, the view cannot see the scene, or the sensor sees nothing.
 
     Examples
     --------

@@ -2,13 +2,14 @@
 
 import gc
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from harness import interrupts
 from harness.cli.exits import FAILED, OK
 from harness.cli.tables import methods_table
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
     from harness.runs.experiment import Experiment
@@ -44,7 +45,8 @@ def write(
         Where no trial could be carried out because of what was `given`: the user's to mend, like a wrong key.
     """
     shown = shown or folder
-    from harness.runs.run import result_of, standing, write_report, write_summary, write_tables
+    from harness.runs.density import too_sparse
+    from harness.runs.run import result_of, rows_of, standing, write_report, write_summary, write_tables
 
     write_tables(experiment, store, folder)
     interrupts.check()
@@ -65,6 +67,9 @@ def write(
         for failure in not_drawn:
             print(f"omnirange: a figure of the report could not be drawn: {failure}", file=sys.stderr)
         show(result.summary, shown)
+    sparse = too_sparse((row.planned.trial, row.payload) for row in rows_of(experiment, store) if row.state == "done")
+    if sparse:
+        warnings.warn(sparse, Notice, stacklevel=1)
     if not now.failed:
         return OK
     failures = [

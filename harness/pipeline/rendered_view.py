@@ -14,6 +14,7 @@ from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, directions
 from harness.geometry.pose import Pose
 from harness.io.view_folder import CAMERA, FILES, PANORAMA, npy, view_files
+from harness.pipeline.sight import check_sensor
 from harness.simulation.export import write_glb
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
@@ -92,9 +93,10 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
     Raises
     ------
     InputError
-        When the view cannot see the scene.
+        When the view cannot see the scene, or the sensor sees nothing.
     """
     grid = grid or Grid()
+    check_sensor(sensor, grid)
     image = render(scene, sensor, pose, samples)
     rays, inside = pixel_directions(sensor)
     around = directions(grid)

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from harness.evaluation.cells import cells
 from harness.evaluation.metrics import (
     CORE,
@@ -13,6 +15,7 @@ from harness.evaluation.metrics import (
     share_of_estimates,
 )
 from harness.evaluation.tally import tally
+from harness.matching.interface import Reason
 from harness.pipeline.sample import calibration_of, confidence_of, sampled, with_bounds
 from harness.pipeline.trial import Outcome
 
@@ -24,7 +27,8 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
     -------
     dict
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
-        `errors` and `fractions`: histograms for wall and floor; `sample`, `confidence` and `calibration`, where there
+        `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
+        their `Reason`; `sample`, `confidence` and `calibration`, where there
         is something to say: see `sample`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
@@ -49,8 +53,15 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
         "errors": error_histograms(errors),
         "fractions": fraction_histograms(errors, outcome.k),
+        "reasons": _reasons(outcome),
         **{name: said for name, said in beyond.items() if said is not None},
     }
+
+
+def _reasons(outcome: Outcome) -> dict[str, int]:
+    """How many pixels of the domain have each reason; without those that none has."""
+    counts = np.bincount(outcome.reason[outcome.reference.domain], minlength=len(Reason))
+    return {reason.name: int(counts[reason]) for reason in Reason if counts[reason]}
 
 
 def _of_confidence(beyond: dict[str, Any]) -> dict[str, float | None]:

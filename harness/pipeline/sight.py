@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from harness.camera.lens import Lens
-from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.camera.sensor import Sensor, in_field, pixel_directions, project
 from harness.errors import InputError, Notice
 from harness.geometry.panorama import Grid, cylinder
 from harness.geometry.pose import Motion
@@ -14,6 +14,9 @@ from harness.pipeline.specification import Trial
 
 LITTLE = 0.05
 """A share of pixels below which there is a notice: figures of so few say little."""
+
+_CIRCLE = "camera.focal_px, camera.cx_px and camera.cy_px"
+"""The keys that say how large the mirror's circle is and where it lies on the image."""
 
 
 def check_sight(trial: Trial, motion: Motion) -> None:
@@ -31,17 +34,11 @@ def check_sight(trial: Trial, motion: Motion) -> None:
         follow the epipolar curves. `error.key` is the key that helps.
     """
     on_sensor, on_panorama = _shares(trial.sensor, trial.panorama)
-    remedy = "" if on_sensor and on_panorama else _remedy(trial.sensor, trial.panorama)
-    if on_sensor == 0 or remedy:
-        raise InputError(
-            f"no pixel of the image sees what the panorama shows; {remedy or 'change sensor.camera or sensor.field'}",
-            key="trial.sensor",
-        )
-    lowest, highest = trial.sensor.field.elevation_min_deg, trial.sensor.field.elevation_max_deg
-    z = " .. ".join(f"{np.tan(np.radians(np.clip(each, -89.9, 89.9))):.2f}" for each in (lowest, highest))
+    if on_sensor == 0 or (on_panorama == 0 and _share_in_field(trial.sensor, trial.panorama)):
+        raise _blind(trial.sensor, trial.panorama, "trial.")
     if on_panorama == 0:
         raise InputError(
-            f"the sensor sees no row of the panorama: it sees z from {z}; change z_min and z_max",
+            f"the sensor sees no row of the panorama: it sees z from {_z(trial.sensor)}; change z_min and z_max",
             key="trial.panorama.z_max",
         )
     sampling, _ = trial.matching.sampled(motion.t_v1)
@@ -51,10 +48,59 @@ def check_sight(trial: Trial, motion: Motion) -> None:
             'use matching.kind = "window" with sampling = "alpha", or "sgm"',
             key="trial.matching.sampling",
         )
+    _say_little(trial.sensor, trial.panorama, "trial.")
+
+
+def check_sensor(sensor: Sensor, grid: Grid) -> None:
+    """Refuse a sensor that sees nothing, and give notice where it sees next to nothing of its image or of a panorama.
+
+    Parameters
+    ----------
+    grid
+        The panorama.
+
+    Raises
+    ------
+    InputError
+        When no pixel of the image sees anything. `error.key` is the key that helps.
+    """
+    if _shares(sensor, grid)[0] == 0:
+        raise _blind(sensor, grid, "")
+    _say_little(sensor, grid, "")
+
+
+def _say_little(sensor: Sensor, grid: Grid, stem: str) -> None:
+    """Give notice where next to nothing of the image or of the panorama is seen; `stem` precedes the user's keys."""
+    on_sensor, on_panorama = _shares(sensor, grid)
     if on_sensor < LITTLE:
-        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see trial.sensor.camera.focal_px")
+        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see {stem}sensor.{_CIRCLE}")
     if on_panorama < LITTLE:
-        _notice(f"only {on_panorama:.1%} of the panorama is seen: z from {z}; see trial.panorama.z_min and z_max")
+        if _share_in_field(sensor, grid) >= LITTLE:
+            _notice(f"only {on_panorama:.1%} of the panorama is on the image; see {stem}sensor.{_CIRCLE}")
+        else:
+            _notice(
+                f"only {on_panorama:.1%} of the panorama is seen: z from {_z(sensor)}; "
+                f"see {stem}panorama.z_min and z_max"
+            )
+
+
+def _blind(sensor: Sensor, grid: Grid, stem: str) -> InputError:
+    remedy = _remedy(sensor, grid) or f"change sensor.{_CIRCLE}, or sensor.field"
+    return InputError(f"no pixel of the image sees what the panorama shows; {remedy}", key=f"{stem}sensor")
+
+
+def _z(sensor: Sensor) -> str:
+    """What the sensor's field spans on the cylinder."""
+    field = sensor.field
+    return " .. ".join(
+        f"{np.tan(np.radians(np.clip(each, -89.9, 89.9))):.2f}"
+        for each in (field.elevation_min_deg, field.elevation_max_deg)
+    )
+
+
+def _share_in_field(sensor: Sensor, grid: Grid) -> float:
+    """Of the panorama's pixels, those in the cone that the sensor would see on an image without borders."""
+    return float(in_field(sensor, cylinder(grid)).mean())
 
 
 def _notice(text: str) -> None:
@@ -70,9 +116,9 @@ def _shares(sensor: Sensor, grid: Grid) -> tuple[float, float]:
 def _remedy(sensor: Sensor, grid: Grid) -> str:
     """The key to blame: the first one without which something would be seen; empty when there is none."""
     plain = sensor.model_copy(update={"lens": Lens()})
-    if _shares(plain, grid)[1] > LITTLE:
+    if plain != sensor and _shares(plain, grid)[1] > LITTLE:
         return "its lens bends the picture away; use weaker coefficients in sensor.lens"
     square = plain.model_copy(update={"camera": plain.camera.model_copy(update={"aspect": 1.0})})
-    if _shares(square, grid)[1] > LITTLE:
+    if square != plain and _shares(square, grid)[1] > LITTLE:
         return f"sensor.camera.aspect = {sensor.camera.aspect:g} stretches the picture off the image; it is about 1"
     return ""
