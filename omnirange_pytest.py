@@ -49,7 +49,7 @@ def omnirange_check(request: pytest.FixtureRequest, _omnirange_subjects: dict[An
     def carry_out(kind: str, **parameters: Any) -> None:
         __tracebackhide__ = True
         from harness.errors import InputError
-        from harness.runs.experiment import load_matcher
+        from harness.runs.load import load_matcher
         from harness.testing.conformity import Subject, examine
 
         try:

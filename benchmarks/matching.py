@@ -39,7 +39,7 @@ from harness.matching.slanted.refine import refine_slanted
 from harness.matching.window.match import WindowMatcher, match_whole_pixels
 from harness.matching.window.subpixel import refine
 from harness.pipeline.trial import Outcome, run_trial
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 THREADS = 2
 WINDOWS = (7, 9, 11, 13, 15)

@@ -9,7 +9,7 @@ from playwright.sync_api import sync_playwright
 
 from harness.report import images, profiles, theme
 from harness.report.methods import methods_of
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
 PICTURE = Path(__file__).parent / "images" / "paper.png"

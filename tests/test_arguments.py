@@ -9,7 +9,7 @@ from harness.cli import main
 from harness.cli.parser import _parser
 from harness.errors import InputError
 from harness.files import path_of
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 
 def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -18,7 +18,7 @@ from harness.geometry.pose import Pose
 from harness.pipeline.render_cache import RenderCache, limit_bytes
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 IMAGE = np.arange(12, dtype=np.float32).reshape(3, 4) + np.float32(0.1)
 

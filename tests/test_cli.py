@@ -10,7 +10,7 @@ from sweeps import begin, omnirange, wait_for, write_small
 from harness import shipped
 from harness.cli import main
 from harness.errors import InputError
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from harness.matching import registry
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import SecondView, Trial
 from harness.pipeline.trial import run_trial
-from harness.runs.experiment import load_matcher
+from harness.runs.load import load_matcher
 from harness.simulation.scene import load_scene
 from harness.testing.conformity import CHECKS, GRID, Finding, Subject, conformity, examine, quarter_turn, scenery
 

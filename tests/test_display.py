@@ -7,7 +7,7 @@ from harness.camera.sensor import Sensor
 from harness.display import LONGEST
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome, run_trial
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 
 @pytest.fixture(scope="module")

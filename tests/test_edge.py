@@ -226,7 +226,7 @@ def test_real_pipes_and_devices(tmp_path: Path) -> None:
 
 API = """
 from pathlib import Path
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 print("begun", flush=True)
 def work(folder, workers=2):

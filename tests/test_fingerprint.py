@@ -15,7 +15,7 @@ from harness.pipeline import trial as trial_module
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Work
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.worker import pack
 from harness.simulation.fingerprint import files_read, fingerprint
 from harness.simulation.geometry import geometry_of

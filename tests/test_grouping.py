@@ -20,7 +20,7 @@ from harness.report import measures, sweeps, theme
 from harness.report.compare import build_comparison
 from harness.report.methods import methods_of
 from harness.report.sweep import sweep_of, texts_of
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.methods import method_id, method_names
 from harness.runs.run import open_run, run_experiment, write_tables
 from harness.runs.values import identity_of, shown, text_of, value_of

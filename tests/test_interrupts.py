@@ -17,7 +17,7 @@ from sweeps import begin, write_small
 from harness import first_moment, interrupts
 from harness.cli import main
 from harness.runs import worker
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import open_run, standing
 
 

@@ -17,7 +17,7 @@ from harness.pipeline.maps import MAPS, README, TrialMaps, has_maps, maps_file, 
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome, run_trial
 from harness.runs.executors import Workplace
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import standing, sweep
 from harness.runs.store import Store
 from harness.spec import parse

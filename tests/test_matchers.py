@@ -7,7 +7,7 @@ from harness.evaluation.confidence import calibration, roc
 from harness.pipeline.sample import surest
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from harness.pipeline.row import row_of
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import run_trial
-from harness.runs.experiment import changed
+from harness.runs.dotted import changed
 from harness.spec import parse
 
 SMALL = {

@@ -36,7 +36,7 @@ from harness.evaluation.tally import ERROR_EDGES_PX, FRACTION_BINS, tally
 from harness.pipeline.row import row_of
 from harness.report import compare, measures
 from harness.report.build import build_report
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
 

@@ -17,7 +17,7 @@ from sweeps import write_small
 from harness.camera.sensor import Sensor, load_sensor
 from harness.errors import InputError
 from harness.matching.registry import BUILT_IN
-from harness.runs.experiment import load_experiment, load_matcher
+from harness.runs.load import load_experiment, load_matcher
 from harness.simulation.scene import load_scene
 from harness.spec import dump_toml
 

@@ -39,7 +39,7 @@ from harness.matching.opencv.settings import StereoBM, StereoReconstruct, Stereo
 from harness.matching.pair import Pair
 from harness.matching.registry import BUILT_IN
 from harness.pipeline.trial import run_trial
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 
 BENT = Lens(k1=-0.02, k2=0.004, p1=0.001, p2=-0.002)
 SENSORS = {

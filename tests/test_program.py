@@ -26,7 +26,7 @@ from harness.io.view_folder import pose_in
 from harness.matching import program
 from harness.matching.pair import Pair
 from harness.matching.program import Program
-from harness.runs.experiment import load_experiment, load_matcher
+from harness.runs.load import load_experiment, load_matcher
 
 START = "import sys\nimport numpy as np\nfrom pathlib import Path\nsource, target = map(Path, sys.argv[1:3])\n"
 ANSWER = "alpha = np.full((16, 60), 1.5)\nnp.save(target / 'alpha_2.npy', alpha)\n"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from harness.evaluation.law_geometry import check_geometry
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
 REFERENCES = Path(__file__).parents[1] / "results" / "reference"

@@ -25,7 +25,7 @@ from harness.matching import plugins, registry
 from harness.matching.interface import Matches, Reason, as_matches, faults
 from harness.matching.pair import Pair
 from harness.matching.registry import Plugin
-from harness.runs.experiment import load_experiment, load_matcher
+from harness.runs.load import load_experiment, load_matcher
 from harness.runs.worker import run_here
 
 FAR = """

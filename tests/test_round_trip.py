@@ -16,7 +16,8 @@ from sweeps import write_small
 from harness.errors import InputError
 from harness.matching.registry import BUILT_IN, Plugin
 from harness.pipeline.specification import Trial
-from harness.runs.experiment import MOST_TRIALS, Experiment, load_experiment
+from harness.runs.experiment import MOST_TRIALS, Experiment
+from harness.runs.load import load_experiment
 from harness.runs.store import Store
 from harness.runs.worker import pack
 from harness.simulation.scene import Box, Scene

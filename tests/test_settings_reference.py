@@ -11,7 +11,8 @@ from pydantic import BaseModel
 from harness.cli import main
 from harness.matching.registry import BUILT_IN
 from harness.pipeline.specification import Trial
-from harness.runs.experiment import Experiment, load_experiment
+from harness.runs.experiment import Experiment
+from harness.runs.load import load_experiment
 from harness.runs.settings_reference import ITEM, UNITS, find_settings, settings_markdown, settings_reference
 
 

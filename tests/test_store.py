@@ -9,7 +9,7 @@ import pytest
 
 from harness.errors import InputError
 from harness.runs import store as module
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import open_run
 from harness.runs.store import Finished, Foreign, Store
 

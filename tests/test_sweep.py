@@ -18,7 +18,7 @@ from sweeps import begin, kill_group, omnirange, rows, wait_for, write_small
 
 from harness.runs import run
 from harness.runs.executors import Workplace
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.plan import plan
 from harness.runs.store import Store
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from harness.camera import sensor as _sensor
 from harness.camera.sensor import Sensor
-from harness.runs import experiment as _experiment
+from harness.runs import load as _load
 from harness.runs.experiment import Experiment
 from harness.simulation import scene as _scene
 from harness.simulation.scene import Scene
@@ -47,7 +47,7 @@ def load_experiment(
     >>> harness.load_experiment({"name": "mine", "trial": {"scene": "corridor"}}).trial.matching.window_px
     11
     """
-    return _experiment.load_experiment(experiment, sets or {}, axes or {})
+    return _load.load_experiment(experiment, sets or {}, axes or {})
 
 
 def load_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:

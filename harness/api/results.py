@@ -10,7 +10,8 @@ import pandas as pd
 from harness.errors import InputError
 from harness.files import write
 from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
-from harness.runs.experiment import Experiment, value_at
+from harness.runs.dotted import value_at
+from harness.runs.experiment import Experiment
 from harness.runs.recorded import recorded
 from harness.runs.run import DATABASE, Result, Row, columns_of, result_from, rows_of, write_report, write_summary
 from harness.runs.settings_reference import unit_of

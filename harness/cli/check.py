@@ -33,7 +33,7 @@ def run(options: Namespace) -> int:
 
     os.environ.update(ONE_THREAD | os.environ)
 
-    from harness.runs.experiment import load_matcher
+    from harness.runs.load import load_matcher
 
     matcher = load_matcher(options.matcher, options.set)
 

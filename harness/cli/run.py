@@ -49,7 +49,7 @@ def run(options: Namespace) -> int:
 
     from harness.files import make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
-    from harness.runs.experiment import load_experiment
+    from harness.runs.load import load_experiment
     from harness.runs.run import is_reported, open_run, standing, sweep
 
     experiment = load_experiment(options.experiment, options.set, options.axis)

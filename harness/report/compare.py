@@ -54,7 +54,7 @@ class Run:
     """Unique among the runs compared."""
     experiment: str
     settings: list[dict[str, str]]
-    """Each trial's settings: dotted key and value, as `identity_of` tells values apart; those that are none left out."""
+    """Settings of each trial: dotted key and value, told apart as by `identity_of`; those that are none left out."""
     figures: list[dict[str, float]]
     """The figures of each trial that is done; NaN where there is none."""
     facts: dict[str, str]

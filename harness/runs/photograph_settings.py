@@ -6,7 +6,7 @@ from harness.errors import InputError
 from harness.geometry.panorama import Grid
 from harness.matching.registry import Matcher
 from harness.matching.window.settings import WindowMatcher
-from harness.runs.experiment import read_value
+from harness.runs.overrides import read_value
 from harness.spec import Spec, parse
 
 DEFAULT_KIND = "slanted"

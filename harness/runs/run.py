@@ -26,7 +26,8 @@ from harness.pipeline.trial import Outcome
 from harness.runs import executors
 from harness.runs.analysis import cell_table, law_of, limit_of
 from harness.runs.details import Details, details_of, keep
-from harness.runs.experiment import Experiment, Planned, value_at
+from harness.runs.dotted import value_at
+from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.pipeline.environment import environment
-from harness.runs.experiment import load_experiment
+from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
 HERE = Path(__file__).parent

@@ -1,0 +1,55 @@
+"""Dotted keys, such as `matching.window_px` or `scene.objects.0.size_m`: reading and changing one place of a table."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from harness.errors import InputError
+from harness.matching import registry
+from harness.runs.named_files import read_in
+from harness.runs.values import Settings, text_of
+
+KIND = "matching.kind"
+"""The key that says which matcher: with another one, the matcher's table has other keys."""
+
+
+def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
+    """A trial's table with some of its places changed, those further in last; scene and sensor files are read in.
+
+    Raises
+    ------
+    InputError
+        When a key leads through a value that has no keys, or past the end of a list.
+    """
+    for place in sorted(settings, key=lambda each: (each.count("."), each != KIND)):
+        where = f"{key}.{place}" if key else place
+        if place == KIND and isinstance(table.get("matching"), Mapping):
+            # Before what else is said of the matcher: another kind has other keys.
+            table = {**table, "matching": registry.carried_over(table["matching"], settings[place])}
+        table = _with(table, place.split("."), settings[place], file, where)
+        if place in {"scene", "sensor"}:
+            table = read_in(table, Path(), file, key)
+    return table
+
+
+def value_at(table: Any, key: str) -> Any:
+    """The value at a dotted key, None when there is none."""
+    for part in key.split("."):
+        try:
+            table = table[int(part)] if isinstance(table, list | tuple) else table.get(part)
+        except (AttributeError, IndexError, ValueError):
+            return None
+    return table
+
+
+def _with(table: Any, keys: list[str], value: Any, file: str | Path | None, where: str) -> Any:
+    first, *rest = keys
+    if isinstance(table, list | tuple):
+        if not (first.isdecimal() and int(first) < len(table)):
+            raise InputError(f"'{first}' is no item of a list of {len(table)}; the first is 0", file=file, key=where)
+        i = int(first)
+        return [*table[:i], _with(table[i], rest, value, file, where) if rest else value, *table[i + 1 :]]
+    if table is not None and not isinstance(table, Mapping):
+        raise InputError(f"there is no key '{first}' in {text_of(table)}, which is a plain value", file=file, key=where)
+    table = table or {}
+    return {**table, first: _with(table.get(first), rest, value, file, where) if rest else value}

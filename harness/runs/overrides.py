@@ -1,0 +1,144 @@
+"""Settings and axes that the command line, or a call, puts over those of an experiment."""
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from harness.display import shortened
+from harness.errors import InputError
+from harness.matching import registry
+from harness.pipeline.specification import Trial
+from harness.runs.dotted import KIND, changed
+from harness.runs.experiment import Experiment
+from harness.runs.named_files import absolute
+from harness.runs.values import Settings
+from harness.spec import Spec, as_table, parse
+from harness.toml import parse_toml
+
+
+def read_value(option: str, text: str) -> tuple[str, Any]:
+    """The key and the value of `key=value` on the command line.
+
+    Raises
+    ------
+    InputError
+        When it is not written so; names the option.
+    """
+    key, value = split(option, text)
+    try:
+        return key, _value(value)
+    except InputError as error:
+        raise InputError(error.problem, file=option, key=key) from error
+
+
+def split(option: str, text: str) -> tuple[str, str]:
+    """The two sides of `key=value`; errors as in `read_value`."""
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise InputError(f"must be written key=value; found '{shortened(text)}'", key=option)
+    return key.strip(), value.strip()
+
+
+_POINT_AT_AN_END = re.compile(r"[+-]?(?:\.\d+|\d+\.)(?:e[+-]?\d+)?", re.IGNORECASE)
+"""Numbers as people write them, which TOML does not allow: `.5`, `-2.`, `1.e-3`."""
+
+
+def _value(text: str) -> Any:
+    """A value of the command line: TOML, a number, or else the text itself."""
+    if _POINT_AT_AN_END.fullmatch(text):
+        return float(text)
+    try:
+        table = parse_toml(f"value = {text}")
+    except ValueError:
+        return text
+    return table["value"] if len(table) == 1 else text  # a line's end in it may begin another key
+
+
+def values_of(text: str, key: str) -> list[Any]:
+    """The values of an axis on the command line: a TOML list without its brackets, or words between commas."""
+    try:
+        table = parse_toml(f"values = [{text}]")
+    except InputError as error:
+        raise InputError(error.problem, file="--axis", key=key) from error
+    except ValueError:
+        table = {}
+    return table["values"] if len(table) == 1 else [_value(each.strip()) for each in text.split(",") if each.strip()]
+
+
+def plain(value: Any) -> Any:
+    """A value as TOML has it: NumPy's numbers and arrays as plain ones, tuples as lists, paths as text."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Spec):
+        return as_table(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def listed(key: str, values: Any) -> list[Any]:
+    """The values of an axis given in Python, as TOML has them.
+
+    Raises
+    ------
+    InputError
+        When they are no list.
+    """
+    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
+        raise InputError(f"must be a list of values; found {values!r}", file="axes", key=key)
+    return [plain(each) for each in values]
+
+
+def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experiment:
+    """An experiment with other settings of its base trial; an axis over one of these keys is dropped.
+
+    Raises
+    ------
+    InputError
+        When a case gives one of the keys, or a setting is not valid; names `option`.
+    """
+    for number, case in enumerate(experiment.cases):
+        for key in settings.keys() & case.keys():
+            raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file=option, key=key)
+    if not settings:
+        return experiment
+    settings = {key: absolute(key, value, Path(), option) for key, value in settings.items()}
+    trial = parse(Trial, changed(as_table(experiment.trial), settings, file=option), file=option)
+    axes = {key: values for key, values in experiment.axes.items() if key not in settings}
+    if KIND in settings:  # what another matcher does not know cannot be varied
+        axes = {key: values for key, values in axes.items() if _is_known(key, settings[KIND])}
+    return experiment.model_copy(update={"trial": trial, "axes": axes})
+
+
+def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: str) -> Experiment:
+    """An experiment with more axes, or other values on those that it has.
+
+    Raises
+    ------
+    InputError
+        When a case gives one of the keys, or an axis has no value; names `option`.
+    """
+    for key, values in given.items():
+        if not values:
+            raise InputError("give at least one value", file=option, key=key)
+        for number, case in enumerate(experiment.cases):
+            if key in case:
+                raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file=option, key=key)
+    merged = experiment.axes | {
+        key: [absolute(key, value, Path(), option) for value in values] for key, values in given.items()
+    }
+    if KIND in given:  # an axis of the experiment that one of these matchers does not know cannot be varied
+        merged = {
+            key: values
+            for key, values in merged.items()
+            if key in given or all(_is_known(key, kind) for kind in given[KIND])
+        }
+    return experiment.model_copy(update={"axes": merged})
+
+
+def _is_known(key: str, kind: Any) -> bool:
+    first, *rest = key.split(".")
+    return first != "matching" or not rest or registry.knows(kind, rest[0])
