@@ -30,7 +30,8 @@ import psutil  # noqa: E402
 from harness.pipeline.render_cache import RenderCache  # noqa: E402
 from harness.runs import run, worker  # noqa: E402
 from harness.runs.executors import workplace  # noqa: E402
-from harness.runs.experiment import Experiment, load_experiment  # noqa: E402
+from harness.runs.experiment import Experiment  # noqa: E402
+from harness.runs.load import load_experiment  # noqa: E402
 
 
 def main() -> None:
