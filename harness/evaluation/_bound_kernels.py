@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 
+from harness.camera._spline_kernels import QUINTIC_TAPS, quintic_weights
 from harness.compiled import kernel
 
 PRODUCTS = 15
 """Different entries of a symmetric 5 x 5 matrix."""
-
-TAPS = 6
-"""Taps of a quintic B-spline, along each axis."""
 
 _NOTHING = 1e-10
 """A pivot below this share of its diagonal is rounding: sums of 10⁴ products, parted into three directions of which two
@@ -35,7 +33,7 @@ def add_raw_pixels(
     shift = np.empty(3)
     by_u = np.empty(3)
     by_v = np.empty(3)
-    weights = np.empty((4, TAPS))
+    weights = np.empty((4, QUINTIC_TAPS))
     found = np.empty(3)
     towards = np.empty(3)
     room = np.empty(3)
@@ -110,48 +108,26 @@ def _add_products(products, weight, slope, grey, omega, s):
 def _spline_at(spline, u, v, weights, found):
     """Value of a quintic B-spline and its derivatives by u and v, written to `found`; weights : room to work."""
     column, row = math.floor(u), math.floor(v)
-    _weights(u - column, weights[0], weights[1])
-    _weights(v - row, weights[2], weights[3])
+    quintic_weights(u - column, weights[0], weights[1])
+    quintic_weights(v - row, weights[2], weights[3])
     found[:] = 0.0
     inside = 2 <= row < spline.shape[0] - 3 and 2 <= column < spline.shape[1] - 3
-    for j in range(TAPS):
+    for j in range(QUINTIC_TAPS):
         line = along = 0.0
         if inside:
-            for i in range(TAPS):
+            for i in range(QUINTIC_TAPS):
                 coefficient = spline[row + j - 2, column + i - 2]
                 line += weights[0, i] * coefficient
                 along += weights[1, i] * coefficient
         else:
             r = _mirrored(row + j - 2, spline.shape[0])
-            for i in range(TAPS):
+            for i in range(QUINTIC_TAPS):
                 coefficient = spline[r, _mirrored(column + i - 2, spline.shape[1])]
                 line += weights[0, i] * coefficient
                 along += weights[1, i] * coefficient
         found[0] += weights[2, j] * line
         found[1] += weights[2, j] * along
         found[2] += weights[3, j] * line
-
-
-@kernel
-def _weights(x, value, slope):
-    """Weights of the six taps of the quintic B-spline at a fraction x after the third, and their derivatives by x."""
-    for side in range(2):
-        # The second half is the first one mirrored.
-        a = 1.0 - x if side == 0 else x
-        b, c = a + 1.0, a + 2.0
-        a4, b4, c4 = a * a * a * a, b * b * b * b, c * c * c * c
-        sign = -1.0 if side == 0 else 1.0
-        for k in range(3):
-            tap = k if side == 0 else TAPS - 1 - k
-            if k == 0:
-                value[tap] = a4 * a / 120.0
-                slope[tap] = sign * a4 / 24.0
-            elif k == 1:
-                value[tap] = (b4 * b - 6.0 * a4 * a) / 120.0
-                slope[tap] = sign * (b4 - 6.0 * a4) / 24.0
-            else:
-                value[tap] = (c4 * c - 6.0 * b4 * b + 15.0 * a4 * a) / 120.0
-                slope[tap] = sign * (c4 - 6.0 * b4 + 15.0 * a4) / 24.0
 
 
 @kernel

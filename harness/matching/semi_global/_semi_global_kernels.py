@@ -10,6 +10,7 @@ one counts references, atomically, and the threads would queue for that.
 import numpy as np
 
 from harness.compiled import kernel
+from harness.matching._matching_kernels import bits_set
 
 BLOCK = 32
 """Labels come in multiples of this."""
@@ -20,7 +21,6 @@ ABSENT = np.uint32(1 << 31)
 BITS_APART = np.uint8(12)
 """What a pixel that is not there differs by: as much as chance."""
 MAX_LAPS = 16
-OK, LEAVES_IMAGE = 0, 1
 
 
 # -- Images ------------------------------------------------------------------------------------------------------------
@@ -92,12 +92,7 @@ def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
         for k in range(labels):
             x = np.uint32(code ^ codes_2[b, start + k])
             there = x < ABSENT
-            # The number of bits that are set: of pairs, of fours, of bytes, and of all four bytes.
-            x = np.uint32(x - ((x >> np.uint32(1)) & np.uint32(0x55555555)))
-            x = np.uint32((x & np.uint32(0x33333333)) + ((x >> np.uint32(2)) & np.uint32(0x33333333)))
-            x = np.uint32((x + (x >> np.uint32(4))) & np.uint32(0x0F0F0F0F))
-            x = np.uint32(np.uint32(x * np.uint32(0x01010101)) >> np.uint32(24))
-            bits[slot, column, k] = np.uint8(x) if there else BITS_APART
+            bits[slot, column, k] = np.uint8(bits_set(x)) if there else BITS_APART
         if code >= ABSENT:
             for k in range(labels):
                 bits[slot, column, k] = BITS_APART

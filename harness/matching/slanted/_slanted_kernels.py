@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from harness.camera._projection_kernels import move
+from harness.camera._spline_kernels import cubic_slopes, cubic_weights
 from harness.compiled import kernel
 
 SUMS = 27
@@ -45,22 +46,20 @@ def _spline(coefficients, u, v):
     i, j = math.floor(v), math.floor(u)
     if not (1 <= i < coefficients.shape[0] - 2 and 1 <= j < coefficients.shape[1] - 2):
         return math.nan, math.nan, math.nan
-    f = u - j
-    e = 1.0 - f
-    a0, a1, a2, a3 = e * e * e / 6.0, 2 / 3 - f * f * (1.0 - 0.5 * f), 2 / 3 - e * e * (1.0 - 0.5 * e), f * f * f / 6.0
-    d0, d1, d2, d3 = -0.5 * e * e, f * (1.5 * f - 2.0), e * (2.0 - 1.5 * e), 0.5 * f * f
-    f = v - i
-    e = 1.0 - f
+    a0, a1, a2, a3 = cubic_weights(u - j)
+    d0, d1, d2, d3 = cubic_slopes(u - j)
+    b0, b1, b2, b3 = cubic_weights(v - i)
+    e0, e1, e2, e3 = cubic_slopes(v - i)
     value = along_u = along_v = 0.0
     for k in range(4):
         if k == 0:
-            weight, change = e * e * e / 6.0, -0.5 * e * e
+            weight, change = b0, e0
         elif k == 1:
-            weight, change = 2 / 3 - f * f * (1.0 - 0.5 * f), f * (1.5 * f - 2.0)
+            weight, change = b1, e1
         elif k == 2:
-            weight, change = 2 / 3 - e * e * (1.0 - 0.5 * e), e * (2.0 - 1.5 * e)
+            weight, change = b2, e2
         else:
-            weight, change = f * f * f / 6.0, 0.5 * f * f
+            weight, change = b3, e3
         row = i - 1 + k
         c0, c1, c2, c3 = (
             coefficients[row, j - 1],

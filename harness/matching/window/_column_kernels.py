@@ -11,9 +11,7 @@ import math
 import numpy as np
 
 from harness.compiled import kernel
-
-SAD, SSD, ZNCC, CENSUS = 0, 1, 2, 3
-OK, LEAVES_IMAGE = 0, 1
+from harness.matching._matching_kernels import CENSUS, LEAVES_IMAGE, OK, SSD, ZNCC, bits_set
 
 FRACTION_BITS = 16
 """Rows of the second image are counted in parts of 2^-16."""
@@ -87,11 +85,7 @@ def _add_hamming(total, kept, k, slot, first, column, pairs, image_first, image_
     """The same for census transforms: in how many bits two of them differ."""
     for i in range(np.uint64(start), np.uint64(end)):
         row = np.int32(i)
-        bits = np.uint32(first[column, i] ^ pairs[i])
-        bits = bits - ((bits >> np.uint32(1)) & np.uint32(0x55555555))
-        bits = (bits & np.uint32(0x33333333)) + ((bits >> np.uint32(2)) & np.uint32(0x33333333))
-        bits = (bits + (bits >> np.uint32(4))) & np.uint32(0x0F0F0F0F)
-        d = np.int32(np.uint32(bits * np.uint32(0x01010101)) >> np.uint32(24))
+        d = np.int32(bits_set(np.uint32(first[column, i] ^ pairs[i])))
         there = (row >= image_first) & (row < image_end) & (pairs[i] != MISSING)
         kept[slot, k, i] = np.int16(d) if there else ABSENT
         total[k, i] += d if there else absent

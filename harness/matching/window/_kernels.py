@@ -2,11 +2,9 @@
 
 import math
 
-import numpy as np
-
 from harness.compiled import kernel
+from harness.matching._matching_kernels import ALPHA, census_code
 
-PHI, ALPHA = 0, 1
 MATCHED = 0
 PARABOLA, EQUIANGULAR = 0, 1
 
@@ -20,16 +18,7 @@ def census(values, reach, parts, codes):
     height, width = values.shape
     for row in range(reach, height - reach):
         for column in range(width):
-            code, bit = np.int32(0), np.int32(1)
-            middle = values[row, column]
-            for i in range(-reach, reach + 1):
-                for j in range(-reach, reach + 1):
-                    if i == 0 and j == 0:
-                        continue
-                    if values[row + i, (column + j * parts) % width] < middle:
-                        code |= bit
-                    bit <<= np.int32(1)
-            codes[row, column] = code
+            codes[row, column] = census_code(values, row, column, reach, parts)
 
 
 # -- Sub-pixel fits ----------------------------------------------------------------------------------------------------

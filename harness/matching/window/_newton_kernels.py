@@ -8,27 +8,14 @@ import math
 
 import numpy as np
 
+from harness.camera._spline_kernels import cubic_slopes, cubic_weights
 from harness.compiled import kernel
+from harness.matching._matching_kernels import PHI
 
-PHI, ALPHA = 0, 1
 STEPS = 4
 """At most. From within half a sample, textures of the LoG's size are met to 1e-3 samples by the second or third."""
 ENOUGH = 5e-3
 """A step shorter than this, in samples, is the last one: what is left is about a tenth of it."""
-
-
-@kernel(inline=True)
-def _weights(f):
-    """Weights of the cubic B-spline's four coefficients, a fraction f after the second one."""
-    g = 1 - f
-    return g * g * g / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f / 6
-
-
-@kernel(inline=True)
-def _slopes(f):
-    """Derivatives of the weights."""
-    g = 1 - f
-    return -g * g / 2, f * (3 * f - 4) / 2, -g * (3 * g - 4) / 2, f * f / 2
 
 
 @kernel(inline=True)
@@ -113,8 +100,8 @@ def refine_squares(
                 if not 0 <= v < height:
                     break
                 row_2, column_2 = int(v), math.floor(u)
-                across, down = _weights(u - column_2), _weights(v - row_2)
-                across_slope, down_slope = _slopes(u - column_2), _slopes(v - row_2)
+                across, down = cubic_weights(u - column_2), cubic_weights(v - row_2)
+                across_slope, down_slope = cubic_slopes(u - column_2), cubic_slopes(v - row_2)
                 column_2 %= width
                 if not usable[row_2, column_2]:
                     break
@@ -222,7 +209,7 @@ def refine_columns(
                         break
                     u = own_column + sign[own_column] * columns_away
                     column_2 = math.floor(u)
-                    across, across_slope = _weights(u - column_2), _slopes(u - column_2)
+                    across, across_slope = cubic_weights(u - column_2), cubic_slopes(u - column_2)
                     p = np.uint64(column_2 % width)
                     one, two, three = p + np.uint64(1), p + np.uint64(2), p + np.uint64(3)
                     for r in range(np.uint64(int(top) - 1), np.uint64(int(bottom) + 3)):
@@ -237,7 +224,7 @@ def refine_columns(
                         dv = pitch * (d_gain * (row - half + i + 0.5) - (d_gain * z_max + dh) / z_pitch)
                         row_2 = int(v)
                         good &= usable[p, row_2]
-                        down, down_slope = _weights(v - row_2), _slopes(v - row_2)
+                        down, down_slope = cubic_weights(v - row_2), cubic_slopes(v - row_2)
                         r0 = np.uint64(row_2 - 1)
                         r1, r2, r3 = r0 + np.uint64(1), r0 + np.uint64(2), r0 + np.uint64(3)
                         a, b, d, e = values[r0], values[r1], values[r2], values[r3]

@@ -10,11 +10,7 @@ import math
 import numpy as np
 
 from harness.compiled import kernel
-
-PHI, ALPHA = 0, 1
-SAD, SSD, ZNCC, CENSUS = 0, 1, 2, 3
-OK, LEAVES_IMAGE = 0, 1
-
+from harness.matching._matching_kernels import CENSUS, LEAVES_IMAGE, OK, PHI, SSD, ZNCC, bits_set, census_code
 
 # -- One window against another ----------------------------------------------------------------------------------------
 
@@ -63,11 +59,7 @@ def _hamming(first, second, row_1, column_1, row_2, column_2, size):
     for i in range(size):
         row_a, row_b = row_1 + i, row_2 + i
         for j in range(size):
-            bits = np.uint32(first[row_a, column_1 + j] ^ second[row_b, column_2 + j])
-            bits = bits - ((bits >> np.uint32(1)) & np.uint32(0x55555555))
-            bits = (bits & np.uint32(0x33333333)) + ((bits >> np.uint32(2)) & np.uint32(0x33333333))
-            bits = (bits + (bits >> np.uint32(4))) & np.uint32(0x0F0F0F0F)
-            total += np.int64(np.uint32(bits * np.uint32(0x01010101)) >> np.uint32(24))
+            total += np.int64(bits_set(np.uint32(first[row_a, column_1 + j] ^ second[row_b, column_2 + j])))
     return float(total)
 
 
@@ -256,20 +248,11 @@ def _interpolate(patch, second, row, column, across, down):
 
 @kernel
 def _census_of(codes, patch, reach):
-    """As `census` in `_kernels`, of a patch that is larger by `reach` on all sides."""
+    """Census codes of a patch that is larger by `reach` on all sides."""
     size = codes.shape[0]
     for row in range(size):
         for column in range(size):
-            code, bit = np.int32(0), np.int32(1)
-            middle = patch[row + reach, column + reach]
-            for i in range(2 * reach + 1):
-                for j in range(2 * reach + 1):
-                    if i == reach and j == reach:
-                        continue
-                    if patch[row + i, column + j] < middle:
-                        code |= bit
-                    bit <<= np.int32(1)
-            codes[row, column] = code
+            codes[row, column] = census_code(patch, row + reach, column + reach, reach, 1)
 
 
 @kernel

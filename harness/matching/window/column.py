@@ -31,6 +31,7 @@ from scipy import ndimage
 from harness.geometry.angles import Array, wrap_angle
 from harness.geometry.epipolar import Curves
 from harness.geometry.panorama import Panorama
+from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
 from harness.matching.window import _column_kernels as _kernels
 from harness.matching.window.census import census
@@ -44,7 +45,6 @@ PER_GREY = 8
 _LARGEST = 2047
 """Largest whole number of a pixel, 255.9 grey levels: any 8-bit image, and the Laplacian of Gaussian of any, fits."""
 
-_KINDS = {"sad": _kernels.SAD, "ssd": _kernels.SSD, "zncc": _kernels.ZNCC, "census": _kernels.CENSUS}
 
 Integers = NDArray[np.signedinteger]
 
@@ -127,7 +127,7 @@ class _Comparison:
     def __init__(self, matcher: WindowMatcher, images: "_Images", maps: "_Maps", rows: "_Rows") -> None:
         self.images, self.maps = images, maps
         self._rows, self._half = rows, matcher.window_px // 2
-        self._kind = _KINDS[matcher.cost]
+        self._kind = _matching_kernels.COSTS[matcher.cost]
         pixels, zncc = matcher.window_px**2, matcher.cost == "zncc"
         self.unit, largest, greatest_sum = {
             "sad": (float(PER_GREY), 2 * _LARGEST, 0),
@@ -164,7 +164,7 @@ class _Comparison:
         maps, rows = self.maps, self._rows
         shape = (maps.gain.shape[1], searched.shape[0])
         total, sums = np.zeros((2, *shape), dtype=self._number)
-        if self._kind == _kernels.ZNCC:
+        if self._kind == _matching_kernels.ZNCC:
             squares, products, of_squares, of_products, found = np.zeros((5, *shape), dtype=self._number)
         else:
             squares, products, of_squares, of_products = np.zeros((4, 1, 1), dtype=self._number)

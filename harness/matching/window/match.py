@@ -10,6 +10,7 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import epipolar_curves
 from harness.geometry.panorama import Panorama
 from harness.machine import available_cpus
+from harness.matching import _matching_kernels
 from harness.matching.interface import Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.window import _kernels
@@ -114,7 +115,7 @@ def match(
     shape = whole.k.shape
     k, alpha_2, confidence = np.empty(shape), np.empty(shape), np.empty(shape)
     _kernels.matches(
-        {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}[curves.sampling],
+        _matching_kernels.SAMPLINGS[curves.sampling],
         whole.costs,
         whole.reason,
         whole.k,

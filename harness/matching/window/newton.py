@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from harness.geometry.angles import Array, wrap_angle
 from harness.geometry.panorama import Panorama
+from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
 from harness.matching.window import _newton_kernels as _kernels
 from harness.matching.window.centres import whole_windows
@@ -49,7 +50,7 @@ def gauss_newton(
         def work(rows: NDArray[np.intp]) -> None:
             _kernels.refine_squares(
                 rows,
-                {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}[matcher.sampling],
+                _matching_kernels.SAMPLINGS[matcher.sampling],
                 invariant,
                 farthest,
                 own,

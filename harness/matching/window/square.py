@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves
 from harness.geometry.panorama import Panorama
+from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
 from harness.matching.window import _square_kernels as _kernels
 from harness.matching.window.census import NEIGHBOURHOOD_PX, census
 from harness.matching.window.centres import searchable, whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
 from harness.threads import in_threads
-
-_KINDS = {"sad": _kernels.SAD, "ssd": _kernels.SSD, "zncc": _kernels.ZNCC, "census": _kernels.CENSUS}
-_MODES = {"phi": _kernels.PHI, "alpha": _kernels.ALPHA}
 
 _FLAT = 1e-12
 """A spread below this share of the sum of squares is rounding: windows have at most 10^4 pixels, each within 1e-16."""
@@ -43,8 +41,8 @@ def search(
     def work(rows: NDArray[np.intp]) -> None:
         _kernels.match_rows(
             rows,
-            _MODES[matcher.sampling],
-            _KINDS[matcher.cost],
+            _matching_kernels.SAMPLINGS[matcher.sampling],
+            _matching_kernels.COSTS[matcher.cost],
             images.first,
             images.second,
             images.codes_1,
@@ -97,8 +95,8 @@ def costs_of_half_samples(
     def work(rows: NDArray[np.intp]) -> None:
         _kernels.costs_between(
             rows,
-            _MODES[matcher.sampling],
-            _KINDS[matcher.cost],
+            _matching_kernels.SAMPLINGS[matcher.sampling],
+            _matching_kernels.COSTS[matcher.cost],
             images.first,
             values_2,
             images.codes_1,
@@ -135,8 +133,8 @@ def costs_along_curve(
     k_0, cosine, sine = _turns(curves, matcher.neighbours)
     _kernels.costs_along_curve(
         int(curves.k_first[row, column]),
-        _MODES[matcher.sampling],
-        _KINDS[matcher.cost],
+        _matching_kernels.SAMPLINGS[matcher.sampling],
+        _matching_kernels.COSTS[matcher.cost],
         images.first,
         images.second,
         images.codes_1,

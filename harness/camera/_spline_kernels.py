@@ -1,0 +1,42 @@
+"""Compiled weights of B-splines, and their derivatives."""
+
+from harness.compiled import kernel
+
+QUINTIC_TAPS = 6
+"""Of a quintic B-spline, along each axis."""
+
+
+@kernel(inline=True)
+def cubic_weights(f):
+    """Weights of the cubic B-spline's four coefficients, a fraction f after the second one."""
+    g = 1.0 - f
+    return g * g * g / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f / 6
+
+
+@kernel(inline=True)
+def cubic_slopes(f):
+    """Derivatives of the weights."""
+    g = 1.0 - f
+    return -g * g / 2, f * (3 * f - 4) / 2, -g * (3 * g - 4) / 2, f * f / 2
+
+
+@kernel
+def quintic_weights(x, value, slope):
+    """Weights of the six taps of the quintic B-spline at a fraction x after the third, and their derivatives by x."""
+    for side in range(2):
+        # The second half is the first one mirrored.
+        a = 1.0 - x if side == 0 else x
+        b, c = a + 1.0, a + 2.0
+        a4, b4, c4 = a * a * a * a, b * b * b * b, c * c * c * c
+        sign = -1.0 if side == 0 else 1.0
+        for k in range(3):
+            tap = k if side == 0 else QUINTIC_TAPS - 1 - k
+            if k == 0:
+                value[tap] = a4 * a / 120.0
+                slope[tap] = sign * a4 / 24.0
+            elif k == 1:
+                value[tap] = (b4 * b - 6.0 * a4 * a) / 120.0
+                slope[tap] = sign * (b4 - 6.0 * a4) / 24.0
+            else:
+                value[tap] = (c4 * c - 6.0 * b4 * b + 15.0 * a4 * a) / 120.0
+                slope[tap] = sign * (c4 - 6.0 * b4 + 15.0 * a4) / 24.0
