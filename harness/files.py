@@ -12,7 +12,6 @@ PARTIAL = ".partial"
 """How the name of a file ends that is being written; what stands before it cannot be guessed."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-_NOT_REGULAR = {"file": "is not a regular file"}
 
 
 def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> bytes:
@@ -32,12 +31,12 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
     """
     try:
         if not stat.S_ISREG(Path(path).stat().st_mode):
-            raise InputError(_NOT_REGULAR.get(what, f"is not a regular file; give a {what} file"), file=path)
+            raise _not_regular(path, what)
         # A pipe that has taken the file's place since must not be waited for.
         with open(path, "rb", opener=_open_at_once) as stream:
             status = os.fstat(stream.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise InputError(_NOT_REGULAR.get(what, f"is not a regular file; give a {what} file"), file=path)
+                raise _not_regular(path, what)
             # The size may be unknown (/proc) or have grown: what is read counts, and no more than the limit is.
             data = stream.read(limit_bytes + 1) if status.st_size <= limit_bytes else None
     except FileNotFoundError:
@@ -49,6 +48,12 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
     if data is None or len(data) > limit_bytes:
         raise InputError(f"is larger than the {limit_bytes / 2**20:g} MiB that are read of a {what}", file=path)
     return data
+
+
+def _not_regular(path: str | Path, what: str) -> InputError:
+    article = "an" if what[0] in "aeiou" else "a"
+    advice = "" if what == "file" else f"; give {article} {what} file"
+    return InputError(f"is not a regular file{advice}", file=path)
 
 
 def _open_at_once(name: str, flags: int) -> int:

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+import harness
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
 from harness.geometry.pose import Pose
@@ -17,6 +18,7 @@ from harness.simulation.truth import ranges, truth
 GREY = GreyTexture(kind="grey", value=100)
 SENSOR = Sensor()
 BOX = '[[objects]]\nkind = "box"\nsize_m = [1, 1, 1]\n'
+PLANE = '[[objects]]\nkind = "plane"\nsize_m = [8, 8]\n'
 GREY_TOML = 'texture = { kind = "grey", value = 1 }\n'
 
 
@@ -180,6 +182,31 @@ def test_view_inside_a_mesh(tmp_path):
         render(room(ball), SENSOR, Pose(position_m=(1.3, 0, 1.2)))
     render(room(ball), SENSOR, Pose(position_m=(1.35, 0.35, 1.2)))
     render(room(ball.model_copy(update={"inward": True})), SENSOR, Pose(position_m=(1.3, 0, 1.2)))
+
+
+def test_a_face_that_is_lost_beside_its_position():
+    scene = room(Plane(kind="plane", name="far", size_m=(4, 4), position_m=(1e18, 0, 0), texture=GREY))
+    with pytest.raises(InputError, match="'far' has a face without an area; its size is lost beside"):
+        geometry_of(scene)
+
+
+@pytest.mark.parametrize(
+    ("text", "at", "words"),
+    [
+        (BOX + "inward = true\n" + GREY_TOML, (3, 0, 1), "outside the scene"),
+        (BOX + GREY_TOML, (0, 0, 0.5), "is inside"),
+        (PLANE + GREY_TOML + BOX + GREY_TOML, (2, 0, 0.5), "rays or more escape"),
+    ],
+)
+def test_a_view_that_cannot_be_names_the_scenes_file(text, at, words, tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text('name = "bad"\n' + text)
+    with pytest.raises(InputError, match=words) as caught:
+        harness.render(path, position_m=at, samples=1)
+    assert caught.value.file == str(path)
+    with pytest.raises(InputError, match=words) as caught:
+        harness.render(load_scene(path), position_m=at, samples=1)
+    assert caught.value.file == "bad"
 
 
 def test_open_scene_declared_closed():

@@ -287,3 +287,12 @@ def test_beside_a_folder_of_the_same_name(tmp_path: Path, kind: str) -> None:
     done = subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "2 of 2 trials run" in done.stdout
+
+
+def test_compare_answers_to_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        (tmp_path / "loop").symlink_to("loop")
+    except OSError:
+        pytest.skip("links need a right that this user has not got")
+    assert main(["compare", str(tmp_path / "loop"), str(tmp_path / "nothing")]) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {tmp_path / 'loop'}: holds no run")

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import sys
 import zlib
 
 import numpy as np
@@ -173,6 +174,14 @@ def test_the_command_says_how_levels_were_read(tmp_path, capsys):
     assert "l.png: has levels" in capsys.readouterr().err
     both = [read_photograph(tmp_path / name, sensor, 10).grey for name in ("l.png", "r.png")]
     np.testing.assert_allclose(both, levels * (255 / 1023), rtol=0, atol=2e-5)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="libtiff is part of Pillow's own library there")
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", "jpeg"])
+def test_libtiff_does_not_write_to_stderr(compression, capfd):
+    data = encoded(np.tile(RGB, (8, 8, 1)), "TIFF", compression=compression)
+    refusal(data[:8] + bytes(len(data[8:-400])) + data[-400:])
+    assert capfd.readouterr() == ("", "")
 
 
 SEEDS = [

@@ -1,5 +1,6 @@
 """Where nothing can be seen or matched a trial is refused, by the key that helps; where next to nothing, it is said."""
 
+import numpy as np
 import pytest
 from sweeps import write_small
 
@@ -7,6 +8,7 @@ import harness
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor
+from harness.camera.unwrap import unwrap
 from harness.cli import main
 from harness.errors import InputError, Notice
 from harness.geometry.panorama import Grid
@@ -127,6 +129,11 @@ def test_the_reasons_of_sparse_trials_name_the_keys(counts, matching, words):
     assert words in said
     assert hasattr(matching, "window_px") or "window_px" not in said
     assert too_sparse([(one, dense)]) == ""
+
+
+def test_pixels_beyond_all_integers_are_not_seen():
+    sensor = sensor_of({"aspect": 1e30})
+    assert not unwrap(np.zeros((60, 80), np.float32), sensor, GRID).valid.any()
 
 
 @pytest.mark.parametrize(

@@ -69,4 +69,10 @@ def render(
         raise InputError(f"must be three numbers, metres; found {position_m!r}", key="position_m") from None
     pose = parse(Pose, {"position_m": position, **{name: float(value) for name, value in numbers.items()}})
     samples = parse(Rendering, {"samples": samples}).samples
-    return view_of(load_scene(scene), load_sensor(sensor), pose, samples=samples, grid=grid)
+    loaded = load_scene(scene)
+    try:
+        return view_of(loaded, load_sensor(sensor), pose, samples=samples, grid=grid)
+    except InputError as error:
+        if error.file != loaded.name or not isinstance(scene, str | Path):
+            raise
+        raise InputError(error.problem, file=scene, key=error.key) from error

@@ -79,7 +79,8 @@ def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> 
 
 def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
     """Whether every pixel that an interpolation at `coordinates` (rows, columns) touches is seen by the sensor."""
-    first = np.floor(coordinates).astype(np.intp) - (order // 2)
+    # What lies far off the image is cut off, as it may be too large for an integer.
+    first = np.floor(np.clip(coordinates, -1e6, 1e6)).astype(np.intp) - (order // 2)
     result = np.ones(coordinates.shape[1:], dtype=bool)
     for row in range(order + 1):
         for column in range(order + 1):

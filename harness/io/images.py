@@ -6,12 +6,14 @@ Colours become luma (ITU-R BT.601, 0.299 R + 0.587 G + 0.114 B, as in Pillow and
 writes into its file (EXIF) is applied. Transparency is ignored.
 """
 
+import ctypes
 import io
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -195,10 +197,25 @@ def _turned(image: Image.Image) -> bool:
     return image.getexif().get(0x0112, 1) in {5, 6, 7, 8}
 
 
+@cache
+def _silence_libtiff() -> None:
+    """Keep libtiff from writing about damaged files to stderr: what is wrong is said once, and by us.
+
+    Pillow has no setting for it. Where its library cannot be reached, as on Windows, libtiff goes on talking.
+    """
+    with suppress(OSError, AttributeError):
+        libtiff = ctypes.CDLL(Image.core.__file__)  # looks into the libraries that this one needs, too
+        for kind in ("Error", "Warning"):
+            function = libtiff[f"TIFFSet{kind}Handler"]
+            function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_void_p
+            function(None)
+
+
 @contextmanager
 def _opened(data: bytes, file: str | Path) -> Iterator[Image.Image]:
     """A Pillow image whose failures, then and later, are the user's to mend. It prints no warnings."""
     names = "PNG, JPEG or TIFF"
+    _silence_libtiff()
     try:
         with _QUIET, warnings.catch_warnings():  # a filter belongs to the whole process: one thread at a time
             warnings.simplefilter("ignore")

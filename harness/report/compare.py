@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -177,7 +178,7 @@ def build_comparison(*folders: Path) -> Comparison:
 
 def _names(folders: Sequence[Path]) -> list[str]:
     """The shortest ends of the paths that tell them apart."""
-    parts = [folder.resolve().parts for folder in folders]
+    parts = [Path(os.path.realpath(folder)).parts for folder in folders]  # of links in a circle, too
     if len(set(parts)) < len(parts):
         raise InputError(
             "is given twice", file=next(f for f, p in zip(folders, parts, strict=True) if parts.count(p) > 1)

@@ -155,6 +155,12 @@ def _assemble(
     patch_of_face = np.repeat(np.arange(len(patches)), np.diff(faces_before))
 
     _, first = np.unique(face, return_index=True)
+    for index in np.flatnonzero(~(np.linalg.norm(_cross_of_edges(corners[first]), axis=-1) > 0))[:1]:
+        thing = object_of_patch[patch_of_face[index]]
+        raise InputError(
+            f"'{_name(thing, scene.objects[thing])}' has a face without an area; its size is lost beside its position",
+            file=scene.name,
+        )
     normals, offsets, uv_maps = _planes(corners[first], uv[first])
     textures = tuple(patch.texels for patch in patches)
     if sum({id(texels): texels.size for texels in textures}.values()) > _LIMIT_TEXELS:
