@@ -1,6 +1,7 @@
 """Mesh files: what of them makes the picture, and what is said of the rest. Greys are worked out by hand."""
 
 import base64
+import copy
 import json
 import os
 import struct
@@ -461,7 +462,7 @@ def test_changed_trees_of_gltf(folder, data):
         for key in above:
             part = part[key]
         if data.draw(st.integers(0, 3)):
-            part[last] = data.draw(st.sampled_from(VALUES))
+            part[last] = copy.deepcopy(data.draw(st.sampled_from(VALUES)))  # a second change may reach into it
         else:
             del part[last]
     (folder / "m.gltf").write_text(json.dumps(quad.tree))
