@@ -5,7 +5,7 @@ import pytest
 
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.sensor import Sensor, pixel_directions, project, unproject
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, project, unproject
 from harness.geometry.pose import Pose
 from harness.simulation import render as rendering
 from harness.simulation._rendering_kernels import TRACE, mark_edges
@@ -118,7 +118,7 @@ def test_edges_are_marked_where_the_sensor_projects_them(sensor):
     marks = np.zeros((240, 320), dtype=bool)
     step = 0.9 * rendering._corners_of(sensor).finest_rad
     lowest, highest = np.sin(np.radians([-77, 22]))
-    mark_edges(edges, origin, rotation, rendering._projection(sensor), lowest, highest, step, marks)
+    mark_edges(edges, origin, rotation, parameters_of(sensor), lowest, highest, step, marks)
     share = np.linspace(0, 1, 20_000)[:, None, None]
     points = (edges[:, 0] * (1 - share) + edges[:, 1] * share).reshape(-1, 3)
     pixels, valid = project(sensor, (points - origin) @ rotation)

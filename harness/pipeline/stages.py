@@ -120,7 +120,13 @@ class Work:
         How many may be used; all available CPUs when None. No result depends on it.
     """
 
-    def __init__(self, trial: Trial, cache: StageCache, observe: Observer, threads: int | None) -> None:
+    def __init__(
+        self,
+        trial: Trial,
+        cache: StageCache,
+        observe: Observer = lambda _: None,
+        threads: int | None = None,
+    ) -> None:
         self.trial = trial
         self.setup = setup_of(trial)
         self.keys = StageKeys(self.setup)

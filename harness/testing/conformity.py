@@ -22,8 +22,11 @@ from harness.geometry.pose import Motion
 from harness.geometry.triangulation import alpha_2_at_range
 from harness.matching.interface import Fault, MatcherSettings, Matches, faults
 from harness.matching.pair import Pair, sharing
+from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import SecondView, Trial
-from harness.pipeline.trial import run_trial
+from harness.pipeline.stage_cache import StageCache
+from harness.pipeline.stages import Work
+from harness.pipeline.trial import PAIR, REFERENCE
 from harness.simulation.scene import load_scene
 
 Mask = NDArray[np.bool_]
@@ -178,9 +181,17 @@ def scenery(view_2: SecondView = SecondView(), grid: Grid = GRID) -> Scenery:  #
     middle = (ROWS - 1) / 2
     camera = Camera(width_px=ROWS, height_px=ROWS, focal_px=focal_px, cx_px=middle, cy_px=middle)
     scene = load_scene(str(shipped.find("scenes", "box")))
-    trial = Trial(scene=scene, sensor=Sensor(camera=camera), panorama=grid, view_2=view_2)
-    outcome = run_trial(trial)
-    return Scenery(outcome.pair, outcome.reference.alpha_2, outcome.reference.domain)
+    # The reference is asked for without a matcher's answer; samples in alpha are defined for every baseline.
+    trial = Trial(
+        scene=scene,
+        sensor=Sensor(camera=camera),
+        panorama=grid,
+        view_2=view_2,
+        matching=WindowMatcher(sampling="alpha"),
+    )
+    work = Work(trial, StageCache())
+    reference, _ = work(REFERENCE)
+    return Scenery(work(PAIR), reference.alpha_2, reference.domain)
 
 
 def fresh(pair: Pair, *, threads: int | None = None) -> Pair:
