@@ -204,7 +204,8 @@ def _silence_libtiff() -> None:
     Pillow has no setting for it. Where its library cannot be reached, as on Windows, libtiff goes on talking.
     """
     with suppress(OSError, AttributeError):
-        libtiff = ctypes.CDLL(Image.core.__file__)  # looks into the libraries that this one needs, too
+        # Symbols are looked up in the libraries that this one needs, too.
+        libtiff = ctypes.CDLL(Image.core.__file__)  # type: ignore[attr-defined]
         for kind in ("Error", "Warning"):
             function = libtiff[f"TIFFSet{kind}Handler"]
             function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_void_p
