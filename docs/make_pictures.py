@@ -7,8 +7,9 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from harness.report import images, profiles, theme
+from harness.report import theme
 from harness.report.methods import methods_of
+from harness.report.sections import images, profiles
 from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 

@@ -16,9 +16,10 @@ from harness.cli.tables import methods_table
 from harness.display import told_apart
 from harness.matching.program import Program
 from harness.matching.window.settings import WindowMatcher
-from harness.report import measures, sweeps, theme
+from harness.report import theme
 from harness.report.compare import build_comparison
 from harness.report.methods import methods_of
+from harness.report.sections import measures, sweeps
 from harness.report.sweep import sweep_of, texts_of
 from harness.runs.load import load_experiment
 from harness.runs.methods import method_id, method_names

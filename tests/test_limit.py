@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from harness.evaluation.limit import efficiency, within_without_bias
-from harness.report import limit as drawn
-from harness.report import steps, theme
+from harness.report import theme
+from harness.report.sections import limit as drawn
+from harness.report.sections import steps
 from harness.report.sweep import Axis, Sweep, Way
 
 

@@ -34,8 +34,9 @@ from harness.evaluation.metrics import (
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.evaluation.tally import ERROR_EDGES_PX, FRACTION_BINS, tally
 from harness.pipeline.row import row_of
-from harness.report import compare, measures
+from harness.report import compare
 from harness.report.build import build_report
+from harness.report.sections import measures
 from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 

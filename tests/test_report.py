@@ -13,10 +13,12 @@ import pytest
 from browser import chromium, visit
 
 from harness.evaluation.metric_table import METRICS
-from harness.report import curve, maps, profiles, theme, words
+from harness.report import theme, words
 from harness.report.build import build_report
-from harness.report.law import example
 from harness.report.methods import methods_of
+from harness.report.sections import maps, profiles
+from harness.report.sections import matching_curve as curve
+from harness.report.sections.law import example
 from harness.runs.experiment import Experiment
 from harness.runs.run import Result, run_experiment
 from harness.simulation.scene import Scene, load_scene

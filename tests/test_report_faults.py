@@ -12,8 +12,9 @@ import pytest
 from test_report import SMALL, Document, run_small
 
 from harness.cli.parser import main
-from harness.report import images, theme
+from harness.report import theme
 from harness.report.build import build_report
+from harness.report.sections import images
 from harness.runs.run import Result
 
 HOSTILE = ("$\\frac{$", "b$$c", "$x$ [/b] <i>", "\\$", "50 $")
@@ -136,11 +137,11 @@ def test_a_foreign_matplotlibrc_and_backend_change_nothing(tmp_path):
     """In a process of its own: both are read as matplotlib is loaded."""
     (tmp_path / "matplotlibrc").write_text("image.origin: lower\ntext.usetex: True\nsvg.fonttype: none\n")
     script = (
-        "import sys; from harness.report import theme, images; import numpy as np\n"
+        "import sys; from harness.report import panoramas, theme; import numpy as np\n"
         "from harness.geometry.panorama import Grid\n"
         "with theme.style():\n"
-        "    fig, ax, _ = images.panorama_axes(Grid())\n"
-        "    ax.imshow(np.arange(12.0).reshape(3, 4), extent=images.extent_of(Grid()), aspect='auto')\n"
+        "    fig, ax, _ = panoramas.panorama_axes(Grid())\n"
+        "    ax.imshow(np.arange(12.0).reshape(3, 4), extent=panoramas.extent_of(Grid()), aspect='auto')\n"
         "    print(theme.picture(fig, '').source)\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )

@@ -19,10 +19,11 @@ from harness.cli import main
 from harness.errors import InputError
 from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
-from harness.report import locking, measures, regions, sweeps, theme
+from harness.report import theme
 from harness.report.build import build_report
 from harness.report.compare import COMPARED, build_comparison
-from harness.report.law.sections import sections_of
+from harness.report.section import About, Context, Figure
+from harness.report.sections import SECTIONS, locking, measures, regions, sweeps
 from harness.report.sweep import Axis, sweep_of, value_text
 from harness.report.words import symbols
 from harness.runs.experiment import Experiment
@@ -213,16 +214,17 @@ def test_pixel_locking_shares_sum_to_one(page):
 
 def test_what_is_said_of_all_trials_needs_no_pixels(swept):
     bare = sweep_of(dataclasses.replace(swept, details=[]))
-    law = swept.summary["law"]
-    with theme.style():
+    context = Context(dataclasses.replace(swept, details=[]), bare, [], [], swept.outcomes[0].trial)
+    with theme.style() as missing:
         assert sweeps.swept_figures(bare, 2.0)
         assert locking.histograms(bare)[0]
         assert regions.over_trials(bare)[0]
         assert measures.all_measures(bare).rows
-        parts = sections_of(bare, law, 2.0)
-        assert parts["findings"]
-        assert parts["images"].pictures["regression"]
-        assert parts["decomposition"].pictures["sigma"]
+        made = {each.id: each(context) for each in SECTIONS if each.about is About.ALL_TRIALS}
+    assert missing == []
+    assert made["verdict"].abstract
+    drawn = {block.id for section in made.values() if section for block in section.blocks if isinstance(block, Figure)}
+    assert {"figure-law-geometry", "figure-law-images", "figure-law-sigma", "figure-locking"} <= drawn
 
 
 def test_the_numbers_to_download_do_not_grow_with_the_pixels(page, paper_page):

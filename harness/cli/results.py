@@ -65,7 +65,7 @@ def write(
         for each in result.details.left_out:
             print(f"omnirange: left out of the report: {each.matcher}: {each.reason}", file=sys.stderr)
         for failure in not_drawn:
-            print(f"omnirange: a figure of the report could not be drawn: {failure}", file=sys.stderr)
+            print(f"omnirange: {failure}", file=sys.stderr)
         show(result.summary, shown)
     sparse = too_sparse((row.planned.trial, row.payload) for row in rows_of(experiment, store) if row.state == "done")
     if sparse:

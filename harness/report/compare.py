@@ -18,8 +18,8 @@ from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
 from harness.pipeline.specification import Trial
 from harness.report import theme
-from harness.report.build import template
 from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
+from harness.report.markup import template
 from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from harness.geometry.angles import Array
 from harness.matching.registry import method_of
 from harness.pipeline.photographs import Estimate
-from harness.report import maps, theme
-from harness.report.build import template
-from harness.report.images import extent_of, panorama_axes, unmirrored
+from harness.report import theme
+from harness.report.markup import template
+from harness.report.panoramas import extent_of, panorama_axes, unmirrored
+from harness.report.sections.maps import reasons_picture
 from harness.report.theme import HALF, Picture
 from harness.spec import dump_toml
 
@@ -30,7 +31,7 @@ def build_page(found: Estimate) -> str:
             "sigma": [_map(found, found.sigma_m, "standard deviation (m)", "Predicted standard deviation of the range")]
             if predicted.size
             else [],
-            "reasons": [maps.reasons_picture(found.reason, found.pair.grid)],
+            "reasons": [reasons_picture(found.reason, found.pair.grid)],
         }
     return template("own_pair.html.j2").render(
         found=found,

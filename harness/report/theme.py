@@ -145,11 +145,16 @@ def panel(draw: Callable[_P, Picture]) -> Callable[_P, Picture]:
                 raise
             interrupts.check()  # Ctrl-C may come wrapped as another error
             name = f"{draw.__module__.rpartition('.')[2]}.{draw.__name__.strip('_')}"
-            reason = " ".join(f"{type(error).__name__}: {error}".split())[:500]
-            failures.append(f"{name}: {reason}")
+            reason = reason_of(error)
+            failures.append(f"a figure of the report could not be drawn: {name}: {reason}")
             return Picture(Markup(), HALF, HALF // 2, f"The panel {name}, not drawn.", failure=reason)
 
     return guarded
+
+
+def reason_of(error: Exception) -> str:
+    """An error in one line, for the page and for the terminal."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:500]
 
 
 def plain(text: str) -> str:

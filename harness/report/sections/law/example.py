@@ -10,7 +10,11 @@ from harness.geometry.angles import Array
 from harness.geometry.triangulation import exact_alpha_2, paper_law, sensitivity_to_alpha_2
 from harness.pipeline.trial import Outcome
 from harness.report import theme
+from harness.report.data import Data
+from harness.report.markup import html
 from harness.report.methods import Method
+from harness.report.section import About, Block, Context, Figure, FixedTable, Paragraph, section_of
+from harness.report.sections.law.part import INTRO
 from harness.report.theme import FAINT, HALF, INK, Picture
 
 BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
@@ -19,6 +23,79 @@ BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
 
 EDGES_DEG = np.arange(30.0, 151.0, 10.0)
 """Edges of the bins of alpha_1."""
+
+
+_ELSEWHERE = """
+<p>The formulas are in the <a href="#verdict">section on the test of the law</a>; here they are worked out for the
+paper’s example and set beside the base trial.</p>
+"""
+_EXAMPLE = """
+<p>The paper’s worked example is a baseline of {{ "%g" | format(baseline_m) }} m, a wall
+{{ "%g" | format(range_m) }} m away and an error of {{ "%g" | format(error_deg) }}°, for which it says about 0.3 m.</p>
+"""
+_EXAMPLE_CAPTION = """
+The worked example: error of the range for {{ "%g" | format(error_deg) }}° of <i>α</i><sub>2</sub>, |<b>t</b>| =
+{{ "%g" | format(baseline_m) }} m, <i>d</i><sub>1</sub> = {{ "%g" | format(range_m) }} m.
+"""
+_EXAMPLE_TABLE = """
+<thead><tr><th scope="col" class="text">Angle to the baseline, <i>α</i><sub>1</sub></th>
+<th scope="col">Exact law <span class="unit">m</span></th>
+<th scope="col">Short form, <i>d</i><sub>1</sub>²/|<b>t</b>| <span class="unit">m</span></th>
+<th scope="col">Exact / short</th></tr></thead>
+<tbody>
+{% for each in example %}
+  <tr><th scope="row">{{ "%g" | format(each.alpha_1_deg) }}°</th><td>{{ each.exact_m | figure(".3f") }}</td>
+  <td>{{ each.short_m | figure(".3f") }}</td><td>{{ (each.exact_m / each.short_m) | figure(".2f") }}</td></tr>
+{% endfor %}
+</tbody>
+"""
+_CHARTS = """
+(a) Both forms of the law for the worked example. (b) Measured on walls of this experiment, in bins of 10°: the median
+absolute range error of each method, and the law times a quarter of the distance between samples of the curve, which is
+the median that rounding to the nearest sample alone would give.
+"""
+_ROUNDING = """
+<p>If rounding to whole samples were the only source of error, every pixel-level error would lie within the law times
+half a step.</p>
+"""
+_WITHIN_CAPTION = """
+Share of wall pixels of the domain whose absolute range error is at most the law times a number of steps; a step is the
+distance in <i>α</i><sub>2</sub> between neighbouring samples of the pixel’s curve at the true match.
+"""
+_WITHIN_TABLE = """
+<thead><tr><th scope="col" class="text">Method</th><th scope="col">Pixels</th>
+{% for steps in all_steps %}<th scope="col">Within {{ "%g" | format(steps) }} step{{ "s" if steps > 1 }}
+ <span class="unit">%</span></th>{% endfor %}</tr></thead>
+<tbody>
+{% for each in within %}
+  <tr><th scope="row" class="nowrap">{{ each.label }}</th><td>{{ each.pixels }}</td>
+  {% for steps in all_steps %}<td>{{ (100 * each.shares[loop.index0]) | figure(".1f") if each.shares else "–" }}</td>
+  {% endfor %}</tr>
+{% endfor %}
+</tbody>
+"""
+
+
+def _title(context: Context) -> str:
+    return "The law of the range error: worked example" if context.law else "The law of the range error"
+
+
+@section_of(About.BASE_TRIAL, "law", _title, needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """The worked example, the errors by direction, and those that rounding explains."""
+    methods = context.methods
+    numbers_of = {"baseline_m": BASELINE_M, "range_m": RANGE_M, "error_deg": ERROR_DEG}
+    yield Paragraph(html(_ELSEWHERE if context.law else INTRO) + html(_EXAMPLE, **numbers_of))
+    yield FixedTable(html(_EXAMPLE_TABLE, example=worked_example()), html(_EXAMPLE_CAPTION, **numbers_of))
+    yield Figure(
+        "figure-law",
+        [law_chart(), measured_chart(methods)],
+        html(_CHARTS),
+        data=Data("law-example-and-measured", ["what", "alpha_1_deg", "range_error_m"], list(numbers(methods))),
+    )
+    yield Paragraph(html(_ROUNDING))
+    within = [within_steps(method.outcome, method.label) for method in methods]
+    yield FixedTable(html(_WITHIN_TABLE, within=within, all_steps=STEPS), html(_WITHIN_CAPTION))
 
 
 @dataclass(frozen=True)

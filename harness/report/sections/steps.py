@@ -8,13 +8,39 @@ import numpy as np
 import pandas as pd
 
 from harness.report.data import Cell, Data, Heading, Table, listed, number, words
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
+from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, Way
-from harness.report.sweeps import SURFACES
 from harness.report.words import figure
 
 _MOST_ROWS = 60
 _WHOLE = "none"
 _FIGURES = {"wall": "wall_disparity_median_abs_px", "floor": "floor_disparity_median_abs_px"}
+
+
+_WORDS = """
+<p>A sub-pixel step puts a curve through the costs around the best sample. Which curve suits depends on how wide the
+minimum is, in samples: on the pitch of the samples, the window, and the blur of the image. A fit over more samples than
+the minimum is wide, as the least-squares parabola over seven at one sample a column, is pulled towards the whole
+sample; where the window covers different disparities, as on floors, the minimum itself is in the wrong place, and no
+step helps much.</p>
+<ul>
+{% for each in findings %}<li>{{ each }}</li>
+{% endfor %}</ul>
+"""
+_TABLE = """
+Median absolute disparity error by setting, geometric means over seeds; ◂ marks the smallest of a row.
+"""
+
+
+@section_of(About.ALL_TRIALS, "steps", "Whole samples and sub-pixel steps")
+def section(context: Context) -> Iterator[Block]:
+    """Where each step helps; nothing where steps were not compared over several settings."""
+    compared = steps(context.sweep)
+    if compared is not None:
+        yield Paragraph(html(_WORDS, findings=compared.findings))
+        yield TableBlock("table-steps", compared.table, html(_TABLE))
 
 
 @dataclass(frozen=True)

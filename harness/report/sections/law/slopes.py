@@ -8,9 +8,9 @@ from harness.evaluation.law_images import LAWS, fit_laws
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG
 from harness.report import theme
 from harness.report.data import Cell, Heading, Table, count, number, words
-from harness.report.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
+from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
+from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, in_words
-from harness.report.sweeps import SURFACES
 from harness.report.theme import Picture
 from harness.report.words import figure
 

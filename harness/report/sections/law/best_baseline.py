@@ -15,9 +15,11 @@ from harness.evaluation.statistics import between
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
-from harness.report.law.part import Part, is_of
+from harness.report.markup import html
+from harness.report.section import Block, Figure, TableBlock
+from harness.report.sections.law.part import is_of
+from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, Way
-from harness.report.sweeps import SURFACES
 from harness.report.theme import Picture
 
 _RANGES = ("#440154", "#414487", "#2A788E", "#22A884", "#7AD151", "#C9B800")
@@ -45,7 +47,20 @@ _Curves = dict[tuple[Way, str], list[_Curve]]
 """For each method and surface, by range."""
 
 
-def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Part:
+_TRADE_OFF = """
+The paper’s trade-off: spread of the range against the baseline, one curve for each range. Dots: the best baseline;
+thick: within 10 % of it. Means of logarithms over the directions, conditions and seeds that all baselines share at that
+range; bands are 95 % intervals. The law with a constant σ(<i>α</i><sub>2</sub>) falls for ever to the right, and so
+would always advise the longest.
+"""
+_BASELINES = """
+Which baseline is best for a range, its 95 % interval, the baselines whose error is within 10 % of the best one’s, what
+d²/|<b>t</b>| would have advised (the longest that was tried), and how many times the best one’s error the advice costs.
+A best baseline at an end of those tried may lie beyond.
+"""
+
+
+def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
     """Spread against the baseline, a curve for each range, and where each is lowest."""
     curves = {
         (way, surface): list(_curves(sweep.cells_of(way, surface))) for surface in sweep.surfaces for way in sweep.ways
@@ -57,11 +72,16 @@ def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Part:
         for each in zip(curve.baselines, curve.error, curve.low, curve.high, strict=True)
     ]
     headings = ["matcher", "subpixel", "surface", "range_m", "baseline_m", "spread_m", "ci95_low", "ci95_high"]
-    return Part(
-        {"curves": _trade_off(sweep, curves)},
-        {"baselines": _baseline_table(sweep, law, curves)},
-        {"curves": Data("law-best-baseline", headings, rows)},
+    yield Figure(
+        "figure-law-baseline",
+        _trade_off(sweep, curves),
+        html(_TRADE_OFF),
+        data=Data("law-best-baseline", headings, rows),
+        missing="Not drawn: no range was seen with three baselines.",
     )
+    table = _baseline_table(sweep, law, curves)
+    if table.rows:
+        yield TableBlock("table-law-baseline", table, html(_BASELINES))
 
 
 def _trade_off(sweep: Sweep, curves: _Curves) -> list[Picture]:

@@ -1,5 +1,6 @@
 """What the methods say of how sure they are, and what it is worth: on the base trial."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +12,38 @@ from harness.geometry.angles import Array
 from harness.pipeline.sample import BAD_PX, domain_errors_px, surest
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
+from harness.report.markup import html
 from harness.report.methods import Method
+from harness.report.section import About, Block, Context, Figure, TableBlock, section_of
 from harness.report.theme import HALF, Picture
 
 _LEAST = 100
 """Pixels of a kind for a curve to be drawn."""
+
+
+_CURVES = """
+What the methods say of how sure they are, in {{ "the base trial" if several else "this experiment" }}, pixels of the
+domain. (a) Mean error of the pixels that remain as the least confident are left out; dashed, as the largest errors are
+left out first, which no confidence can better.
+{%- if panels > 1 %} Further panels: how errors compare with the standard deviation that is predicted, against a normal
+variable’s; and, where the scene has surfaces without texture, how well a threshold on confidence leaves those out; a
+pixel without a match is left out first.{% endif %}
+"""
+_FIGURES = """
+AUSE: area between the curves of (a), method minus oracle; as a share of that of a confidence that says nothing. AUC:
+the chance that a pixel with an error above 1 px has less confidence than one without; 0.5 says nothing.
+Within 1, 2, 3σ: share of errors within so many predicted standard deviations.
+"""
+
+
+@section_of(About.BASE_TRIAL, "confidence", "Confidence", needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """How sure the methods are; nothing when none says so."""
+    sure = confidences(context.methods)
+    if sure.pictures and sure.table:
+        caption = html(_CURVES, several=context.sweep.several, panels=len(sure.pictures))
+        yield Figure("figure-confidence", sure.pictures, caption, data=sure.data)
+        yield TableBlock("table-confidence", sure.table, html(_FIGURES))
 
 
 @dataclass(frozen=True)

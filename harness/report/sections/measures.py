@@ -1,6 +1,6 @@
-"""All figures of all trials, averaged over seeds; failures; durations."""
+"""All figures of all trials, averaged over seeds."""
 
-import json
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,9 @@ import pandas as pd
 from harness.evaluation.metric_table import METRICS, metric
 from harness.evaluation.statistics import mean_over_seeds
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, TableBlock, section_of
 from harness.report.sweep import Axis, Sweep, Way
-from harness.runs.run import Result
-from harness.runs.values import shown
 
 MOST_ROWS = 240
 """The most rows of a table on the page; nobody reads more there, and all are in its data."""
@@ -44,6 +44,22 @@ _ON_PAPER = (
 )
 
 _WITH_INTERVAL = ("disparity_median_abs_px", "range_median_abs_m")
+
+
+_TABLE = """
+All figures{% if several %}, means over seeds with 95 % intervals under the two main ones{% endif %}; each trial on all
+pixels of the domain for which it has an estimate itself, except where a surface or the solid angle is named.
+Density counts pixels without an estimate, nothing else does. A50 to A99: what that share of the absolute disparity
+errors does not exceed. AbsRel: mean of |error|/<i>d</i>. SILog: standard deviation of log(estimate/<i>d</i>). δ: share
+of estimates within that factor of the truth. Refined: share of estimates that the sub-pixel step could move.
+"""
+
+
+@section_of(About.ALL_TRIALS, "measures", "All figures")
+def section(context: Context) -> Iterator[Block]:
+    """One table of everything."""
+    caption = html(_TABLE, several=context.sweep.several)
+    yield TableBlock("table-measures", all_measures(context.sweep), caption)
 
 
 def all_measures(sweep: Sweep) -> Table:
@@ -103,52 +119,3 @@ def all_measures(sweep: Sweep) -> Table:
 
 def _place(axis: Axis, index: int) -> Cell:
     return Cell(axis.texts[index], axis.positions[index] if axis.numeric else axis.texts[index])
-
-
-def failures(result: Result) -> Table:
-    """What went wrong: one row for each message."""
-    failed: dict[str, list[Any]] = {}
-    for row in result.rows:
-        if row.state == "failed":
-            failed.setdefault(row.finished.message, []).append(row)
-    rows = [
-        [words(message), count(len(found)), words(shown(found[0].place)), words(found[0].planned.key)]
-        for message, found in failed.items()
-    ]
-    data = Data(
-        "failures",
-        ["key", "place", "message"],
-        [[row.planned.key, shown(row.place), message] for message, found in failed.items() for row in found],
-    )
-    head = [
-        Heading("Message", text=True),
-        Heading("Trials"),
-        Heading("First at", text=True),
-        Heading("Its key", text=True),
-    ]
-    return Table(head, rows, data)
-
-
-def durations(result: Result) -> Table:
-    """Wall time by stage: of each trial when they are few, else over all of them."""
-    done = [row for row in result.rows if row.state == "done"]
-    seconds = [json.loads(row.finished.seconds) for row in done]
-    stages = list(dict.fromkeys(stage for each in seconds for stage in each))
-    if len(done) <= 4:
-        head = [Heading("Stage", text=True), *(Heading(f"Trial {row.planned.key}", "s") for row in done)]
-        rows = [[words(stage), *(number(each.get(stage), ".3f") for each in seconds)] for stage in stages]
-        rows.append([words("total"), *(number(sum(each.values()), ".3f") for each in seconds)])
-        return Table(head, rows)
-    head = [Heading("Stage", text=True), Heading("Median", "ms a trial"), Heading("Longest", "ms"), Heading("Sum", "s")]
-    rows = []
-    for stage in [*stages, "total"]:
-        values = np.array([sum(each.values()) if stage == "total" else each.get(stage, 0.0) for each in seconds])
-        rows.append(
-            [
-                words(stage),
-                number(float(np.median(values)), ".1f", 1000),
-                number(float(values.max()), ".0f", 1000),
-                number(float(values.sum()), ".1f"),
-            ]
-        )
-    return Table(head, rows)

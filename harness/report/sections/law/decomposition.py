@@ -1,6 +1,7 @@
 """What the law takes for granted: how the angle's own error, mismatches and losses grow."""
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -11,13 +12,48 @@ from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.evaluation.statistics import mean_over_seeds
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
-from harness.report.law.part import Part, is_of
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Figure, LineKey, Paragraph, TableBlock, section_of
+from harness.report.sections.law.best_baseline import best_baseline
+from harness.report.sections.law.part import is_of
+from harness.report.sections.sweeps import SURFACES, draw_line, key_picture
 from harness.report.sweep import Sweep
-from harness.report.sweeps import SURFACES, draw_line
 from harness.report.theme import Picture
 
+_WORDS = """
+<p>The geometry of a pair of views depends on |<b>t</b>|/<i>d</i> alone: the larger it is, the less the law amplifies an
+error of the angle, but the more differently the two views see a surface, so that windows are deformed, and parts are
+hidden from one of them. The law knows of the first only. How σ({{ alpha(2) }}) grows with window and noise is in the
+<a href="#sweeps">sweeps</a>, whose disparity panels show the same quantity.</p>
+"""
+_SIGMA = """
+What the law takes for granted: (a) the spread of the angle, in pixels of {{ "%.4g" | format(column_deg) }}°, against
+the baseline over the range; the law’s premise is a level line. (b) Share of the estimates that are off by more than a
+pixel. (c) The spread by direction. (d) Share of the pixels that both views see but that have no estimate. Means over
+conditions and seeds (geometric for spreads), with 95 % intervals as bands. Different |<b>t</b>|/<i>d</i> are seen at
+partly different places.
+"""
+_POWERS = """
+Power of |<b>t</b>|/<i>d</i> with which σ(<i>α</i><sub>2</sub>) grows, all conditions and directions together; 0 if it
+does not know of baseline and range. The slope on the law and this power belong together: where the angle’s own error
+grows with |<b>t</b>|/<i>d</i>, the range’s error cannot fall as the law says.
+"""
 
-def decomposition(sweep: Sweep, law: dict[str, Any], column_deg: float) -> Part:
+
+@section_of(About.ALL_TRIALS, "law-decomposition", "The law: decomposition")
+def section(context: Context) -> Iterator[Block]:
+    """What σ(alpha_2) depends on, and the baseline that is best because of it."""
+    sweep, law = context.sweep, context.law
+    if not law:
+        return
+    yield Paragraph(html(_WORDS))
+    yield LineKey(key_picture(sweep, laws=False))
+    yield _angle_spread(sweep, context.column_deg)
+    yield TableBlock("table-law-sigma", _sigma_table(sweep, law), html(_POWERS), full=False)
+    yield from best_baseline(sweep, law)
+
+
+def _angle_spread(sweep: Sweep, column_deg: float) -> Figure:
     """How the angle's own error, mismatches and losses grow with |t|/d and by direction."""
     rows: list[list[Any]] = []
     cells = sweep.cells
@@ -76,17 +112,9 @@ def decomposition(sweep: Sweep, law: dict[str, Any], column_deg: float) -> Part:
             scale=100,
         ),
     ]
-    return Part(
-        {"sigma": pictures},
-        {"sigma": _sigma_table(sweep, law)},
-        {
-            "sigma": Data(
-                "law-decomposition",
-                ["matcher", "subpixel", "surface", "measure", "against", "at", "mean", "ci95_low", "ci95_high"],
-                rows,
-            ),
-        },
-    )
+    headings = ["matcher", "subpixel", "surface", "measure", "against", "at", "mean", "ci95_low", "ci95_high"]
+    caption = html(_SIGMA, column_deg=column_deg)
+    return Figure("figure-law-sigma", pictures, caption, data=Data("law-decomposition", headings, rows))
 
 
 @theme.panel

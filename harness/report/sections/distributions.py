@@ -10,12 +10,43 @@ from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
 from harness.report import theme
+from harness.report.data import Data
+from harness.report.markup import html
 from harness.report.methods import Method, common
+from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import HALF, Picture
 
 _POINTS = 300
 """Points of a cumulative curve: more cannot be seen at its size."""
 SIGNED_EDGES_PX = np.linspace(-1.5, 1.5, 121)
+
+
+_DISTRIBUTIONS = """
+Distributions of the errors on the pixels of the <a href="#comparison">comparison of methods</a>. Share of pixels whose
+absolute error is at most the abscissa, (a) of the disparity in pixels of {{ "%.4g" | format(column_deg) }}° and (b) of
+the range in millimetres; solid: walls, dashed: floor and ceiling. Histograms of the signed disparity error (c) on walls
+and (d) on floor and ceiling, on the same axes; what lies beyond them is not drawn.
+"""
+
+
+@section_of(About.BASE_TRIAL, "distributions", "Error distributions", needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """Cumulative distributions, and histograms of signed errors."""
+    methods = context.methods
+    yield Figure(
+        "figure-distributions",
+        [
+            *cumulative(methods),
+            signed(methods, "(c) signed disparity, walls", wall=True),
+            signed(methods, "(d) signed disparity, floor and ceiling", wall=False),
+        ],
+        html(_DISTRIBUTIONS, column_deg=context.column_deg),
+        data=Data(
+            "error-distributions",
+            ["kind", "error", "method", "surface", "value", "share"],
+            [*curves(methods), *histograms(methods)],
+        ),
+    )
 
 
 def cumulative(methods: list[Method]) -> list[Picture]:

@@ -1,6 +1,7 @@
 """Images: the relative error of the range regressed on both laws."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,34 +13,106 @@ from harness.evaluation.law_images import LAWS, residuals
 from harness.evaluation.statistics import median_over_seeds
 from harness.report import theme
 from harness.report.data import Data, interval
-from harness.report.law import slopes
-from harness.report.law.part import LAW_NAMES, PLAIN_NAMES, Fit, Part, is_of
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Figure, LineKey, TableBlock, section_of
+from harness.report.sections.law import slopes
+from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
+from harness.report.sections.sweeps import SURFACES, key_picture
 from harness.report.sweep import Sweep, Way, log_edges
-from harness.report.sweeps import SURFACES
 from harness.report.theme import FAINT, Picture
 from harness.report.words import figure
 
 _DENSE = LinearSegmentedColormap.from_list("cells", ["#FFFFFF", "#D5DEE8", "#7A8DA3", "#2F4158"])
 
 
-def images(sweep: Sweep, law: dict[str, Any]) -> Part:
-    """Regressions of the relative error on both laws.
+_REGRESSION = """
+Relative error of the range against the law, every method as found, walls and floor apart; left of each panel the exact
+law, right d²/|<b>t</b>|, both over the range. Grey: cells, darker where there are more (square root of their number).
+Conditions (all settings but seed, baseline, size and method) keep a level of their own in the fit and are brought to a
+common level here. Marks: medians of bins with 95 % intervals. Solid: the fitted line; dashed: slope 1, what the law
+says if σ(<i>α</i><sub>2</sub>) is constant.
+"""
+_SLOPES = """
+Slope of log(spread/<i>d</i>) on log(law/<i>d</i>) over all directions, with 95 % intervals from resampling seeds. R² is
+the share of the variance within conditions.
+"""
+_LIMITED = """
+The same over the cells that noise limits: those whose error without noise, all else being equal, is at most half of
+that with it. What is left out is mostly a matcher’s own systematic error, which grows in ways that no law of
+sensitivity speaks of. “Exact law × bound” has the Cramér-Rao bound of each cell in the place of one constant σ({{
+alpha(2) }}): if this slope is nearer to 1 than that of the law alone, part of what varies is what the texture tells.
+"""
+_COEFFICIENTS = """
+The same cells with a coefficient for each of the two: log(spread/<i>d</i>) on log(law/<i>d</i>) and on log(bound of
+{{ alpha(2) }}) at once. The law says 1 for the first. The second is 1 where the error follows the texture as the
+Cramér-Rao bound does, and less where the bound explains only a part of what the texture does. A slope of 1 on their
+product does not say that each is 1.
+"""
+_BY_NOISE = """
+Slopes on the exact law at each noise by itself. At whole pixels most of the error is rounding, which is constant in
+angle by construction: there a slope near 1 that does not change with the noise confirms the geometry, not the premise
+about noise.
+"""
+_DIRECTIONS = """
+The same slopes within each sixth of the directions, with 95 % intervals; 90° is across the baseline. Within a sixth the
+exact law and d²/|<b>t</b>| are nearly proportional, so that their slopes differ less than over all directions together.
+"""
+_CONDITIONS = """
+Slopes on the exact law within each condition, with the share of the estimates that are off by more than a pixel:
+mismatches, to which no law of small errors applies.
+"""
+_RESIDUALS = """
+Residuals of the fits against the law over the range: medians of bins
+{%- if few %}, and bars that hold half of the cells{% endif %}. A bend means that no power of the law describes the
+errors, whatever its slope; the residual 0.1 is an error 11 % larger than fitted.
+"""
+_METHOD = ["matcher", "subpixel", "surface", "law"]
 
-    Parameters
-    ----------
-    law
-        The summary's `law`.
-    """
+
+@section_of(About.ALL_TRIALS, "law-images", "The law: images")
+def section(context: Context) -> Iterator[Block]:
+    """Regressions of the relative error on both laws."""
+    sweep, law = context.sweep, context.law
+    if not law:
+        return
     fits: list[Fit] = law["images"]
+    yield _regressions(sweep, fits)
+    yield TableBlock("table-law-slopes", slopes.slope_table(sweep, fits), html(_SLOPES))
+    for name, table, caption in (
+        ("limited", slopes.slope_table(sweep, law["noise_limited"]), _LIMITED),
+        ("coefficients", slopes.coefficient_table(sweep, law["law_and_bound"]), _COEFFICIENTS),
+        ("noise", slopes.noise_table(sweep, law["by_noise"]), _BY_NOISE),
+    ):
+        if table.rows:
+            yield TableBlock(f"table-law-{name}", table, html(caption))
+    yield LineKey(key_picture(sweep, laws=False))
+    yield _by_direction(sweep, fits)
+    conditions = slopes.condition_table(sweep)
+    if conditions.rows:
+        yield TableBlock("table-law-conditions", conditions, html(_CONDITIONS))
+    rows: list[list[Any]] = []
+    yield Figure(
+        "figure-law-residuals",
+        [_residuals(sweep, fits, surface, letter, rows) for surface, letter in _lettered(sweep)],
+        html(_RESIDUALS, few=len(sweep.ways) < 3),
+        data=Data("law-residuals", [*_METHOD, "law_over_d", "quartile_1", "median", "quartile_3"], rows),
+    )
+
+
+def _regressions(sweep: Sweep, fits: list[Fit]) -> Figure:
     pictures: list[Picture] = []
-    binned: list[list[Any]] = []
+    rows: list[list[Any]] = []
     for way in sweep.ways:
         for surface in SURFACES:
             mine = {fit["law"]: fit for fit in fits if is_of(fit, way, surface) and fit["slope"] is not None}
             if mine:
-                pictures.append(_regression(sweep, way, surface, mine, binned))
-    residual_rows: list[list[Any]] = []
-    directions: list[list[Any]] = [
+                pictures.append(_regression(sweep, way, surface, mine, rows))
+    headings = [*_METHOD, "law_over_d", "cells", "median_spread_over_d", "ci95_low", "ci95_high"]
+    return Figure("figure-law-images", pictures, html(_REGRESSION), data=Data("law-images", headings, rows))
+
+
+def _by_direction(sweep: Sweep, fits: list[Fit]) -> Figure:
+    rows: list[list[Any]] = [
         [
             fit["matcher"],
             fit["subpixel"],
@@ -53,33 +126,12 @@ def images(sweep: Sweep, law: dict[str, Any]) -> Part:
         for fit in fits
         for each in fit["by_alpha_1"]
     ]
-    method = ["matcher", "subpixel", "surface", "law"]
-    return Part(
-        {
-            "regression": pictures,
-            "residuals": [
-                _residuals(sweep, fits, surface, letter, residual_rows) for surface, letter in _lettered(sweep)
-            ],
-            "directions": [slopes.by_direction(sweep, fits, surface, letter) for surface, letter in _lettered(sweep)],
-        },
-        {
-            "slopes": slopes.slope_table(sweep, fits),
-            "limited": slopes.slope_table(sweep, law["noise_limited"]),
-            "by_noise": slopes.noise_table(sweep, law["by_noise"]),
-            "coefficients": slopes.coefficient_table(sweep, law["law_and_bound"]),
-            "conditions": slopes.condition_table(sweep),
-        },
-        {
-            "regression": Data(
-                "law-images", [*method, "law_over_d", "cells", "median_spread_over_d", "ci95_low", "ci95_high"], binned
-            ),
-            "residuals": Data(
-                "law-residuals", [*method, "law_over_d", "quartile_1", "median", "quartile_3"], residual_rows
-            ),
-            "directions": Data(
-                "law-directions", [*method, "alpha_1_deg", "slope", "ci95_low", "ci95_high", "r2"], directions
-            ),
-        },
+    headings = [*_METHOD, "alpha_1_deg", "slope", "ci95_low", "ci95_high", "r2"]
+    return Figure(
+        "figure-law-directions",
+        [slopes.by_direction(sweep, fits, surface, letter) for surface, letter in _lettered(sweep)],
+        html(_DIRECTIONS),
+        data=Data("law-directions", headings, rows),
     )
 
 

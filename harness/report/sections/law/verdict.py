@@ -7,10 +7,60 @@ from typing import Any
 import pandas as pd
 
 from harness.evaluation.law import GROSS, verdict
+from harness.evaluation.statistics import FEW_SEEDS
 from harness.report.data import interval
-from harness.report.law.part import Fit, is_of
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, InAbstract, Paragraph, section_of
+from harness.report.sections.law.part import INTRO, Fit, is_of
+from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, Way
 from harness.report.words import figure, typeset
+
+_WORDS = """
+<p>To plot one against the other proves nothing: range is computed from {{ alpha(2) }}, so its error <em>is</em> the law
+times the error of {{ alpha(2) }}, by calculus. What can fail is the premise under which the law becomes a forecast:
+that the spread of that angle, σ({{ alpha(2) }}), is the same for all ranges and baselines. If it is, the relative error
+of the range grows in proportion to the law over the range, and a line through log(spread/<i>d</i>) against
+log(law/<i>d</i>) has slope 1. That is what is tested, in three steps: geometry alone checks the formulas, images test
+the premise, and a decomposition shows what σ({{ alpha(2) }}) depends on.</p>
+<p>Observations are cells of one trial: walls or floor, a sixth of the directions, a band of ranges, with at least 200
+estimates. Spreads are 1.4826 times the median absolute error. Intervals hold 95 % and come from resampling the
+{{ seeds }} seeds, never pixels{% if few_seeds %}; with so few seeds they are rather too short{% endif %}.
+“Compatible” means that the interval holds 1, no more.</p>
+<h3>Verdict</h3>
+"""
+_NOTE = """
+<p class="note">Where a law of small errors must fail: on floors, which slant away from the viewer, so that a window
+covers many disparities; for small windows in noise, which find wrong matches, whose errors depend on what else the
+search interval holds; and near the baseline’s direction, where {{ alpha(1) }} is small or close to 180° and
+d²/|<b>t</b>| leaves out the factor 1/sin {{ alpha(1) }} and the difference between {{ d(1) }} and {{ d(2) }}. Which of
+these the present data show is said above; the figures below show how much.</p>
+"""
+_FINDINGS = """
+<ul class="findings">
+{% for each in findings %}
+<li style="--key: {{ each.way.colour }}"><b>{{ surfaces[each.surface] | capitalize }}, {{ each.way.label }}.</b>
+ {{ each.words | symbols }}
+{% if reasons and each.reasons %}<ul>{% for reason in each.reasons %}<li>{{ reason | symbols }}</li>{% endfor %}</ul>
+{% endif %}
+</li>
+{% endfor %}
+</ul>
+"""
+_IN_ABSTRACT = '<p>The law of the range error over these trials (<a href="#verdict">verdict and reasons</a>):</p>'
+
+
+@section_of(About.ALL_TRIALS, "verdict", "The law of the range error, tested")
+def section(context: Context) -> Iterator[Block]:
+    """What the law says, how it is tested, and what came of it, which the page's abstract says too."""
+    if not context.law:
+        return
+    found = findings(context.sweep, context.law)
+    seeds = len(context.sweep.seeds)
+    yield Paragraph(html(INTRO) + html(_WORDS, seeds=seeds, few_seeds=seeds < FEW_SEEDS))
+    yield Paragraph(html(_FINDINGS, findings=found, surfaces=SURFACES, reasons=True))
+    yield Paragraph(html(_NOTE))
+    yield InAbstract(html(_IN_ABSTRACT) + html(_FINDINGS, findings=found, surfaces=SURFACES, reasons=False))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Errors by part of the picture, per pixel and per solid angle."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -13,7 +14,9 @@ from harness.evaluation.statistics import mean_over_seeds, weighted_median
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.report.markup import html
 from harness.report.methods import Method
+from harness.report.section import About, Block, Context, Figure, TableBlock, section_of
 from harness.report.sweep import Sweep, Way
 from harness.report.theme import WIDE, Picture
 
@@ -27,6 +30,38 @@ SPLITS = {
 }
 _MEASURES = tuple(METRICS[name] for name in ("disparity_median_abs_px", "bad_1px", "range_median_abs_m"))
 _KEYS = ("density", *(each.name for each in _MEASURES))
+
+
+_ERRORS = """
+Median absolute errors of disparity and range by part of the picture
+{%- if several %}, means of logarithms over all trials{% if seeds > 1 %} with 95 % intervals{% endif %}{% endif %}.
+Parts of one split together are the domain
+{%- if occluded %}; “occluded in view 2” lies outside it: there is no true match, and an estimate is an
+invention{% endif %}.
+"""
+_TABLE = """
+Errors by part of the picture over all trials, each pixel counted alike: means of logarithms for medians, plain means
+for shares, with 95 % intervals from resampling seeds.
+"""
+_BASE_TRIAL = """
+Errors by part of the picture in {{ "the base trial" if several else "this experiment" }}, per pixel of the panorama and
+per solid angle: pixels near the panorama’s lower border cover less of the sphere than those at the horizon.
+Each method on all pixels for which it has an estimate itself.
+"""
+
+
+@section_of(About.ALL_TRIALS, "regions", "Errors by region")
+def section(context: Context) -> Iterator[Block]:
+    """Over all trials; then the base trial, per pixel and per solid angle."""
+    several = context.sweep.several
+    pictures, table = over_trials(context.sweep)
+    occluded = any(row[1].text == "occluded in view 2" for row in table.rows)
+    caption = html(_ERRORS, several=several, seeds=len(context.sweep.seeds), occluded=occluded)
+    yield Figure("figure-regions", pictures, caption, "wide", None if several else table.data)
+    if several:
+        yield TableBlock("table-regions", table, html(_TABLE))
+    if context.methods:
+        yield TableBlock("table-regions-base", of_base_trial(context.methods), html(_BASE_TRIAL, several=several))
 
 
 @dataclass(frozen=True)

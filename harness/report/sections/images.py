@@ -1,22 +1,66 @@
 """The stages of the data: environment, mirror image, panorama, LoG (the paper's figure 4)."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array, normalise
-from harness.geometry.panorama import Grid
 from harness.pipeline.trial import Outcome
 from harness.report import theme
-from harness.report.theme import HALF, INK, WIDE, Picture
+from harness.report.blocks import Fields, in_blocks, rms
+from harness.report.data import Data
+from harness.report.markup import html
+from harness.report.panoramas import extent_of, panorama_axes, unmirrored
+from harness.report.section import About, Block, Context, Figure, section_of
+from harness.report.theme import HALF, INK, Picture
 from harness.simulation.geometry import Geometry, geometry_near
 from harness.simulation.texture import lookup
 
-_LEFT, _PLOT = 50, 845
-"""Where panoramas begin and how wide they are, CSS pixels: all of them line up."""
+_ENVIRONMENT = """
+Where the images come from. (a) The scene from outside, the nearest surfaces of a closed scene cut away, with both
+viewpoints; surfaces are shaded by their direction in this overview only. (b) The image that the camera takes through
+the {{ trial.sensor.mirror.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.camera.width_px }} ×
+{{ trial.sensor.camera.height_px }} px,
+{{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself. After the
+paper’s figure 4 (a) and (b).
+"""
+_PANORAMAS = """
+The view of <i>v</i><sub>1</sub> on a cylinder around the vertical axis, {{ trial.panorama.width_px }} ×
+{{ trial.panorama.height_px }} px, (c) as unwrapped and (d) filtered as it is matched
+{%- if trial.filter.log_sigma_px %}, clipped at the 99th percentile{% endif %}.
+The azimuth descends from left to right, as seen from inside; <i>z</i> is the height on a cylinder of radius 1. After
+the paper’s figure 4 (c) and (d).
+"""
+
+
+@section_of(About.BASE_TRIAL, "data", "From scene to filtered panorama", needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """From the scene to what is matched."""
+    outcome, trial = context.methods[0].outcome, context.trial
+    yield Figure(
+        "figure-environment",
+        [environment(outcome), mirror_image(outcome)],
+        html(_ENVIRONMENT, trial=trial),
+        data=Data(
+            "viewpoints",
+            ["view", "x_m", "y_m", "z_m"],
+            [[i + 1, *pose.position_m] for i, pose in enumerate(outcome.trial.poses)],
+        ),
+    )
+    fields: Fields = {
+        "grey_mean": (outcome.panoramas[0].values, outcome.panoramas[0].valid, np.mean),
+        "log_rms": (outcome.filtered[0].values, outcome.filtered[0].valid, rms),
+    }
+    yield Figure(
+        "figure-panoramas",
+        [panorama(outcome), filtered(outcome)],
+        html(_PANORAMAS, trial=trial),
+        "wide",
+        in_blocks("panorama-blocks", trial.panorama, fields),
+    )
 
 
 @theme.panel
@@ -113,48 +157,6 @@ def filtered(outcome: Outcome) -> Picture:
     return theme.picture(
         fig, alt, f"(d) Laplacian of Gaussian, σ = {sigma:g} px" if sigma else "(d) unfiltered (σ = 0)"
     )
-
-
-def panorama_axes(grid: Grid, *, top: int = 6, bar: bool = True, label: bool = True) -> tuple[Figure, Axes, Axes]:
-    """A figure for a panorama: axes with azimuth and z, elevation on the right, and axes for a colour bar."""
-    height = float(np.clip(_PLOT * (grid.z_max - grid.z_min) / (2 * math.pi), 120, 420))
-    fig = theme.figure(WIDE, round(height + top + (44 if label else 26)))
-    ax = theme.axes(fig, _LEFT, top, _PLOT, height)
-    theme.degrees(ax)
-    if not label:
-        ax.set_xlabel("")
-    ax.set_ylim(grid.z_min, grid.z_max)
-    ax.set_ylabel("$z$")
-    right = ax.secondary_yaxis("right", functions=(_elevation, _z_of_elevation))  # type: ignore[arg-type]
-    right.set_ylabel("elevation (°)", labelpad=2)
-    lowest, highest = _elevation(np.array([grid.z_min, grid.z_max]))
-    step = 10 if highest - lowest < 90 else 20
-    ticks = np.arange(math.ceil(lowest / step) * step, highest + 1e-9, step)
-    right.set_yticks(ticks, [f"{tick:.0f}".replace("-", "−") for tick in ticks])
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(True)
-    colours = theme.axes(fig, _LEFT + _PLOT + 62, top, 12, height)
-    if not bar:
-        colours.set_axis_off()
-    return fig, ax, colours
-
-
-def unmirrored(values: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Columns turned round: a cylinder seen from inside has its azimuth running from right to left."""
-    return values[:, ::-1]
-
-
-def extent_of(grid: Grid) -> tuple[float, float, float, float]:
-    """Where an unmirrored panorama lies on axes of degrees and z."""
-    return 180.0, -180.0, grid.z_min, grid.z_max
-
-
-def _elevation(z: Array) -> Array:
-    return np.degrees(np.arctan(z))
-
-
-def _z_of_elevation(angle: Array) -> Array:
-    return np.tan(np.radians(np.clip(angle, -89, 89)))
 
 
 def _size(low: Array, high: Array) -> str:

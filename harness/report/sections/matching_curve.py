@@ -1,5 +1,6 @@
 """The cost along one epipolar curve and the parabola through its minimum (the paper's figure 3)."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +15,61 @@ from harness.matching.window.settings import WholePixelMatches, WindowMatcher
 from harness.matching.window.subpixel import refine
 from harness.pipeline.trial import Outcome
 from harness.report import theme
+from harness.report.data import Data
+from harness.report.markup import html
 from harness.report.methods import Method, common
+from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import FAINT, HALF, INK, Picture
 
 _UNITS = {"sad": "grey levels", "ssd": "grey levels²", "zncc": "1 − correlation", "census": "bits"}
+
+
+_CURVE = """
+{% if search %}
+Cost along the epipolar curve of one pixel (row {{ search.row }}, column {{ search.column }}), the one whose errors by
+all methods are nearest to their medians. (a) The search interval, from points {{ "%g" | format(matching.d_max_m) }} m
+away to {{ "%g" | format(matching.d_min_m) }} m away, one sample every
+{{ search.step_deg | abs | figure(".3g") }}° of <i>{{ angle }}</i><sub>2</sub>. (b) Around the minimum: the parabola is
+fitted by least squares to the best sample and {{ (fitted - 1) // 2 }} neighbours on both sides. Its minimum is
+{{ (search.minimum_deg - search.true_deg) | abs | figure(".3f") }}° from the true position, that of the best sample
+{{ (search.best_deg - search.true_deg) | abs | figure(".3f") }}°. After the paper’s figure 3.
+{% else %}
+Cost along one epipolar curve.
+{% endif %}
+"""
+
+
+@section_of(About.BASE_TRIAL, "matching", "Matching along one curve", needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """The search of one pixel."""
+    methods = context.methods
+    pixel, searched = typical_pixel(methods), with_windows(methods)
+    search = curve_at(searched, *pixel) if searched and pixel else None
+    yield Figure(
+        "figure-curve",
+        cost_along_curve(searched, search) if searched and search else [],
+        html(
+            _CURVE,
+            search=search,
+            matching=context.trial.matching,
+            angle="φ" if methods[0].outcome.curves.sampling == "phi" else "α",
+            fitted=int(search.near.sum()) if search else 0,
+        ),
+        data=_numbers(search) if search else None,
+        missing="Not drawn: no pixel of the domain has an estimate by every method and a cost for each sample around "
+        "its minimum.",
+    )
+
+
+def _numbers(search: "Curve") -> Data:
+    return Data(
+        "cost-curve",
+        ["angle_deg", "cost", "in_fit", "true_deg", "best_deg", "minimum_deg"],
+        [
+            [angle, cost, int(near), search.true_deg, search.best_deg, search.minimum_deg]
+            for angle, cost, near in zip(search.angle_deg, search.costs, search.near, strict=True)
+        ],
+    )
 
 
 @dataclass(frozen=True)

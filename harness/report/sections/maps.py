@@ -1,5 +1,8 @@
 """Errors of the range over the whole panorama, and why pixels have no range."""
 
+from collections.abc import Iterator
+from string import ascii_lowercase
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
@@ -9,8 +12,12 @@ from numpy.typing import NDArray
 from harness.geometry.panorama import Grid
 from harness.matching.interface import Reason
 from harness.report import theme
-from harness.report.images import extent_of, panorama_axes, unmirrored
+from harness.report.blocks import Fields, in_blocks
+from harness.report.data import Data
+from harness.report.markup import html
 from harness.report.methods import Method, common
+from harness.report.panoramas import extent_of, panorama_axes, unmirrored
+from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import Picture
 
 REASONS = {
@@ -24,6 +31,53 @@ REASONS = {
     Reason.INCONSISTENT: ("the match back leads elsewhere", "#0072B2"),
 }
 """In words, and the colour on the map."""
+
+
+_ERRORS = """
+Signed range error, estimate minus truth, of every pixel of the panorama that has both. The scale is the same for all
+maps and is clipped at ±{{ "%g" | format(limit_mm) }} mm; the arrows of the colour bar stand for what lies beyond. The
+upright bands of the pixel level where walls are seen are the steps of the range profile.
+"""
+_REASONS = """
+Why pixels have no range, with shares of the whole panorama. An epipolar curve is searched only if all of it has whole
+windows in the second panorama.
+"""
+
+
+@section_of(About.BASE_TRIAL, "maps", "Range-error maps", needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """Where errors lie, and where there is no range."""
+    methods = context.methods
+    first = methods[0].outcome
+    limit_mm = common_limit_mm(methods)
+    fields: Fields = {
+        f"{method.key}_range_error_median_m": (
+            method.outcome.errors.range_m,
+            np.isfinite(method.outcome.errors.range_m),
+            np.median,
+        )
+        for method in methods
+    }
+    yield Figure(
+        "figure-errors",
+        [error_map(method, limit_mm, letter) for method, letter in zip(methods, ascii_lowercase, strict=False)],
+        html(_ERRORS, limit_mm=limit_mm),
+        "wide",
+        in_blocks("range-error-blocks", context.trial.panorama, fields),
+    )
+    shares = [
+        [reason.name.lower(), int(there.sum()), float(there.mean())]
+        for reason in Reason
+        for there in [first.reason == reason]
+        if there.any()
+    ]
+    yield Figure(
+        "figure-reasons",
+        [reason_map(methods[0])],
+        html(_REASONS),
+        "wide",
+        Data("reasons", ["reason", "pixels", "share"], shares),
+    )
 
 
 def common_limit_mm(methods: list[Method]) -> float:

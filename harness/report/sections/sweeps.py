@@ -1,6 +1,7 @@
 """Errors over every axis that was swept, and over the range."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +12,58 @@ from matplotlib.lines import Line2D
 from harness.display import told_apart
 from harness.evaluation.cells import NORMAL
 from harness.evaluation.regions import RANGE_RATIO
-from harness.evaluation.statistics import Curve, balanced, mean_over_seeds
+from harness.evaluation.statistics import FEW_SEEDS, Curve, balanced, mean_over_seeds
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Figure, LineKey, Paragraph, section_of
 from harness.report.sweep import Axis, Sweep, Way
 from harness.report.theme import FAINT, HALF, Picture
 
 SURFACES = {"wall": "walls", "floor": "floor, ceiling"}
 BASELINE = "view_2.baseline_m"
 LAWS = {"law_exact": ("exact law", (0, (5, 2))), "law_paper": ("$d^2/|t|$", (0, (1, 1.6)))}
+
+
+_WORDS = """
+<p>Median errors over all pixels of the domain on walls and on floor and ceiling, averaged as logarithms over
+{{ "the " ~ seeds ~ " seeds and " if seeds > 1 }}all other axes. Bands are 95 % intervals from resampling seeds
+{%- if seeds < 2 %}; there is one seed, so there are none
+{%- elif few_seeds %}; with so few seeds they are rather too short{% endif %}.
+Where the law speaks of an axis it is drawn in grey, through the mean of the curves: its shape is a forecast, its level
+is not.</p>
+"""
+_ERRORS = """
+Errors against {{ swept.label }}: (a) range, (b) disparity; walls on the left, floor and ceiling on the right of each
+panel.
+{% if swept.law %}Grey, dashed: what the exact law says with a constant σ(<i>α</i><sub>2</sub>), in (b) a level line;
+dotted: d²/|<b>t</b>|.{% endif %}
+{{ " " }}
+{%- if swept.unbalanced %}From cells of surface, direction and range, whose medians are averaged as logarithms; ranges
+are seen in partly different directions{{ " and settings" if several }}, and the law is averaged over the same cells.
+{%- elif axes > 1 %} Averaged over the settings of the other axes that every value has.{% endif %}
+"""
+
+
+def _title(context: Context) -> str:
+    return "Errors over every axis" if context.sweep.axes else "Errors over the range"
+
+
+@section_of(About.ALL_TRIALS, "sweeps", _title)
+def section(context: Context) -> Iterator[Block]:
+    """A figure for each axis, and one for the range."""
+    sweep = context.sweep
+    figures = swept_figures(sweep, context.column_deg)
+    if not figures:
+        return
+    seeds = len(sweep.seeds)
+    if sweep.several:
+        yield Paragraph(html(_WORDS, seeds=seeds, few_seeds=seeds < FEW_SEEDS))
+    yield LineKey(key_picture(sweep, laws=any(each.law for each in figures)))
+    for each in figures:
+        caption = html(_ERRORS, swept=each, several=sweep.several, axes=len(sweep.axes))
+        yield Figure(f"figure-{each.id}", each.pictures, caption, data=each.data)
 
 
 @dataclass(frozen=True)

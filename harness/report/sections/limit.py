@@ -1,6 +1,6 @@
 """How near the methods come to the Cramér-Rao bound, over the noise."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +9,44 @@ import numpy as np
 from harness.evaluation.limit import GROSS_PX
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Figure, Paragraph, TableBlock, section_of
 from harness.report.sweep import Sweep, Way, in_words
 from harness.report.theme import HALF, Picture
 
 Entry = dict[str, Any]
 """An entry of the summary's `limit`."""
+
+
+_WORDS = """
+<p>However a matcher works, the spread of an unbiased one over draws of the noise cannot be less than the Cramér-Rao
+bound: the noise of both mirror images against the texture that its window covers, with all that it has to estimate
+besides. Spread and bias are told apart here, and errors above {{ "%g" | format(gross_px) }} px counted apart from both:
+another match is no imprecise one. A biased matcher can have less spread than the bound, as one that rounds to whole
+samples does, and so can one that looks beyond its window, or takes smoothness for granted.</p>
+"""
+_SPREAD = """
+Spread of the disparity over draws of the noise, every pixel against its own bound
+{%- if condition %}, for {{ condition }}{% endif %}: (a) medians over pixels of the ratio; 1 is the limit;
+(b) median spread, bias and bound. The bound holds for each method’s own window: the raw mirror pixels that it covers,
+known noise, a plane surface; slant, gain and offset count as unknown for methods that fit them. Pixels whose window
+holds a discontinuity have no bound and are left out. Methods without a window of their own are not drawn in (a).
+"""
+_TABLE = """
+Sampled pixels of the domain. Spread: median standard deviation over seeds, corrected for their number; bias: median of
+|mean error| over seeds, less what the spread explains. Within 1σ: share of errors within one standard deviation as the
+method predicts it itself; 68.3 % if it is right. Without noise there is no spread.
+"""
+
+
+@section_of(About.ALL_TRIALS, "limit", "The limit that noise sets")
+def section(context: Context) -> Iterator[Block]:
+    """Spread against the bound; nothing where the summary has no `limit`."""
+    if "limit" in context.summary:
+        limited = limit(context.sweep, context.summary["limit"])
+        yield Paragraph(html(_WORDS, gross_px=GROSS_PX))
+        yield Figure("figure-limit", limited.pictures, html(_SPREAD, condition=limited.condition), data=limited.data)
+        yield TableBlock("table-limit", limited.table, html(_TABLE))
 
 
 @dataclass(frozen=True)

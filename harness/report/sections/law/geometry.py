@@ -1,5 +1,6 @@
 """Geometry alone: exact angles with errors of known size, triangulated."""
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -8,28 +9,41 @@ from harness.evaluation.law_geometry import GeometryCheck, check_geometry
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, number, words
-from harness.report.law.part import Part
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Figure, Paragraph, TableBlock, section_of
 from harness.report.theme import FAINT, HALF, INK, Picture
 
 LINEAR = 0.05
 """The linearisation has ended where a spread is off by more than this share."""
 
 
-@lru_cache(maxsize=1)
-def _geometry() -> GeometryCheck:
-    return check_geometry()
+_WORDS = """
+<p>Exact angles are given Gaussian errors of known size and triangulated, for a baseline of 0.5 m, three ranges, six
+directions and six sizes of error. No image takes part: this verifies the formulas and shows where they stop being good
+enough.</p>
+"""
+_RATIOS = """
+Measured over predicted, one mark for each of the {{ points }} combinations, against the spread that the exact law
+predicts as a share of the range. (a) Spread of the range over that by the exact law (black) and by d²/|<b>t</b>|
+(orange). (b) Mean error of the range over the bias of second order,
+½ ∂²<i>d</i><sub>1</sub>/∂<i>α</i><sub>2</sub>² σ². Bars at the edge lie beyond the axes.
+{% if lost %}In {{ lost }} combinations some rays no longer meet, and there is nothing to draw.{% endif %}
+"""
+_TABLE = """
+Geometry alone: measured over predicted for the smallest error of the angle (at most {{ small | figure(".1f") }} % of
+the range), over all ranges and directions. The last column is where the linearisation has ended: the smallest predicted
+spread at which a measured one is off by more than 5 %.
+"""
 
 
-def geometry() -> Part:
+@section_of(About.ALL_TRIALS, "law-geometry", "The law: geometry alone")
+def section(context: Context) -> Iterator[Block]:
     """Exact angles with known noise: measured over predicted."""
+    if not context.law:
+        return
     check = _geometry()
     relative = check.relative_spread.ravel()
-    kinds = {
-        "spread / exact law": check.spread_over_exact.ravel(),
-        "spread / short form d²/|t|": check.spread_over_paper.ravel(),
-        "bias / second-order bias": check.bias_over_second_order.ravel(),
-    }
-    lost = int(np.isnan(kinds["spread / exact law"]).sum())
+    kinds = _ratio_kinds(check)
     pictures = [
         _ratios(
             relative,
@@ -40,7 +54,35 @@ def geometry() -> Part:
         ),
         _ratios(relative, {"bias / second-order bias": INK}, kinds, "(b) bias", (0.0, 3.0)),
     ]
-    small = check.relative_spread[..., 0].max()
+    data = Data(
+        "law-geometry",
+        ["relative_spread", "spread_over_exact", "spread_over_paper", "bias_over_second_order"],
+        [list(each) for each in zip(relative, *kinds.values(), strict=True)],
+    )
+    yield Paragraph(html(_WORDS))
+    lost = int(np.isnan(kinds["spread / exact law"]).sum())
+    yield Figure("figure-law-geometry", pictures, html(_RATIOS, points=relative.size, lost=lost), data=data)
+    small = 100 * float(check.relative_spread[..., 0].max())
+    yield TableBlock("table-law-geometry", _table(check), html(_TABLE, small=small))
+
+
+def _ratio_kinds(check: GeometryCheck) -> dict[str, Array]:
+    """Measured over predicted, one value for each combination."""
+    return {
+        "spread / exact law": check.spread_over_exact.ravel(),
+        "spread / short form d²/|t|": check.spread_over_paper.ravel(),
+        "bias / second-order bias": check.bias_over_second_order.ravel(),
+    }
+
+
+@lru_cache(maxsize=1)
+def _geometry() -> GeometryCheck:
+    return check_geometry()
+
+
+def _table(check: GeometryCheck) -> Table:
+    """Median, smallest and largest for the smallest error of the angle, and where the linearisation ends."""
+    relative, kinds = check.relative_spread.ravel(), _ratio_kinds(check)
     rows = []
     for name, values, at_smallest in (
         ("Spread over the exact law", kinds["spread / exact law"], check.spread_over_exact[..., 0]),
@@ -60,7 +102,7 @@ def geometry() -> Part:
                 end,
             ]
         )
-    table = Table(
+    return Table(
         [
             Heading("Measured over predicted", text=True),
             Heading("Median"),
@@ -69,17 +111,6 @@ def geometry() -> Part:
             Heading(f"First off by {100 * LINEAR:.0f}\u00a0%", "spread, % of the range"),
         ],
         rows,
-    )
-    data = Data(
-        "law-geometry",
-        ["relative_spread", "spread_over_exact", "spread_over_paper", "bias_over_second_order"],
-        [list(each) for each in zip(relative, *kinds.values(), strict=True)],
-    )
-    return Part(
-        {"ratios": pictures},
-        {"geometry": table},
-        {"ratios": data},
-        {"lost": str(lost), "points": str(relative.size), "small": f"{100 * small:.1f}"},
     )
 
 

@@ -1,6 +1,9 @@
 """Range along rows of the panorama (the paper's figure 5)."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from string import ascii_lowercase
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,8 +16,81 @@ from harness.geometry.triangulation import triangulate
 from harness.matching.registry import method_of
 from harness.pipeline.trial import Outcome
 from harness.report import theme
+from harness.report.data import Data
+from harness.report.markup import html
 from harness.report.methods import Method, common
+from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import HALF, WIDE, Picture
+
+_PROFILE = """
+Range from <i>v</i><sub>1</sub> estimated for one row of the panorama (row {{ row.index }}, elevation
+{{ row.elevation_deg | figure("+.1f") }}°), beside the truth; {{ row.matched }} of the {{ row.domain }} pixels of the
+domain have an estimate by every method.
+{% if toward is not none %}The second viewpoint lies at azimuth {{ toward | figure(".0f") }}°. {% endif %}
+{% if stepped %}The grey curves in (a) are the ranges at which whole samples of the epipolar curves lie, worked out from
+the geometry alone: the pixel-level estimates can be nowhere else, so the steps are discretisation.{% endif %}
+ Strokes at the upper and lower edge are estimates beyond the axes. After the paper’s figure 5 (a) and (b).
+"""
+_ROWS = """
+Other rows, walls and floor:
+{% for method in methods %}{{ key(method.label, method.colour) }}{{ ", " if not loop.last }}{% endfor %}
+ and truth (black line); greys and strokes as in the figure above. Medians are over pixels of the domain with an
+estimate by every method. The paper says that other rows give similar estimates. Compare the medians under the panels:
+where rows show the floor, a window of fixed shape covers points of different disparity, because the floor is slanted
+towards the viewer, and matches may fail altogether.
+"""
+
+
+@section_of(About.BASE_TRIAL, "profiles", "Range profiles", needs_pixels=True)
+def section(context: Context) -> Iterator[Block]:
+    """The row of the horizon by each method, and other rows."""
+    methods = context.methods
+    row, others = row_at(methods, main_row(methods)), other_rows(methods)
+    span = limits(methods, row.index)
+    yield Figure(
+        "figure-profile",
+        [profile(method, row, span, letter) for method, letter in zip(methods, ascii_lowercase, strict=False)],
+        html(
+            _PROFILE,
+            row=row,
+            toward=_azimuth_of_t(methods[0].outcome),
+            stepped=context.trial.matching.whole_samples,
+        ),
+        "wide",
+        _numbers("profile", methods, [row.index]),
+    )
+    yield Figure(
+        "figure-rows",
+        [small_profile(methods, row_at(methods, index)) for index in others],
+        html(_ROWS, methods=methods),
+        data=_numbers("profiles-other-rows", methods, others, every=2),
+        missing="Not drawn: no other row has enough estimates.",
+    )
+
+
+def _azimuth_of_t(outcome: Outcome) -> float | None:
+    """Where on view 1's panorama the second viewpoint lies, degrees; None straight above or below."""
+    x, y, _ = outcome.curves.t
+    level = np.hypot(x, y) > 1e-9 * np.linalg.norm(outcome.curves.t)
+    return float(np.degrees(np.arctan2(y, x))) if level else None
+
+
+def _numbers(name: str, methods: list[Method], rows: list[int], every: int = 1) -> Data:
+    """Range over azimuth, of every column or of every so many."""
+    outcome = methods[0].outcome
+    phi = np.degrees(outcome.trial.panorama.phi)
+    every *= max(1, -(-phi.size // 720))
+    lines: list[list[Any]] = []
+    for index in rows:
+        described = row_at(methods, index)
+        for column in range(0, phi.size, every):
+            found = [float(method.outcome.range_m[index, column]) for method in methods]
+            lines.append(
+                [index, described.elevation_deg, phi[column], float(outcome.reference.range_m[index, column]), *found]
+            )
+    return Data(
+        name, ["row", "elevation_deg", "azimuth_deg", "true_m", *(f"{method.key}_m" for method in methods)], lines
+    )
 
 
 @dataclass(frozen=True)

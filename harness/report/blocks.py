@@ -1,0 +1,39 @@
+"""The numbers behind maps and pictures of a panorama, summed up in blocks: as few, whatever their size."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid
+from harness.report.data import Data
+
+BLOCKS = (20, 72)
+"""At most so many blocks down and across a panorama."""
+
+Fields = dict[str, tuple[NDArray[np.floating], NDArray[np.bool_], Callable[[Any], Any]]]
+"""By the name of a column: `[height, width]` values, which of them are known, and how a block is summed up."""
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def in_blocks(name: str, grid: Grid, fields: Fields) -> Data:
+    """One row a block: its middle, and each field summed up over the pixels that have it."""
+    downs, acrosses = (
+        np.array_split(np.arange(size), min(most, size)) for size, most in zip(grid.shape, BLOCKS, strict=True)
+    )
+    lines = []
+    for down in downs:
+        for across in acrosses:
+            place = np.ix_(down, across)
+            line = [float(np.degrees(grid.phi[across].mean())), float(grid.z[down].mean())]
+            for values, known, sum_up in fields.values():
+                chosen = values[place][known[place]]
+                line.append(float(sum_up(chosen)) if chosen.size else np.nan)
+            lines.append(line)
+    return Data(name, ["azimuth_deg", "z", *fields], lines)

@@ -1,0 +1,207 @@
+"""A section of the report: what one is made from, and what it is made of."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from markupsafe import Markup
+
+from harness.pipeline.specification import Trial
+from harness.report.data import Data, Table
+from harness.report.markup import html
+from harness.report.methods import Method, Named, methods_of, names_of
+from harness.report.sweep import Sweep, sweep_of
+from harness.report.theme import Picture
+from harness.runs.run import Result
+
+# --- What a section is made from ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Context:
+    """A finished experiment, as sections read it."""
+
+    result: Result
+    sweep: Sweep
+    """The rows of all trials as tables."""
+    methods: list[Method]
+    """The base trial by each method, with its pixels; empty where none can be shown."""
+    compared: list[Named]
+    """The methods of the base trial whose comparison is known, with or without pixels."""
+    trial: Trial
+    """The base trial."""
+
+    @classmethod
+    def of(cls, result: Result) -> "Context":
+        """What the report of a result is made from."""
+        planned = result.experiment.planned
+        methods = methods_of(result.outcomes, planned)
+        named = names_of(result.details.trials, planned)
+        return cls(
+            result=result,
+            sweep=sweep_of(result),
+            methods=methods,
+            compared=[each for each in named if each.key in result.summary["comparison"]],
+            trial=methods[0].outcome.trial if methods else result.details.trials[0],
+        )
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What is in `summary.json`."""
+        return self.result.summary
+
+    @property
+    def law(self) -> dict[str, Any] | None:
+        """The summary's test of the law; None where it was not tested, or no slope could be fitted."""
+        law: dict[str, Any] = self.summary.get("law") or {"images": []}
+        fitted = any(fit["law"] == "exact" and fit["slope"] is not None for fit in law["images"])
+        return law if fitted else None
+
+    @cached_property
+    def column_deg(self) -> float:
+        """One pixel of disparity, degrees."""
+        return float(np.degrees(self.trial.panorama.phi_pitch))
+
+
+# --- What a section is made of ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Any HTML that has no number: paragraphs, lists, sub-headings."""
+
+    kind: ClassVar = "paragraph"
+    html: Markup
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A numbered figure of one or more panels."""
+
+    kind: ClassVar = "figure"
+    id: str
+    pictures: Sequence[Picture]
+    caption: Markup
+    layout: Literal["two", "wide"] = "two"
+    """Two panels beside each other where there is room, or each as wide as the page."""
+    data: Data | None = None
+    """The numbers behind it, to download."""
+    missing: str = ""
+    """What to say when there is no picture; empty for the usual words."""
+
+
+@dataclass(frozen=True)
+class LineKey:
+    """What the lines of the figures that follow stand for: a picture without a number."""
+
+    kind: ClassVar = "key"
+    picture: Picture
+
+
+@dataclass(frozen=True)
+class TableBlock:
+    """A numbered table that readers can sort and download."""
+
+    kind: ClassVar = "table"
+    id: str
+    table: Table
+    caption: Markup
+    full: bool = True
+    """As wide as the page."""
+
+
+@dataclass(frozen=True)
+class FixedTable:
+    """A numbered table whose rows stay in their order, for grouped rows or symbols in headings."""
+
+    kind: ClassVar = "fixed table"
+    html: Markup
+    """What is inside `<table>`."""
+    caption: Markup
+    full: bool = False
+
+
+@dataclass(frozen=True)
+class InAbstract:
+    """What a section has to say at the head of the page, in the report of a sweep; not shown in the section itself."""
+
+    kind: ClassVar = "abstract"
+    html: Markup
+
+
+Block = Paragraph | Figure | LineKey | TableBlock | FixedTable | InAbstract
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section, ready for the template."""
+
+    id: str
+    """What links lead to."""
+    title: str
+    blocks: tuple[Block, ...]
+
+    @property
+    def abstract(self) -> list[Markup]:
+        """What it says at the head of the page."""
+        return [block.html for block in self.blocks if isinstance(block, InAbstract)]
+
+
+# --- How one is declared ------------------------------------------------------------------------------------------
+
+
+class About(Enum):
+    """What a section speaks of, which decides where it stands."""
+
+    ALL_TRIALS = "all trials"
+    """Made from rows. It comes first in the report of a sweep, after the base trial elsewhere."""
+    BASE_TRIAL = "the base trial"
+    THE_RUN = "the run"
+    """At the end."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A section as declared in its file; calling it with a context makes it."""
+
+    id: str
+    title: str | Callable[[Context], str]
+    about: About
+    needs_pixels: bool
+    """Whether it cannot be made from rows and summary alone; where pixels are missing it says so."""
+    make: Callable[[Context], Iterator[Block]]
+
+    def __call__(self, context: Context) -> Section | None:
+        """The section; None where it has nothing to show."""
+        if self.needs_pixels and not context.methods:
+            blocks: tuple[Block, ...] = (Paragraph(html(_WITHOUT_PIXELS)),)
+        else:
+            blocks = tuple(self.make(context))
+        for block in blocks:
+            if not isinstance(block, Block):
+                raise TypeError(f"a section is made of blocks such as Figure, not of {type(block).__name__}")
+        return Section(self.id, self.title_in(context), blocks) if blocks else None
+
+    def title_in(self, context: Context) -> str:
+        """Its title in one report."""
+        return self.title if isinstance(self.title, str) else self.title(context)
+
+
+def section_of(
+    about: About, section_id: str, title: str | Callable[[Context], str], *, needs_pixels: bool = False
+) -> Callable[[Callable[[Context], Iterator[Block]]], Declared]:
+    """Declare a section: for a function that yields its blocks in the order of the page, or none to be left out."""
+
+    def declare(make: Callable[[Context], Iterator[Block]]) -> Declared:
+        return Declared(section_id, title, about, needs_pixels, make)
+
+    return declare
+
+
+_WITHOUT_PIXELS = """\
+<p class="missing">Not shown: this section needs the pixels of the base trial, see
+<a href="#comparison">above</a> what is left out and why.</p>
+"""

@@ -1,0 +1,107 @@
+"""The methods side by side on the base trial, and what of it could not be shown."""
+
+from collections.abc import Iterator
+
+from harness.evaluation.errors import MIN_SINE_ALPHA_1, Reference
+from harness.evaluation.metric_table import METRICS
+from harness.report import words
+from harness.report.markup import html
+from harness.report.methods import Method
+from harness.report.section import About, Block, Context, FixedTable, Paragraph, section_of
+from harness.runs.run import Result
+
+_LEFT_OUT = """
+<p class="missing">Left out of this page:</p>
+<ul>
+{% for each in left_out %}<li>{{ each.matcher }}: {{ each.reason }}.</li>
+{% endfor %}
+</ul>
+"""
+_CAPTION = """
+Errors against exact truth. All methods are compared on the same pixels: those of the domain for which every method has
+an estimate. The domain is where the true point is visible in both views and sin <i>α</i><sub>1</sub> ≥
+{{ "%g" | format(min_sine) }}, that is, more than 30° away from the baseline
+{%- if domain %} ({{ domain.pixels }} pixels, {{ (100 * domain.share) | figure(".1f") }} % of the panorama;
+{{ domain.on_walls }} of them on walls){% endif %}. Density is the share of it with an
+estimate; pixels without one count nowhere else. Disparity errors are errors of <i>α</i><sub>2</sub>, one pixel being
+2π/{{ width_px }} rad = {{ "%.4g" | format(column_deg) }}°. Bias is the mean signed error, estimate minus truth.
+"""
+_TABLE = """
+<thead><tr><th scope="col" class="text">Method</th>
+{% for column in columns %}
+<th scope="col">{{ column.heading }} <span class="unit">{{ column.unit }}</span></th>
+{% endfor %}
+</tr></thead>
+<tbody>
+{% for heading, group in groups %}
+  <tr class="group"><th scope="rowgroup" colspan="{{ columns | length + 1 }}">{{ heading }}</th></tr>
+  {% for method in compared %}
+  <tr><th scope="row">{{ key(method.label, method.colour) }}</th>
+    {% for column in columns %}
+    <td data-measure="{{ column.name }}">{{ cell(column, group[method.key]) }}</td>
+    {% endfor %}</tr>
+  {% endfor %}
+{% endfor %}
+</tbody>
+"""
+_ALONE = "<p>This experiment has one method only, so there is nothing to compare it with.</p>"
+_ONE_TRIAL_EACH = """
+<p>This table and the figures of the sections that follow it are about one trial of each method:
+{% for method, place, _ in places %}{{ method.label }} ({{ place or "as the base trial" }})
+{{- "; " if not loop.last else "." }}{% endfor %}{{ " " }}
+The <a href="#measures">table of all figures</a> has all trials.</p>
+"""
+
+
+def _title(context: Context) -> str:
+    return "The base trial: methods compared" if context.sweep.several else "Comparison of methods"
+
+
+@section_of(About.BASE_TRIAL, "comparison", _title)
+def section(context: Context) -> Iterator[Block]:
+    """What is left out of the page, and the figures of the base trial by each method."""
+    methods, left_out, summary = context.methods, context.result.details.left_out, context.summary
+    if left_out:
+        yield Paragraph(html(_LEFT_OUT, left_out=left_out))
+    if context.compared:
+        table = html(
+            _TABLE,
+            columns=[METRICS[name] for name in words.COMPARED],
+            groups=[
+                ("Walls", summary["comparison_wall"]),
+                ("All: walls, floor and ceiling", summary["comparison"]),
+            ],
+            compared=context.compared,
+            cell=words.cell,
+        )
+        caption = html(
+            _CAPTION,
+            min_sine=MIN_SINE_ALPHA_1,
+            domain=_domain(methods[0].outcome.reference) if methods else None,
+            width_px=context.trial.panorama.width_px,
+            column_deg=context.column_deg,
+        )
+        yield FixedTable(table, caption, full=True)
+    if len(methods) == 1 and not left_out:
+        yield Paragraph(html(_ALONE))
+    if context.sweep.several and methods:
+        yield Paragraph(html(_ONE_TRIAL_EACH, places=places_of(context.result, methods)))
+
+
+def _domain(reference: Reference) -> dict[str, float]:
+    """How large the domain is."""
+    return {
+        "pixels": int(reference.domain.sum()),
+        "share": float(reference.domain.mean()),
+        "on_walls": int((reference.domain & reference.wall).sum()),
+    }
+
+
+def places_of(result: Result, methods: list[Method]) -> list[tuple[Method, str, str]]:
+    """Each method with where its trial lies on the axes, and the trial's key."""
+    return [
+        (method, ", ".join(f"{key} = {value}" for key, value in place.items()), key_of_trial)
+        for method in methods
+        for place, key_of_trial, outcome in zip(result.places, result.details.keys, result.outcomes, strict=True)
+        if outcome is method.outcome
+    ]

@@ -1,0 +1,47 @@
+"""Trials that failed, by message."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from harness.report.data import Data, Heading, Table, count, words
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, TableBlock, section_of
+from harness.runs.run import Result
+from harness.runs.values import shown
+
+_TABLE = """
+Trials that could not be carried out, by message. Nothing of them counts anywhere else. <code>failures.csv</code> has
+their tracebacks.
+"""
+
+
+@section_of(About.THE_RUN, "failures", "Failures")
+def section(context: Context) -> Iterator[Block]:
+    """What went wrong; nothing where nothing did."""
+    table = failures(context.result)
+    if table.rows:
+        yield TableBlock("table-failures", table, html(_TABLE))
+
+
+def failures(result: Result) -> Table:
+    """What went wrong: one row for each message."""
+    failed: dict[str, list[Any]] = {}
+    for row in result.rows:
+        if row.state == "failed":
+            failed.setdefault(row.finished.message, []).append(row)
+    rows = [
+        [words(message), count(len(found)), words(shown(found[0].place)), words(found[0].planned.key)]
+        for message, found in failed.items()
+    ]
+    data = Data(
+        "failures",
+        ["key", "place", "message"],
+        [[row.planned.key, shown(row.place), message] for message, found in failed.items() for row in found],
+    )
+    head = [
+        Heading("Message", text=True),
+        Heading("Trials"),
+        Heading("First at", text=True),
+        Heading("Its key", text=True),
+    ]
+    return Table(head, rows, data)
