@@ -39,7 +39,7 @@ def render(
     yaw_deg, pitch_deg, roll_deg
         Rotation of the sensor about z, then y, then x, degrees.
     samples
-        Rays in each pixel, a square number.
+        Rays in each pixel, a square number, at least; more where they are too wide for a texture or an outline.
     grid
         The panorama's pixels; 720 x 200 when None.
 

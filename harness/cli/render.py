@@ -25,7 +25,9 @@ def add(commands: Commands) -> None:
     )
     for angle, axis in (("yaw", "the vertical axis z"), ("pitch", "y"), ("roll", "x")):
         command.add_argument(f"--{angle}-deg", type=float, default=0.0, metavar="A", help=f"turn about {axis}, degrees")
-    command.add_argument("--samples", type=int, default=16, metavar="N", help="rays per pixel, a square number (16)")
+    command.add_argument(
+        "--samples", type=int, default=16, metavar="N", help="rays per pixel, a square number, at least (16)"
+    )
     add_out(command, required=True)
 
 

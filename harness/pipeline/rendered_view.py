@@ -86,7 +86,7 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
     Parameters
     ----------
     samples
-        Rays in each pixel, a square number.
+        Rays in each pixel, a square number, at least; more where they are too wide for a texture or an outline.
     grid
         Of the panorama.
 

@@ -58,7 +58,8 @@ class Rendering(Spec):
     """How a pixel is made: the mean of rays on a square grid inside it."""
 
     samples: Annotated[int, Field(ge=1, le=1024)] = 16
-    """Rays in each pixel, a square number."""
+    """Rays in each pixel, a square number, at least: where they are too wide for a texture or an outline there are 4 or
+    16 times as many, up to 1024."""
 
     @model_validator(mode="after")
     def _square(self) -> "Rendering":

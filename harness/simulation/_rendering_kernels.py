@@ -14,6 +14,11 @@ INVALID = -3
 REACH = 0.55
 """Pixels around an edge's sample that the edge may pass through before the next sample, with a margin."""
 
+NARROW = 1.5
+"""Texels between neighbouring samples, above which a pixel is sampled twice as closely either way."""
+WIDE = 8.0
+"""The same, four times as closely."""
+
 
 @kernel
 def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions, search_misses, triangle, range_m):
@@ -174,6 +179,74 @@ def classify_pixels(corner_face, valid, marks, out):
             face = corner_face[i, j]
             same = face == corner_face[i, j + 1] == corner_face[i + 1, j] and face == corner_face[i + 1, j + 1]
             out[i, j] = face if same and not marks[i, j] else TRACE
+
+
+@kernel
+def sampling_levels(
+    pixels, width, face_of_pixel, per_side, corner_index, corner_rays, H, texture_of_face, texture_place, level
+):
+    """Write how often the samples of pixels that one face fills each must be doubled either way: 0, 1 or 2.
+
+    The measure is the longest side of a pixel on its face's tile, in texels, shared among the `per_side` samples along
+    it.
+
+    corner_index : `[height + 1, width + 1]`, flat: the column of `corner_rays [3, n]` that holds a pixel corner's ray.
+    H, texture_of_face, texture_place : see `shade`.
+    """
+    last, last_face = -2, -1
+    u_b, v_b, w_b, u_d, v_d, w_d = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(pixels.size):
+        pixel, face = pixels[i], face_of_pixel[i]
+        level[i] = 0
+        if face < 0:
+            continue
+        column = pixel % width
+        corner = pixel + pixel // width
+        if pixel == last + 1 and face == last_face and column:
+            u_a, v_a, w_a, u_c, v_c, w_c = u_b, v_b, w_b, u_d, v_d, w_d
+        else:
+            u_a, v_a, w_a = _on_tile(H[face], corner_rays, corner_index[corner])
+            u_c, v_c, w_c = _on_tile(H[face], corner_rays, corner_index[corner + width + 1])
+        u_b, v_b, w_b = _on_tile(H[face], corner_rays, corner_index[corner + 1])
+        u_d, v_d, w_d = _on_tile(H[face], corner_rays, corner_index[corner + width + 2])
+        last, last_face = pixel, face
+        texture = texture_of_face[face]
+        rows, columns = float(texture_place[texture, 1]), float(texture_place[texture, 2])
+        top = ((u_b - u_a) * columns) ** 2 + ((v_b - v_a) * rows) ** 2
+        bottom = ((u_d - u_c) * columns) ** 2 + ((v_d - v_c) * rows) ** 2
+        left = ((u_c - u_a) * columns) ** 2 + ((v_c - v_a) * rows) ** 2
+        right = ((u_d - u_b) * columns) ** 2 + ((v_d - v_b) * rows) ** 2
+        spacing = math.sqrt(max(top, bottom, left, right)) / per_side
+        # Where a corner is beyond the plane's horizon, the pixel reaches to infinity on it.
+        positive = w_a > 0.0
+        beyond = (w_b > 0.0) != positive or (w_c > 0.0) != positive or (w_d > 0.0) != positive
+        if beyond or not spacing <= WIDE:
+            level[i] = 2
+        elif spacing > NARROW:
+            level[i] = 1
+
+
+@kernel
+def faces_in_pixels(face_of_sample, samples, texture_of_face, several, differ):
+    """Write whether each pixel's samples lie on several faces, and whether those show different textures."""
+    for i in range(several.size):
+        first = face_of_sample[i * samples]
+        texture = texture_of_face[first] if first >= 0 else -1
+        several[i] = differ[i] = False
+        for k in range(i * samples + 1, (i + 1) * samples):
+            face = face_of_sample[k]
+            if face != first:
+                several[i] = True
+                differ[i] |= (texture_of_face[face] if face >= 0 else -1) != texture
+
+
+@kernel
+def _on_tile(h, rays, i):
+    """Tile coordinates (u, v) at which a ray `rays[:, i]` meets a face's plane, and w; see `shade`."""
+    x, y, z = rays[0, i], rays[1, i], rays[2, i]
+    w = h[2, 0] * x + h[2, 1] * y + h[2, 2] * z
+    inverse = 1.0 / w
+    return (h[0, 0] * x + h[0, 1] * y + h[0, 2] * z) * inverse, (h[1, 0] * x + h[1, 1] * y + h[1, 2] * z) * inverse, w
 
 
 @kernel

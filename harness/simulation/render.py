@@ -1,5 +1,10 @@
 """The image that a sensor sees: every pixel is the mean of a regular grid of exact samples.
 
+A grid that is too wide for its texture aliases. So the samples of a pixel are doubled either way where they are more
+than 1.5 texels apart, and doubled twice where they are more than 8 apart (by the pixel's longest side on the face that
+it sees), and doubled where they fall on faces of several textures, such as those of two objects. A pixel of several
+faces of one texture, as in a fine mesh, keeps its samples.
+
 There is no light: the grey of a pixel is the grey of the texture. Most pixels lie inside one face, whose texture
 coordinates are a homography of the ray; only the others are traced sample by sample. A pixel is taken to lie
 inside one face when its four corners hit that face and the outline of no face comes near it (see `_face_of_pixels`).
@@ -20,10 +25,12 @@ from harness.simulation._rendering_kernels import (
     TRACE,
     classify_pixels,
     face_ranges,
+    faces_in_pixels,
     faces_of_triangles,
     mark_edges,
     rotate_rays,
     sample_positions,
+    sampling_levels,
     shade,
 )
 from harness.simulation.cast import cast, nearest_triangles, rotated
@@ -38,13 +45,18 @@ _RAYS = 1 << 15
 """Rays in flight per thread: few enough for the caches, enough to keep the interpreter's share small."""
 
 
+_MOST_PER_SIDE = 32
+"""Samples along either side of a pixel, at most, where `render.samples` does not ask for more."""
+
+
 def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads: int | None = None) -> Image:
     """The image `[height, width]` of a scene, grey levels 0 .. 255; 0 outside the sensor's field.
 
     Parameters
     ----------
     samples
-        Samples per pixel, a square number. A pixel whose centre is in the field has all its samples shaded, even
+        Samples per pixel, a square number; up to 16 times as many, at most 1,024, where they are too wide for a
+        texture or an outline (see above). A pixel whose centre is in the field has all its samples shaded, even
         those a hair beyond the mirror's rim.
     threads
         All available CPUs when not given. No bit of the image depends on it.
@@ -164,6 +176,8 @@ class _Corners:
 
     place: NDArray[np.int64]
     """`[n]`: index into the grid of (height + 1) x (width + 1) corners."""
+    index: NDArray[np.int32]
+    """Where each corner of the grid, flat, is among the n; -1 for those that no valid pixel has."""
     rays: Array
     """`[3, n]`, in the sensor's frame."""
     finest_rad: float
@@ -181,8 +195,12 @@ def _corners_of(sensor: Sensor) -> _Corners:
     unit = np.full((*needed.shape, 3), np.nan)
     unit[needed] = (rays / np.linalg.norm(rays, axis=0)).T
     spans = [np.linalg.norm(np.diff(unit, axis=axis), axis=-1) for axis in (0, 1)]
+    place = np.flatnonzero(needed)
+    index = np.full(needed.size, -1, dtype=np.int32)
+    index[place] = np.arange(place.size)
     return _Corners(
-        place=np.flatnonzero(needed),
+        place=place,
+        index=index,
         rays=rays,
         finest_rad=float(min(np.nanmin(span) for span in spans)),
         coarsest_rad=float(max(np.nanmax(span) for span in spans)),
@@ -250,37 +268,11 @@ def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int
     per_side = math.isqrt(max(samples, 0))
     if samples < 1 or per_side * per_side != samples:
         raise ValueError(f"samples must be a square number, such as 4, 16 or 64; found {samples}")
-    offsets = (np.arange(per_side) + 0.5) / per_side - 0.5
-    image = np.zeros(faces.size, dtype=np.float32)
-    flat = faces.ravel()
-    at_once = max(1, _RAYS // samples)
-
-    def work(pixels: NDArray[np.int64]) -> None:
-        u, v = np.empty((2, pixels.size * samples))
-        sample_positions(pixels, faces.shape[1], offsets, u, v)
-        rays = rays_of(sensor, u, v)
-        of_sample = flat[pixels]
-        if of_sample[0] == TRACE:
-            of_sample = _traced_faces(view, rays)
-        shade(
-            rays,
-            samples,
-            of_sample,
-            view.H,
-            view.geometry.texture_of_face,
-            view.tiles.texels,
-            view.tiles.place,
-            view.geometry.background_grey,
-            pixels,
-            image,
-        )
-
-    pieces = [
-        pixels[start : start + at_once]
-        for pixels in (np.flatnonzero(flat == TRACE), np.flatnonzero(flat > TRACE))
-        for start in range(0, pixels.size, at_once)
-    ]
-    in_threads(work, pieces, threads)
+    shading = _Shading(view, sensor, _corners_of(sensor), faces.ravel(), np.zeros(faces.size, dtype=np.float32))
+    pieces = _in_pieces(np.flatnonzero(shading.face == TRACE), per_side)
+    pieces += _in_pieces(np.flatnonzero(shading.face > TRACE), per_side)
+    in_threads(lambda pixels: shading.write(pixels, per_side), pieces, threads)
+    image = shading.image
     if not np.isfinite(image).all():
         raise InputError(
             f"the image from {_where(view)} has {np.count_nonzero(~np.isfinite(image))} pixels whose grey level is not "
@@ -288,6 +280,84 @@ def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int
             file=view.geometry.name,
         )
     return image.reshape(faces.shape)
+
+
+@dataclass(frozen=True)
+class _Shading:
+    """An image in the making."""
+
+    view: _View
+    sensor: Sensor
+    corners: _Corners
+    face: Ints
+    """The face that fills each pixel, -1 for the background, or TRACE, or INVALID; flat."""
+    image: Image
+    """Flat."""
+
+    def write(self, pixels: NDArray[np.int64], per_side: int) -> None:
+        """Write the grey of pixels that are all to be traced, or all not, with more samples where they need them."""
+        traced = self.face[pixels[0]] == TRACE
+        if traced:
+            rays = self._rays(pixels, per_side)
+            face = _traced_faces(self.view, rays)
+            several, differ = np.empty((2, pixels.size), dtype=np.bool_)
+            faces_in_pixels(face, per_side**2, self.view.geometry.texture_of_face, several, differ)
+            of_pixel = face.reshape(pixels.size, -1)
+            level = np.where(several, differ, self._levels(pixels, of_pixel[:, 0], per_side))
+            done = level == 0
+            self._shade(pixels[done], rays.reshape(3, pixels.size, -1)[:, done], of_pixel[done].ravel(), per_side)
+        else:
+            level = self._levels(pixels, self.face[pixels], per_side)
+        for each in (1, 2) if traced else (0, 1, 2):
+            finer = max(per_side, min(per_side * 2**each, _MOST_PER_SIDE))
+            for some in _in_pieces(pixels[level == each], finer):
+                rays = self._rays(some, finer)
+                self._shade(some, rays, _traced_faces(self.view, rays) if traced else self.face[some], finer)
+
+    def _levels(self, pixels: NDArray[np.int64], face: Ints, per_side: int) -> NDArray[np.int64]:
+        """How often the samples of pixels are doubled if one face `[pixels]` fills each."""
+        level = np.empty(pixels.size, dtype=np.int64)
+        sampling_levels(
+            pixels,
+            self.sensor.camera.width_px,
+            np.ascontiguousarray(face),
+            per_side,
+            self.corners.index,
+            self.corners.rays,
+            self.view.H,
+            self.view.geometry.texture_of_face,
+            self.view.tiles.place,
+            level,
+        )
+        return level
+
+    def _rays(self, pixels: NDArray[np.int64], per_side: int) -> Array:
+        """The rays `[3, pixels * per_side²]` of the pixels' samples, in the sensor's frame."""
+        offsets = (np.arange(per_side) + 0.5) / per_side - 0.5
+        u, v = np.empty((2, pixels.size * per_side**2))
+        sample_positions(pixels, self.sensor.camera.width_px, offsets, u, v)
+        return rays_of(self.sensor, u, v)
+
+    def _shade(self, pixels: NDArray[np.int64], rays: Array, face: Ints, per_side: int) -> None:
+        geometry, tiles = self.view.geometry, self.view.tiles
+        shade(
+            rays.reshape(3, -1),
+            per_side**2,
+            face,
+            self.view.H,
+            geometry.texture_of_face,
+            tiles.texels,
+            tiles.place,
+            geometry.background_grey,
+            pixels,
+            self.image,
+        )
+
+
+def _in_pieces(pixels: NDArray[np.int64], per_side: int) -> list[NDArray[np.int64]]:
+    """Pixels, some at a time: as many as are shaded together with so many samples."""
+    at_once = max(1, _RAYS // per_side**2)
+    return [pixels[start : start + at_once] for start in range(0, pixels.size, at_once)]
 
 
 def _where(view: _View) -> str:
