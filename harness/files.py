@@ -1,6 +1,7 @@
 """Files read within limits, and written whole or not at all."""
 
 import os
+import re
 import secrets
 import stat
 from contextlib import suppress
@@ -10,6 +11,7 @@ from harness.errors import InputError
 
 PARTIAL = ".partial"
 """How the name of a file ends that is being written; what stands before it cannot be guessed."""
+_LEFTOVER = re.compile(rf"\.[0-9a-f]{{32}}{re.escape(PARTIAL)}")
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
@@ -155,6 +157,17 @@ def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
         raise
     if durable:
         _sync_folder(path.parent)
+
+
+def clear_leftovers(folder: Path) -> None:
+    """Remove what `replace_file` left half-written in a folder because the process was ended at once.
+
+    For a folder that nobody else is writing to.
+    """
+    for path in folder.glob(f".*{PARTIAL}"):
+        if _LEFTOVER.fullmatch(path.name):
+            with suppress(OSError):
+                path.unlink()
 
 
 def _sync_folder(folder: Path) -> None:

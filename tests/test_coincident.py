@@ -8,7 +8,7 @@ import pytest
 from harness.camera.intrinsics import Camera
 from harness.camera.sensor import Sensor, pixel_directions
 from harness.cli import main
-from harness.errors import Notice
+from harness.errors import InputError, Notice
 from harness.geometry.pose import Pose
 from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render, render_every_sample
@@ -166,3 +166,12 @@ def test_the_command_line_says_it_in_one_line(tmp_path, capsys):
     lines = [line for line in capsys.readouterr().err.splitlines() if "coincide" in line]
     assert len(lines) == 1
     assert "'walls' and 'rug'" in lines[0]
+
+
+def test_a_thing_that_is_there_a_thousand_times_is_refused(monkeypatch):
+    """Without a limit, the number of pairs would be the square of theirs, in time and in memory."""
+    monkeypatch.setattr("harness.simulation.coincident.MOST_PAIRS", 20)
+    few, many = (room(*(rug(20 + i, name=f"{n} rugs") for i in range(n))) for n in (3, 8))
+    assert len(geometry_of(few).rivals.pairs) == 6  # each rug with the floor and with each other
+    with pytest.raises(InputError, match="coincident: more than a million pairs of its triangles"):
+        geometry_of(many)

@@ -100,3 +100,29 @@ def test_a_pipe_or_folder_in_its_place_is_refused_by_name(
         assert (said.count("\n"), f"{name}: " in said) == (1, True)
         path.rmdir() if path.is_dir() else path.unlink()
         path.write_bytes(whole)
+
+
+def test_a_database_that_is_a_link_is_refused(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, victim = made / "o" / "run.sqlite", made / "victim.sqlite"
+    run, report = ["run", str(made / "e.toml"), "--out", str(made / "o")], ["report", str(made / "o")]
+    path.rename(victim)
+    try:
+        for target, command in ((victim, run), (victim, report), (made / "nowhere.sqlite", run)):
+            path.symlink_to(target)
+            assert main(command) == 2
+            said = capsys.readouterr().err
+            assert (said.count("\n"), "run.sqlite: is a link" in said) == (1, True)
+            path.unlink()
+        assert not (made / "nowhere.sqlite").exists()
+    finally:
+        victim.rename(path)
+
+
+def test_what_a_second_interrupt_left_is_cleared_away(made: Path) -> None:
+    out = made / "o"
+    left, others = out / f".{'0f' * 16}.partial", (out / ".mine.partial", out / "notes.partial")
+    for each in (left, *others):
+        each.touch()
+    assert main(["run", str(made / "e.toml"), "--out", str(out), "--no-report"]) == 0
+    assert not left.exists()
+    assert all(each.exists() for each in others)

@@ -193,17 +193,21 @@ def _read(folder: Path, name: str) -> Run:
     for file in READ:
         if not (folder / file).is_file():
             raise InputError(f"holds no run that can be compared: there is no {file} in it", file=folder)
+    path = folder
     try:
-        experiment = tomllib.loads((folder / "experiment.toml").read_text(encoding="utf-8"))
-        with (folder / "trials.csv").open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
-        facts = {}
-        if (folder / "environment.json").is_file():
-            facts = json.loads((folder / "environment.json").read_text(encoding="utf-8"))
+        path = folder / "experiment.toml"
+        experiment = tomllib.loads(path.read_text(encoding="utf-8"))
         base = dict(_flat(experiment["trial"]))
+        path, facts = folder / "environment.json", {}
+        if path.is_file():
+            facts = json.loads(path.read_text(encoding="utf-8"))
+        path = folder / "trials.csv"
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
         return _run(folder, name, str(experiment["name"]), base, rows, facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"cannot be read as a run ({type(error).__name__}: {error})", file=folder) from error
+        why = f"there is no {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"cannot be read as a run's ({why})", file=path) from error
 
 
 def _run(

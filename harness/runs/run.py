@@ -17,7 +17,7 @@ import pandas as pd
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
-from harness.files import make_folder, write
+from harness.files import clear_leftovers, make_folder, write
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.environment import environment, source_hash
 from harness.pipeline.maps import has_maps
@@ -136,6 +136,7 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
                 f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
                 file=folder,
             )
+        clear_leftovers(folder)  # the database is locked, so that no other process writes here
         store.set_fact("name", experiment.name)
         record(experiment, store)
         until_it_is_opened.pop_all()  # from here on it is the caller's to close

@@ -100,6 +100,8 @@ class Store:
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._code = code_hash()
+        if path is not None and path.is_symlink():  # it could lead to another's file
+            raise InputError("is a link, which is not followed; move it away, or give another folder", file=path)
         if path is not None and path.exists() and not path.is_file() and not path.is_dir():
             raise InputError("is not a regular file; move it away, or give another folder", file=path)
         try:

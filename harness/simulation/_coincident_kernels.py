@@ -8,12 +8,12 @@ from harness.compiled import kernel
 
 
 @kernel
-def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, out):
+def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, most, out):
     """Write pairs of faces whose triangles overlap in one plane, the earlier first, as far as there is room in `out`.
 
     Triangles are gone through in `order`, along an axis, each beside those that begin before it ends.
 
-    Returns how many pairs there are; some are found repeatedly.
+    Returns how many pairs there are; some are found repeatedly. Ends when there are more than `most`.
     """
     count = 0
     for i in range(order.size):
@@ -37,6 +37,8 @@ def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, t
                 if count < out.shape[0]:
                     out[count, 0], out[count, 1] = min(f, g), max(f, g)
                 count += 1
+                if count > most:
+                    return count
     return count
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.simulation._coincident_kernels import settle_hits, sweep
 
@@ -20,6 +21,8 @@ NEAR = 1e-6
 float64."""
 COINCIDENT = 1e-9
 """As a share of the scene's size: within this distance both are at one range, and the later one is seen."""
+MOST_PAIRS = 1 << 20
+"""Pairs of triangles that may overlap. A thousand copies of a mesh in one place have a thousand times a thousand."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,12 @@ class Rivals:
 
 
 def rivals_of(
-    corners: Array, face_of_triangle: Ints, normals: Array, offsets: Array, inside_of_face: Sequence[Array | None]
+    corners: Array,
+    face_of_triangle: Ints,
+    normals: Array,
+    offsets: Array,
+    inside_of_face: Sequence[Array | None],
+    scene: str = "scene",
 ) -> Rivals:
     """The rivals among faces.
 
@@ -51,16 +59,30 @@ def rivals_of(
     inside_of_face
         For each face the corners of the solid that it bounds, from whose inside nothing is seen; None for a face that
         is seen from both sides.
+    scene
+        Its name, for messages.
+
+    Raises
+    ------
+    InputError
+        When more than `MOST_PAIRS` pairs of triangles overlap.
     """
     size = float(np.abs(corners).max())
     found = _overlapping(corners, face_of_triangle, normals, offsets, NEAR * size)
+    if len(found) > MOST_PAIRS:
+        raise InputError(
+            "more than a million pairs of its triangles lie on each other; an object or mesh is there many times",
+            file=scene,
+        )
     pairs = np.unique(found, axis=0).astype(np.int32).reshape(-1, 2)
     first_of_face = np.unique(face_of_triangle, return_index=True)[1]
     sides = {
         face: _visible_from(corners[first_of_face[face]], normals[face], inside_of_face[face])
         for face in np.unique(pairs).tolist()
     }
-    visible = np.array([[sides[face] for face in pair] for pair in pairs.tolist()], dtype=np.int8).reshape(-1, 2)
+    side_of_face = np.zeros(len(normals), dtype=np.int8)
+    side_of_face[list(sides)] = list(sides.values())
+    visible = side_of_face[pairs]
     pairs.flags.writeable = False
     visible.flags.writeable = False
     return Rivals(pairs, visible, COINCIDENT * size)
@@ -69,7 +91,10 @@ def rivals_of(
 def _overlapping(
     corners: Array, face_of_triangle: Ints, normals: Array, offsets: Array, tolerance: float
 ) -> NDArray[np.int64]:
-    """Pairs of faces `[n, 2]`, the earlier first and some repeatedly, of which triangles overlap in one plane."""
+    """Pairs of faces `[n, 2]`, the earlier first and some repeatedly, of which triangles overlap in one plane.
+
+    There are no more than `MOST_PAIRS` + 1.
+    """
     low, high = corners.min(axis=1) - tolerance, corners.max(axis=1) + tolerance
     # Along the axis on which the triangles are small beside the whole, fewest lie beside each other.
     spread = np.ptp(corners.reshape(-1, 3), axis=0) / (high - low).mean(axis=0)
@@ -78,7 +103,7 @@ def _overlapping(
     room = 1024
     while True:
         out = np.empty((room, 2), dtype=np.int64)
-        count = sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, out)
+        count = sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, MOST_PAIRS, out)
         if count <= room:
             return out[:count]
         room = count

@@ -187,7 +187,7 @@ def _assemble(
     for array in arrays.values():
         array.flags.writeable = False
     inside = [solids[index].corners if index in solids else None for index in arrays["object_of_face"].tolist()]
-    rivals = rivals_of(corners, arrays["face_of_triangle"][:-1], normals, offsets, inside)
+    rivals = rivals_of(corners, arrays["face_of_triangle"][:-1], normals, offsets, inside, scene.name)
     embree = EmbreeScene(robust=True)
     TriangleMesh(embree, vertices.astype(np.float32), triangles)
     return Geometry(
