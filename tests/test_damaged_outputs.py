@@ -126,3 +126,24 @@ def test_what_a_second_interrupt_left_is_cleared_away(made: Path) -> None:
     assert main(["run", str(made / "e.toml"), "--out", str(out), "--no-report"]) == 0
     assert not left.exists()
     assert all(each.exists() for each in others)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("experiment.toml", b'name = "x'),
+        ("experiment.toml", b'name = "x"'),
+        ("environment.json", b"{"),
+        ("trials.csv", b"\xff"),
+    ],
+)
+def test_compare_names_the_file_that_it_cannot_read(
+    made: Path, tmp_path: Path, name: str, content: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for each in ("experiment.toml", "environment.json", "trials.csv"):
+        (tmp_path / each).write_bytes((made / "o" / each).read_bytes())
+    (tmp_path / name).write_bytes(content)
+    assert main(["compare", str(tmp_path), str(made / "o"), "--out", str(tmp_path / "c.html")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"omnirange: {tmp_path / name}: cannot be read as a run's (")
+    assert said.count("\n") == 1

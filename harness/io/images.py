@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, _imaging
 
 from harness.display import OneLine
 from harness.errors import InputError
@@ -205,7 +205,7 @@ def _silence_libtiff() -> None:
     """
     with suppress(OSError, AttributeError):
         # Symbols are looked up in the libraries that this one needs, too.
-        libtiff = ctypes.CDLL(Image.core.__file__)  # type: ignore[attr-defined]
+        libtiff = ctypes.CDLL(_imaging.__file__)
         for kind in ("Error", "Warning"):
             function = libtiff[f"TIFFSet{kind}Handler"]
             function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_void_p
