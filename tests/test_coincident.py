@@ -4,12 +4,14 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 
 from harness.camera.intrinsics import Camera
 from harness.camera.sensor import Sensor, pixel_directions
 from harness.cli import main
 from harness.errors import InputError, Notice
 from harness.geometry.pose import Pose
+from harness.simulation.coincident import encloses
 from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render, render_every_sample
 from harness.simulation.scene import Box, Plane, Scene, load_scene
@@ -175,3 +177,14 @@ def test_a_thing_that_is_there_a_thousand_times_is_refused(monkeypatch):
     assert len(geometry_of(few).rivals.pairs) == 6  # each rug with the floor and with each other
     with pytest.raises(InputError, match="coincident: more than a million pairs of its triangles"):
         geometry_of(many)
+
+
+def test_encloses_agrees_with_a_ball():
+    """An icosphere of radius 1 goes round what is within the ball that touches its faces, and nothing beyond 1."""
+    corners = np.array(trimesh.creation.icosphere(subdivisions=3, radius=1.0).triangles)
+    innermost = np.abs(np.einsum("ij,ij->i", corners[:, 0], trimesh.triangles.normals(corners)[0])).min()
+    points = np.random.default_rng(5).uniform(-1.2, 1.2, (400, 3))
+    radius = np.linalg.norm(points, axis=1)
+    for p, r in zip(points, radius, strict=True):
+        if r < innermost or r > 1:
+            assert encloses(corners, p) == (r < 1)

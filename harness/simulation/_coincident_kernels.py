@@ -139,3 +139,23 @@ def _inside(corners, cx, cy, cz, dx, dy, dz):
     w1 = dx * (ey * az - ez * ay) + dy * (ez * ax - ex * az) + dz * (ex * ay - ey * ax)
     w2 = dx * (ay * bz - az * by) + dy * (az * bx - ax * bz) + dz * (ax * by - ay * bx)
     return (w0 >= 0.0 and w1 >= 0.0 and w2 >= 0.0) or (w0 <= 0.0 and w1 <= 0.0 and w2 <= 0.0)
+
+
+@kernel
+def crossings(corners, p):
+    """How many triangles `[triangles, 3, 3]` a ray from p goes through, in a direction in which nothing is aligned."""
+    r0, r1, r2 = 0.537761, 0.279103, 0.795541
+    count = 0
+    for i in range(len(corners)):
+        a0, a1, a2 = corners[i, 0, 0] - p[0], corners[i, 0, 1] - p[1], corners[i, 0, 2] - p[2]
+        b0, b1, b2 = corners[i, 1, 0] - p[0], corners[i, 1, 1] - p[1], corners[i, 1, 2] - p[2]
+        c0, c1, c2 = corners[i, 2, 0] - p[0], corners[i, 2, 1] - p[1], corners[i, 2, 2] - p[2]
+        n0, n1, n2 = b1 * c2 - b2 * c1, b2 * c0 - b0 * c2, b0 * c1 - b1 * c0
+        u = n0 * r0 + n1 * r1 + n2 * r2
+        v = (c1 * a2 - c2 * a1) * r0 + (c2 * a0 - c0 * a2) * r1 + (c0 * a1 - c1 * a0) * r2
+        w = (a1 * b2 - a2 * b1) * r0 + (a2 * b0 - a0 * b2) * r1 + (a0 * b1 - a1 * b0) * r2
+        # On one side of all three, and ahead: the determinant has the sign of their sum.
+        through = (u > 0 and v > 0 and w > 0) or (u < 0 and v < 0 and w < 0)
+        if through and (a0 * n0 + a1 * n1 + a2 * n2) * (u + v + w) > 0:
+            count += 1
+    return count

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from harness.errors import InputError
 from harness.geometry.angles import Array
-from harness.simulation._coincident_kernels import settle_hits, sweep
+from harness.simulation._coincident_kernels import crossings, settle_hits, sweep
 
 Ints = NDArray[np.int32]
 
@@ -178,12 +178,4 @@ def encloses(corners: Array, p: Array) -> bool:
 
     The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
     """
-    vertices = corners.reshape(-1, 3)
-    if not ((p > vertices.min(axis=0)) & (p < vertices.max(axis=0))).all():
-        return False
-    ray = np.array([0.537761, 0.279103, 0.795541])
-    a, b, c = np.moveaxis(corners - p, 1, 0)
-    beside = np.stack([np.cross(b, c) @ ray, np.cross(c, a) @ ray, np.cross(a, b) @ ray])
-    through = (beside > 0).all(axis=0) | (beside < 0).all(axis=0)
-    ahead = np.sum(a * np.cross(b, c), axis=-1) * beside.sum(axis=0) > 0
-    return bool(np.count_nonzero(through & ahead) % 2)
+    return crossings(np.ascontiguousarray(corners), np.ascontiguousarray(p)) % 2 == 1
