@@ -92,11 +92,20 @@ def rows(out: Path) -> dict[str, tuple[str, str]]:
     return {key: (state, seconds) for key, state, seconds in found}
 
 
-def wait_for(folder: Path, bytes_at_least: int, seconds: float = 600) -> None:
-    """Wait until a run's file has grown: some trials are in it."""
+def wait_for(folder: Path, trials: int = 2, seconds: float = 600) -> None:
+    """Wait until some trials are in a run's file, which the run itself keeps locked."""
     deadline = time.monotonic() + seconds
-    database = folder / "run.sqlite"
-    while not (database.exists() and database.stat().st_size >= bytes_at_least):
+    while _written(folder / "run.sqlite") < trials:
         if time.monotonic() > deadline:
-            raise TimeoutError(f"{database} did not grow in {seconds} s")
+            raise TimeoutError(f"there were no {trials} trials in {folder} within {seconds} s")
         time.sleep(0.01)
+
+
+def _written(database: Path) -> int:
+    """How many trials are written; 0 while the file cannot be read, as in the midst of a transaction."""
+    try:
+        with closing(sqlite3.connect(f"{database.as_uri()}?immutable=1", uri=True)) as connection:
+            [[count]] = connection.execute("SELECT count(*) FROM trials")
+    except sqlite3.Error:
+        return 0
+    return int(count)

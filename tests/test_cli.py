@@ -244,7 +244,7 @@ def test_two_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     small = write_small(tmp_path / "long.toml", f"[axes]\nseed = {list(range(200))}\n", name="long")
     out = tmp_path / "out"
     first = begin(tmp_path, "run", small, "--out", out, "--workers", 1, "--no-report")
-    wait_for(out, 50_000)
+    wait_for(out)
     assert "another omnirange is at work in this folder" in refusal(capsys, "run", small, "--out", out)
     first.kill()
     first.communicate()

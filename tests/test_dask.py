@@ -90,7 +90,7 @@ def test_a_worker_killed_in_the_middle(tmp_path: Path, cluster: tuple[str, list[
 
     out = tmp_path / "far"
     process = begin(tmp_path, "run", "home/far.toml", "--dask", address, "--out", out, "--no-report")
-    wait_for(out, 60_000)
+    wait_for(out)
     end(workers[0])
     said, complaint = process.communicate(timeout=600)
     assert process.returncode == 0, complaint
@@ -104,7 +104,7 @@ def test_interrupted_and_resumed_elsewhere(tmp_path: Path, cluster: tuple[str, l
     address, _ = cluster
     write_small(tmp_path / "small.toml", f"[axes]\nseed = {list(range(180))}\n")
     process = begin(tmp_path, "run", "small.toml", "--dask", address, "--out", "out", "--no-report")
-    wait_for(tmp_path / "out", 40_000)
+    wait_for(tmp_path / "out")
     process.send_signal(2)
     _, said = process.communicate(timeout=600)
     assert process.returncode == 130

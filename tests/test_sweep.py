@@ -119,7 +119,7 @@ def test_killed_again_and_again(room: Path, whole: bytes) -> None:
 def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
     out = room / f"interrupted{workers}"
     process = begin(room, "run", "small.toml", "--workers", workers, "--out", out)
-    wait_for(out, 60_000)
+    wait_for(out)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     _, said = process.communicate(timeout=600)
     assert process.returncode == 130
@@ -136,7 +136,7 @@ def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
 def test_workers_end_with_their_parent(room: Path) -> None:
     out = room / "orphans"
     process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
-    wait_for(out, 60_000)
+    wait_for(out)
     children = psutil.Process(process.pid).children(recursive=True)
     assert len(children) >= 2
     process.kill()
@@ -148,7 +148,7 @@ def test_workers_end_with_their_parent(room: Path) -> None:
 def test_killed_worker_costs_time_alone(room: Path, whole: bytes) -> None:
     out = room / "murdered"
     process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
-    wait_for(out, 60_000)
+    wait_for(out)
     youngest = max(psutil.Process(process.pid).children(recursive=True), key=lambda child: child.create_time())
     youngest.kill()
     _, said = process.communicate(timeout=600)
