@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.geometry.angles import Array, wrap_angle
-from harness.geometry.panorama import Panorama
+from harness.geometry.panorama import Grid, Panorama
 from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
 from harness.matching.window import _newton_kernels as _kernels
@@ -73,11 +73,7 @@ def gauss_newton(
             )
 
     else:
-        t = curves.t
-        away = np.abs(wrap_angle(grid.phi - np.arctan2(t[1], t[0])))
-        with np.errstate(divide="ignore", invalid="ignore"):  # a column along t has no map, and no matches
-            lift = -t[2] / (np.hypot(t[0], t[1]) * np.sin(away))
-            cotangent = 1 / np.tan(away)
+        away, cotangent, lift = _epipolar_maps(grid, curves.t)
         by_columns = np.ascontiguousarray(np.pad(spline, ((0, 0), (1, 2)), mode="wrap").T)
         taps = np.ascontiguousarray(whole_windows(second.valid, 5).T)
 
@@ -106,6 +102,14 @@ def gauss_newton(
 
     in_interleaved_rows(work, grid.height_px, threads)
     return offset, refined
+
+
+def _epipolar_maps(grid: Grid, t: Array) -> tuple[Array, Array, Array]:
+    """Azimuth of each column away from t, its cotangent, and what t_z lifts a row by, `[width]` each."""
+    away = np.abs(wrap_angle(grid.phi - np.arctan2(t[1], t[0])))
+    with np.errstate(divide="ignore", invalid="ignore"):  # a column along t has no map, and no matches
+        lift = -t[2] / (np.hypot(t[0], t[1]) * np.sin(away))
+        return away, 1 / np.tan(away), lift
 
 
 def _coefficients(panorama: Panorama) -> Array:
