@@ -80,7 +80,9 @@ def _table(title: str | None = None) -> "Table":
 def _in_two_lines(metric: "Metric") -> str:
     """A heading as narrow as its figures: the quantity above, the statistic and the unit below."""
     statistic = metric.statistic.replace("|error|", "").strip()
-    above, below = (metric.quantity.lower(), statistic) if statistic else ("", metric.quantity.lower())
+    above, _, below = (
+        metric.quantity.lower().rpartition(" ") if not statistic else (metric.quantity.lower(), "", statistic)
+    )
     return f"{above}\n{below} {metric.unit}".replace("\u00a0", " ")
 
 

@@ -1,0 +1,155 @@
+"""The sentences of the README that quote a measured number, made of the files beside this one.
+
+`python results/reference/findings.py` prints them; a test holds the README against them, so that no number there can
+be older than its measurement, or say more than its interval.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+
+
+def findings(folder: Path = HERE) -> list[str]:
+    """All sentences, in the order of the README."""
+    files = {name: json.loads((folder / f"{name}.json").read_text()) for name in ("matchers", "law", "law_best")}
+    return [
+        *_matchers(files["matchers"]),
+        *_column_windows(files["law"]["law"]),
+        *_slanted_windows(files["law_best"]["law"]),
+    ]
+
+
+def _matchers(matchers: dict[str, Any]) -> list[str]:
+    slanted = {
+        (each["scene"], each["noise.sigma_grey"]): each
+        for each in matchers["ladder"]
+        if each["matching.kind"] == "slanted"
+    }
+    clean = {scene: slanted[scene, 0] for scene in ("box", "corridor", "room")}
+    noisy = {scene: slanted[scene, 10] for scene in ("corridor", "room")}
+    draws = [each for each in matchers["limit"] if each["matcher"] == "slanted" and each["sigma_grey"]]
+    quietest = min(draws, key=lambda each: each["sigma_grey"])
+    unbiased = quietest["within_sigma_without_bias"][0]
+    over_bound = [each["std_over_bound"] for each in draws]
+    one, two = ([each["within_sigma"][k] for each in draws] for k in (0, 1))
+    noises = [each["sigma_grey"] for each in draws]
+    return [
+        _one_line(f"""
+            Without noise, slanted windows have a median range error of {1000 * clean["box"]["range_median_abs_m"]:.1f}
+            mm on the box. {_share(clean["box"]["bad_1px"])} of their matches are off by more than 1 px there,
+            {_share(clean["corridor"]["bad_1px"])} in the corridor, and {_share(clean["room"]["bad_1px"])} in
+            the room, where objects occlude each other and the density is {clean["room"]["density"]:.2f}.
+        """),
+        _one_line(f"""
+            Over {draws[0]["seeds"]} draws of noise of {min(noises):g} to {max(noises):g} grey levels on the
+            box, their spread is {min(over_bound):.2f} to {max(over_bound):.2f} times the [Cramér-Rao
+            bound](docs/bound.md) of their window.
+        """),
+        _one_line(f"""
+            They predict a standard deviation for every match: {_percent(one)} % of the errors lie within one
+            (68 % would be right), {_percent(two)} % within two (95 % would be right).
+        """),
+        _one_line(f"""
+            At noise {quietest["sigma_grey"]:g} two faults cancel in that share: the prediction is larger than
+            the spread, and each pixel has a bias. With the bias taken off, {100 * unbiased:.0f} % lie within one.
+        """),
+        _one_line(f"""
+            At noise 10 the share within one is {100 * noisy["corridor"]["within_1_sigma"]:.0f} % in the
+            corridor and {100 * noisy["room"]["within_1_sigma"]:.0f} % in the room.
+        """),
+    ]
+
+
+def _column_windows(law: dict[str, Any]) -> list[str]:
+    whole, parabola = (_fit(law["images"], "wall", step) for step in ("none", "parabola"))
+    by_noise = [each for each in law["by_noise"] if (each["surface"], each["subpixel"]) == ("wall", "none")]
+    slopes = ", ".join(f"{each['slope']:.2f}" for each in by_noise)
+    noises = ", ".join(f"{each['sigma_grey']:g}" for each in by_noise)
+    return [
+        _one_line(f"""
+            on walls the slope is {_slope(whole)} at whole pixels and {_slope(parabola)} with the parabola: the
+            error grows a little more slowly than the law says.
+        """),
+        _one_line(f"""
+            At whole pixels it is {slopes} at noise {noises} grey levels: most of that error is rounding, which
+            is constant in angle by construction, so these slopes confirm the geometry, not a property of the
+            noise.
+        """),
+    ]
+
+
+def _slanted_windows(law: dict[str, Any]) -> list[str]:
+    everything = {surface: _fit(law["images"], surface) for surface in ("wall", "floor")}
+    limited = {surface: _fit(law["noise_limited"], surface) for surface in ("wall", "floor")}
+    product = {surface: _fit(law["noise_limited"], surface, law="bound") for surface in ("wall", "floor")}
+    apart = {each["surface"]: each for each in law["law_and_bound"]}
+    return [
+        _one_line(f"""
+            over all cells the slope is {_slope(everything["wall"])} on walls and {_slope(everything["floor"])}
+            on floors: without noise the matcher's own systematic errors dominate, and they grow faster than the
+            law says.
+        """),
+        _one_line(f"""
+            On the cells where noise makes most of the error it is {_slope(limited["wall"])} and
+            {_slope(limited["floor"])} with one constant sigma for all textures, and {_slope(product["wall"], 3)}
+            and {_slope(product["floor"], 3)} with the Cramér-Rao bound of each cell's texture in its place.
+        """),
+        _one_line(f"""
+            With a coefficient for each, the law has {_coefficient(apart["wall"], "law")} and the bound
+            {_coefficient(apart["wall"], "bound")} on walls, {_coefficient(apart["floor"], "law")} and
+            {_coefficient(apart["floor"], "bound")} on floors. The law's coefficients are within
+            {_off_one(apart)} % of 1{_but(apart)}; the bound explains only a part of what the texture does.
+        """),
+    ]
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _fit(fits: list[dict[str, Any]], surface: str, step: str | None = None, law: str = "exact") -> dict[str, Any]:
+    return next(
+        each for each in fits if each["surface"] == surface and each["law"] == law and step in (None, each["subpixel"])
+    )
+
+
+def _slope(fit: dict[str, Any], digits: int = 2) -> str:
+    low, high = fit["slope_ci95"]
+    return f"{fit['slope']:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def _coefficient(fit: dict[str, Any], name: str) -> str:
+    low, high = fit[f"{name}_ci95"]
+    return f"{fit[name]:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _off_one(apart: dict[str, dict[str, Any]]) -> str:
+    return f"{max(100 * abs(each['law'] - 1) for each in apart.values()):.0f}"
+
+
+def _but(apart: dict[str, dict[str, Any]]) -> str:
+    """What the intervals add to that."""
+    outside = [surface for surface, each in apart.items() if not each["law_ci95"][0] <= 1 <= each["law_ci95"][1]]
+    return (
+        f", though the intervals exclude 1 on {' and '.join(f'{each}s' for each in sorted(outside, reverse=True))}"
+        if outside
+        else ""
+    )
+
+
+def _share(value: float) -> str:
+    """In per cent, with two significant digits, however small."""
+    if not value:
+        return "None"
+    return f"{float(f'{100 * value:.2g}'):g} %"
+
+
+def _percent(values: list[float]) -> str:
+    low, high = 100 * min(values), 100 * max(values)
+    return f"{low:.0f}" if f"{low:.0f}" == f"{high:.0f}" else f"{low:.0f} to {high:.0f}"
+
+
+if __name__ == "__main__":
+    print("\n".join(findings()))
