@@ -122,7 +122,7 @@ def sweep(experiment: Experiment, workers: int, *, folder: Path | None = None, m
         folder = folder or Path(room)
         folder.mkdir(exist_ok=True)
         with run.open_run(experiment, folder) as store:
-            left = run.standing(experiment, store).plan
+            left = run.run_status(experiment, store).plan
             if most:
                 left = type(left)(left.trials[:most], left.seconds[:most], left.new_geometry[:most])
             watch.start()

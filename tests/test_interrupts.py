@@ -18,7 +18,7 @@ from harness import first_moment, interrupts
 from harness.cli import main
 from harness.runs import worker
 from harness.runs.load import load_experiment
-from harness.runs.run import open_run, standing
+from harness.runs.run import open_run, run_status
 
 
 def press() -> None:
@@ -120,7 +120,7 @@ def test_a_run_is_interrupted_wherever_it_strikes(
     monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path / "cache"))
     experiment = load_experiment(str(small))
     with open_run(experiment, out) as store:
-        now = standing(experiment, store)
+        now = run_status(experiment, store)
     least = {"planning": 0, "trial": 1, "writing": 3}[where]
     # A trial whose interrupt was dropped goes on to its end, and is right.
     assert now.done in {least, least + (where == "trial" and strike in (swallow, lose))}

@@ -18,7 +18,7 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome, run_trial
 from harness.runs.executors import Workplace
 from harness.runs.load import load_experiment
-from harness.runs.run import standing, sweep
+from harness.runs.run import run_status, sweep
 from harness.runs.store import Store
 from harness.spec import parse
 
@@ -149,7 +149,7 @@ def test_workers_keep_maps_too(tmp_path: Path) -> None:
 def test_maps_are_not_kept_by_workers_on_a_cluster(tmp_path: Path) -> None:
     experiment = load_experiment(str(write_small(tmp_path / "small.toml")))
     with Store() as store:
-        left = standing(experiment, store, tmp_path).plan
+        left = run_status(experiment, store, tmp_path).plan
         elsewhere = Workplace(lambda: None, workers=1, slots=1, elsewhere=True)
         with pytest.raises(InputError, match="--keep-arrays: writes into a folder of this machine"):
             sweep(left, store, elsewhere, maps=tmp_path)

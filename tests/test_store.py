@@ -11,7 +11,7 @@ from harness.errors import InputError
 from harness.runs import store as module
 from harness.runs.load import load_experiment
 from harness.runs.run import open_run
-from harness.runs.store import Finished, Foreign, Store
+from harness.runs.store import Finished, Store, UnusedRows
 
 DONE = Finished("a", "scene", "done", payload='{"figures": {"x": 0.1}}', seconds='{"render": 1.5}')
 FAILED = Finished("b", "scene", "failed", message="no view", traceback="Traceback ...")
@@ -58,7 +58,7 @@ def test_rows_of_other_code_are_counted_and_not_read(tmp_path: Path, monkeypatch
         assert store.finished("ab") == {}
         newer = [Finished(key, scene, "done") for key, scene in (("a", "scene"), ("c", "other"), ("d", "scene"))]
         store.add(newer)
-        assert store.foreign("ab", ["scene"]) == Foreign(other_code=2, other_scene=1, other_settings=1)
+        assert store.unused_rows("ab", ["scene"]) == UnusedRows(other_code=2, other_scene=1, other_settings=1)
         assert store.states("abcd") == {"a": "done", "c": "done", "d": "done"}
     monkeypatch.undo()
     with Store(tmp_path / "run.sqlite") as store:

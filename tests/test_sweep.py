@@ -277,7 +277,7 @@ def test_a_trial_that_kills_its_worker_is_found_out(tmp_path: Path, monkeypatch:
     experiment = load_experiment(str(write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2, 3, 4, 5]\n")))
     place = Workplace(lambda: nullcontext(_Brittle()), workers=2, slots=2, threads=1)
     with Store() as store:
-        run.sweep(run.standing(experiment, store).plan, store, place)
+        run.sweep(run.run_status(experiment, store).plan, store, place)
         kept = store.finished(each.key for each in experiment.planned)
     states = {each.trial.seed: kept[each.key].state for each in experiment.planned}
     assert states == {1: "done", 2: "done", 3: "failed", 4: "done", 5: "done"}

@@ -13,7 +13,7 @@ from harness.files import make_folder
 from harness.pipeline.maps import FOLDER, prepare_folder
 from harness.runs.executors import workplace
 from harness.runs.experiment import Experiment
-from harness.runs.run import open_run, rows_of, standing, sweep, write_tables
+from harness.runs.run import open_run, rows_of, run_status, sweep, write_tables
 from harness.runs.store import Store
 
 
@@ -81,7 +81,7 @@ def run(
             make_folder(folder)
         store = stack.enter_context(Store() if folder is None else open_run(experiment, folder))
         maps = prepare_folder(folder / FOLDER) if folder is not None and keep_arrays else None
-        before = standing(experiment, store, maps)
+        before = run_status(experiment, store, maps)
         left = before.plan
         if left.trials:
             bar = None

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from harness.cli import completers
 from harness.cli.options import Commands
-from harness.cli.results import say_foreign, write
+from harness.cli.results import say_unused_rows, write
 from harness.errors import InputError
 
 
@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
 def run(options: Namespace) -> int:
     """Write everything that is made from the rows of a run."""
     from harness.runs.recorded import recorded
-    from harness.runs.run import DATABASE, standing
+    from harness.runs.run import DATABASE, run_status
     from harness.runs.store import Store
 
     database = options.folder / DATABASE
@@ -39,8 +39,8 @@ def run(options: Namespace) -> int:
         raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
     with Store(database) as store:
         experiment = recorded(store, database)
-        now = standing(experiment, store)
-        say_foreign(now.foreign)
+        now = run_status(experiment, store)
+        say_unused_rows(now.unused)
         if now.done < now.total:
             print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
         return write(experiment, store, options.folder, given=options.folder, run_code=options.run_code)

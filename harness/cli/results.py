@@ -13,7 +13,7 @@ from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
     from harness.runs.experiment import Experiment
-    from harness.runs.store import Foreign, Store
+    from harness.runs.store import Store, UnusedRows
 
 
 def write(
@@ -46,11 +46,11 @@ def write(
     """
     shown = shown or folder
     from harness.runs.density import too_sparse
-    from harness.runs.run import result_of, rows_of, standing, write_report, write_summary, write_tables
+    from harness.runs.run import result_of, rows_of, run_status, write_report, write_summary, write_tables
 
     write_tables(experiment, store, folder)
     interrupts.check()
-    now = standing(experiment, store)
+    now = run_status(experiment, store)
     if now.done and with_report:
         from harness.report.build import build_report
 
@@ -95,12 +95,12 @@ def show(summary: dict[str, Any], folder: Path) -> None:
     console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False, markup=False)
 
 
-def say_foreign(foreign: "Foreign") -> None:
+def say_unused_rows(unused: "UnusedRows") -> None:
     """Say how many trials of a folder are not used, and why."""
     for count, why in (
-        (foreign.other_code, "by other code or libraries"),
-        (foreign.other_scene, "of other scenes, or of this one before it was changed"),
-        (foreign.other_settings, "with other settings"),
+        (unused.other_code, "by other code or libraries"),
+        (unused.other_scene, "of other scenes, or of this one before it was changed"),
+        (unused.other_settings, "with other settings"),
     ):
         if count:
             print(f"{count} trials in this folder were made {why}: they are set aside, and not used")

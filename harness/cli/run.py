@@ -10,7 +10,7 @@ from harness import interrupts, shipped
 from harness.api.progress import Progress, duration
 from harness.cli import options as declare
 from harness.cli.exits import OK
-from harness.cli.results import say_foreign, show, write
+from harness.cli.results import say_unused_rows, show, write
 
 if TYPE_CHECKING:
     from harness.runs.experiment import Experiment
@@ -50,7 +50,7 @@ def run(options: Namespace) -> int:
     from harness.files import make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.load import load_experiment
-    from harness.runs.run import is_reported, open_run, standing, sweep
+    from harness.runs.run import is_reported, open_run, run_status, sweep
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
     if options.dry_run:
@@ -60,9 +60,9 @@ def run(options: Namespace) -> int:
     folder = shown.absolute()  # matchers of other people may change the working folder
     with open_run(experiment, folder) as store:
         maps = prepare_folder(folder / FOLDER) if options.keep_arrays else None
-        before = standing(experiment, store, maps)
+        before = run_status(experiment, store, maps)
         interrupts.check()
-        say_foreign(before.foreign)
+        say_unused_rows(before.unused)
         if before.done == before.total and is_reported(experiment, store, folder):
             print(
                 f"{experiment.name}: all {before.total} trials are done and the report is made; nothing is left to do"

@@ -31,7 +31,7 @@ from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
-from harness.runs.store import Finished, Foreign, Store
+from harness.runs.store import Finished, Store, UnusedRows
 from harness.runs.sweep import run_sweep
 from harness.runs.values import Settings, text_of
 from harness.spec import as_table, dump_toml
@@ -103,7 +103,7 @@ class Result(OneLine):
 
 
 @dataclass(frozen=True)
-class Standing:
+class RunStatus:
     """How far a run has come."""
 
     left: list[Planned]
@@ -111,7 +111,7 @@ class Standing:
     total: int
     done: int
     failed: int
-    foreign: Foreign
+    unused: UnusedRows
 
     @cached_property
     def plan(self) -> Plan:
@@ -143,7 +143,7 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
     return store
 
 
-def standing(experiment: Experiment, store: Store, maps: Path | None = None) -> Standing:
+def run_status(experiment: Experiment, store: Store, maps: Path | None = None) -> RunStatus:
     """How far a run has come, and what is left to do.
 
     Parameters
@@ -157,12 +157,12 @@ def standing(experiment: Experiment, store: Store, maps: Path | None = None) -> 
         for each in experiment.planned
         if states.get(each.key) != "done" or not (maps is None or has_maps(maps, each.key))
     ]
-    return Standing(
+    return RunStatus(
         left=left,
         total=len(experiment.planned),
         done=len(experiment.planned) - len(left),
         failed=sum(state == "failed" for state in states.values()),
-        foreign=store.foreign((each.key for each in experiment.planned), experiment.scene_fingerprints),
+        unused=store.unused_rows((each.key for each in experiment.planned), experiment.scene_fingerprints),
     )
 
 
@@ -239,7 +239,7 @@ def run_experiment(experiment: Experiment, folder: Path | None = None, *, worker
         When the folder cannot be used, or no trial could be carried out; the first one's message.
     """
     with open_run(experiment, folder) if folder else Store() as store:
-        left = standing(experiment, store).plan
+        left = run_status(experiment, store).plan
         sweep(left, store, executors.workplace(left.total_s, len(left.trials), workers))
         finished = store.finished(each.key for each in experiment.planned).values()
         if all(row.state == "failed" for row in finished):

@@ -75,7 +75,7 @@ class Finished:
 
 
 @dataclass(frozen=True)
-class Foreign:
+class UnusedRows:
     """Rows in the file that this run does not use."""
 
     other_code: int
@@ -170,13 +170,13 @@ class Store:
         rows = self._rows("SELECT key, state FROM trials WHERE code = ?", self._code)
         return {key: state for key, state in rows if key in wanted}
 
-    def foreign(self, keys: Iterable[str], scenes: Iterable[str]) -> Foreign:
+    def unused_rows(self, keys: Iterable[str], scenes: Iterable[str]) -> UnusedRows:
         """How many rows are of other code than today's, or of none of these trials."""
         wanted, known = set(keys), set(scenes)
         rows = self._rows("SELECT key, code, scene FROM trials")
         strange = [scene for key, code, scene in rows if code == self._code and key not in wanted]
         other_scene = sum(scene not in known for scene in strange)
-        return Foreign(sum(row[1] != self._code for row in rows), other_scene, len(strange) - other_scene)
+        return UnusedRows(sum(row[1] != self._code for row in rows), other_scene, len(strange) - other_scene)
 
     def add(self, rows: Iterable[Finished]) -> None:
         """Write finished trials: all of them or, if the process dies, none. One that is done stays as it is."""
