@@ -1,5 +1,6 @@
 """The slopes on both laws: over all directions, by direction and by condition."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from harness.report import theme
 from harness.report.data import Cell, Heading, Table, count, number, words
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
 from harness.report.sections.sweeps import SURFACES
-from harness.report.sweep import Sweep, in_words
+from harness.report.sweep import Sweep, Way, in_words
 from harness.report.theme import Picture
 from harness.report.words import figure
 
@@ -52,32 +53,34 @@ def by_direction(sweep: Sweep, fits: list[Fit], surface: str, letter: str) -> Pi
     return theme.picture(fig, f"Slopes on both laws by direction, {name}: {'; '.join(told)}.", f"({letter}) {name}")
 
 
+_SURFACE_AND_METHOD = (Heading("Surface", text=True), Heading("Method", text=True))
+_SLOPE = (Heading("Slope"), Heading("95 % low"), Heading("95 % high"), Heading("R²"))
+
+
 def slope_table(sweep: Sweep, fits: list[Fit]) -> Table:
     """Slopes over all directions."""
-    headings = [
-        Heading("Surface", text=True),
-        Heading("Method", text=True),
-        Heading("Law", text=True),
-        Heading("Slope"),
-        Heading("95 % low"),
-        Heading("95 % high"),
-        Heading("R²"),
-        Heading("Cells"),
-    ]
+    return _table(sweep, fits, Heading("Law", text=True), lambda fit: words(PLAIN_NAMES[fit["law"]]))
+
+
+def noise_table(sweep: Sweep, fits: list[Fit]) -> Table:
+    """Slopes on the exact law at each noise by itself."""
+    return _table(sweep, fits, Heading("Noise", "grey"), lambda fit: number(fit["sigma_grey"], "g"))
+
+
+def _table(sweep: Sweep, fits: list[Fit], heading: Heading, cell: Callable[[Fit], Cell]) -> Table:
+    """A row for each fit, with a column for what tells the fits of one method and surface apart."""
     rows = [
-        [
-            words(SURFACES[surface]),
-            words(way.label, way.colour),
-            words(PLAIN_NAMES[fit["law"]]),
-            *_slope_cells(fit),
-            count(fit["cells"]),
-        ]
+        [*_who(surface, way), cell(fit), *_slope_cells(fit), count(fit["cells"])]
         for surface in sweep.surfaces
         for way in sweep.ways
         for fit in fits
         if is_of(fit, way, surface)
     ]
-    return Table(headings, rows)
+    return Table([*_SURFACE_AND_METHOD, heading, *_SLOPE, Heading("Cells")], rows)
+
+
+def _who(surface: str, way: Way) -> list[Cell]:
+    return [words(SURFACES[surface]), words(way.label, way.colour)]
 
 
 def _slope_cells(fit: Fit) -> list[Cell]:
@@ -89,12 +92,8 @@ def condition_table(sweep: Sweep) -> Table:
     """Slopes on the exact law within each condition; nothing when there is one only."""
     headings = [
         Heading("Condition", text=True),
-        Heading("Surface", text=True),
-        Heading("Method", text=True),
-        Heading("Slope"),
-        Heading("95 % low"),
-        Heading("95 % high"),
-        Heading("R²"),
+        *_SURFACE_AND_METHOD,
+        *_SLOPE,
         Heading("Off by over 1 px", "%"),
     ]
     rows: list[list[Cell]] = []
@@ -108,8 +107,7 @@ def condition_table(sweep: Sweep) -> Table:
                 rows += [
                     [
                         words(in_words(str(condition))),
-                        words(SURFACES[surface]),
-                        words(way.label, way.colour),
+                        *_who(surface, way),
                         *_slope_cells(fit),
                         number(float((part["gross"] * part["pixels"]).sum() / part["pixels"].sum()), ".0f", 100),
                     ]
@@ -119,39 +117,10 @@ def condition_table(sweep: Sweep) -> Table:
     return Table(headings, rows)
 
 
-def noise_table(sweep: Sweep, fits: list[Fit]) -> Table:
-    """Slopes on the exact law at each noise by itself."""
-    headings = [
-        Heading("Surface", text=True),
-        Heading("Method", text=True),
-        Heading("Noise", "grey"),
-        Heading("Slope"),
-        Heading("95 % low"),
-        Heading("95 % high"),
-        Heading("R²"),
-        Heading("Cells"),
-    ]
-    rows = [
-        [
-            words(SURFACES[surface]),
-            words(way.label, way.colour),
-            number(fit["sigma_grey"], "g"),
-            *_slope_cells(fit),
-            count(fit["cells"]),
-        ]
-        for surface in sweep.surfaces
-        for way in sweep.ways
-        for fit in fits
-        if is_of(fit, way, surface)
-    ]
-    return Table(headings, rows)
-
-
 def coefficient_table(sweep: Sweep, fits: list[Fit]) -> Table:
     """The coefficients of the law and of the bound, each by itself; see `law_images.fit_law_and_bound`."""
     headings = [
-        Heading("Surface", text=True),
-        Heading("Method", text=True),
+        *_SURFACE_AND_METHOD,
         Heading("Law"),
         Heading("95 % low"),
         Heading("95 % high"),
@@ -170,8 +139,7 @@ def coefficient_table(sweep: Sweep, fits: list[Fit]) -> Table:
                     values = (fit["law"], *law, fit["bound"], *bound)
                     rows.append(
                         [
-                            words(SURFACES[surface]),
-                            words(way.label, way.colour),
+                            *_who(surface, way),
                             *(number(value, ".3f") for value in values),
                             number(fit["r2"], ".2f"),
                             count(fit["cells"]),
