@@ -231,6 +231,7 @@ def quarters_1(members, m):
     return unproject(SENSOR, points)[0].reshape(-1, 3), np.repeat(np.abs(np.linalg.det(jacobian)), 4)
 
 
+@pytest.mark.slow
 def test_equals_the_sum_over_raw_pixels(solid_images, seen):
     """Against the plain formula, with derivatives of a texture that is known as a function.
 
@@ -275,6 +276,7 @@ def test_equals_the_sum_over_raw_pixels(solid_images, seen):
         assert np.mean(np.abs(ratio - 1) < spread) >= 0.9
 
 
+@pytest.mark.slow
 def test_a_window_of_mirror_pixels_equals_the_sum_over_them(solid_images, seen):
     """The same formula for a square of the mirror image, against derivatives of the known texture."""
     size = 13

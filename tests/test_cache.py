@@ -121,6 +121,7 @@ def test_what_dead_processes_left_is_cleared_away(tmp_path: Path) -> None:
     assert (old.exists(), new.exists()) == (False, True)
 
 
+@pytest.mark.slow
 def test_processes_share_it(tmp_path: Path) -> None:
     """Four processes write and read the same thirty images, under a limit that holds ten of them."""
     program = """
@@ -165,6 +166,7 @@ def test_a_trial_does_not_know_of_it(tmp_path: Path) -> None:
         assert plain.range_m.tobytes() == cached.range_m.tobytes()
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path) -> None:
     write_small(tmp_path / "small.toml")
     assert "0 renders, 0.0 MB of at most 2048 MB" in omnirange(tmp_path, "cache").stdout

@@ -105,6 +105,7 @@ def test_dry_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_set_and_axis_are_folded_into_what_is_written(small: Path, tmp_path: Path) -> None:
     changed = ("--set", "noise.sigma_grey=3", "--axis", "matching.window_px=5,9")
     assert omnirange(tmp_path, "run", small, *changed, "--out", "one", "--no-report").returncode == 0
@@ -218,6 +219,7 @@ def test_a_file_as_the_output_folder(small: Path, tmp_path: Path, capsys: pytest
     assert "cannot be used as the output folder" in refusal(capsys, "run", small, "--out", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_folder_with_another_experiments_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert omnirange(tmp_path, "run", small, "--out", out, "--no-report").returncode == 0
@@ -240,6 +242,7 @@ def test_a_report_of_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert refusal(capsys, "report", tmp_path) == f"{tmp_path}: holds no run: there is no run.sqlite in it"
 
 
+@pytest.mark.slow
 def test_two_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     small = write_small(tmp_path / "long.toml", f"[axes]\nseed = {list(range(200))}\n", name="long")
     out = tmp_path / "out"
@@ -270,6 +273,7 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback (most recent call last)" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "says"),
     [

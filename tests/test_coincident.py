@@ -81,6 +81,7 @@ def random_scene(seed):
     return room(*things, yaw_deg=yaw)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::harness.errors.Notice")
 @pytest.mark.parametrize("seed", range(6))
 def test_the_later_object_is_seen_in_both_views_and_in_truth(seed):

@@ -173,6 +173,7 @@ def test_matcher_does_what_its_definition_says(t, settings):
     assert np.isnan(made.costs[made.reason != Reason.MATCHED]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cost", "pitch_px"), [("sad", 1.0), ("ssd", 0.5), ("zncc", 1.0), ("census", 1.0), ("census", 0.5)]
 )

@@ -69,6 +69,7 @@ def finding(kind: str, name: str) -> Finding:
     return examine(Subject(load_matcher(kind)), next(check for check in CHECKS if check.name == name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_matcher_of_this_program_passes(kind: str) -> None:
     if kind.startswith("opencv") and importlib.util.find_spec("cv2") is None:
@@ -169,6 +170,7 @@ def test_a_blank_answer_without_confidence(candidate: Write) -> None:
 # --- omnirange check ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command(candidate: Write, capsys: pytest.CaptureFixture[str]) -> None:
     kind = candidate()
     assert main(["check", kind]) == 0
@@ -240,6 +242,7 @@ def run_suite(pytester: pytest.Pytester, call: str) -> pytest.RunResult:
     return pytester.runpytest_inprocess(*plugin(), "-p", "no:cacheprovider", "-rs")
 
 
+@pytest.mark.slow
 def test_a_test_for_every_check(pytester: pytest.Pytester, candidate: Write) -> None:
     result = run_suite(pytester, f"{candidate('alpha_2[:, :10] = confidence[:, :10] = np.nan')!r}")
     result.assert_outcomes(passed=len(CHECKS) - 1, failed=1)

@@ -39,6 +39,7 @@ def damaged(data: bytes, draws: random.Random) -> bytes:
     return data + draws.randbytes(100)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["experiment.toml", "trials.csv", "summary.json", "report.html"])
 def test_what_differs_is_written_anew(made: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     out, draws = made / "o", random.Random(f"{SEED} {name}")

@@ -69,6 +69,7 @@ def wait_for_workers(address: str, count: int) -> None:
     subprocess.run([sys.executable, "-c", program], check=True, timeout=600, capture_output=True)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_the_middle(tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]) -> None:
     """The scene's picture is on this machine alone, and its folder is gone before the run ends."""
     address, workers = cluster
@@ -100,6 +101,7 @@ def test_a_worker_killed_in_the_middle(tmp_path: Path, cluster: tuple[str, list[
     assert len(laid_down) == 1
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed_elsewhere(tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]) -> None:
     address, _ = cluster
     write_small(tmp_path / "small.toml", f"[axes]\nseed = {list(range(180))}\n")
@@ -116,6 +118,7 @@ def test_interrupted_and_resumed_elsewhere(tmp_path: Path, cluster: tuple[str, l
     assert (tmp_path / "out" / "trials.csv").read_bytes() == (tmp_path / "one" / "trials.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_no_workers(tmp_path: Path) -> None:
     address = f"tcp://127.0.0.1:{free_port()}"
     port = address.rpartition(":")[2]

@@ -22,6 +22,7 @@ def test_a_specification_shows_what_differs_from_its_defaults() -> None:
     assert repr(load_experiment("paper")) == "Experiment('paper', 2 trials: matching.subpixel (2))"
 
 
+@pytest.mark.slow
 def test_no_repr_prints_an_array_or_a_second_line(outcome: Outcome) -> None:
     parts = [outcome, outcome.trial, outcome.trial.scene, load_experiment("law")]
     parts += [

@@ -158,6 +158,7 @@ def test_a_worker_that_a_matcher_ends(folder: Path) -> None:
 # --- What is printed ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["[/b]", "[bold]x", "$x$", "a b'"])
 def test_names_are_no_markup(folder: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     write_small(folder / "e.toml")
@@ -178,6 +179,7 @@ class Failing(io.TextIOWrapper):
         raise OSError(self.code, os.strerror(self.code))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "exits", "said"),
     [
@@ -203,6 +205,7 @@ def test_a_closed_or_full_output_costs_no_result(
     assert json.loads((folder / "o" / "summary.json").read_text())["trials"]["done"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no device that is always full")
 def test_real_pipes_and_devices(tmp_path: Path) -> None:
     line = [sys.executable, "-m", "harness", "settings"]

@@ -182,6 +182,7 @@ def half_pixel_parabola(monkeypatch):
     monkeypatch.setattr(window, "refine", refine_)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "yaw_deg"),
     [

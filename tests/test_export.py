@@ -27,6 +27,11 @@ def json_chunk(path):
     return json.loads(data[20 : 20 + length])
 
 
+ONE_MESH = pytest.mark.filterwarnings("ignore:.*coincide:harness.errors.Notice")
+"""In one mesh, the feet of furniture coincide with the floor under them, which is said."""
+
+
+@ONE_MESH
 @pytest.mark.parametrize("name", ["box", "corridor", "room"])
 def test_the_picture_is_the_same_when_read_back(name, tmp_path):
     scene = load_scene(name)
@@ -35,8 +40,9 @@ def test_the_picture_is_the_same_when_read_back(name, tmp_path):
     again = Scene(name="again", objects=(Mesh(kind="mesh", file=str(path), inward=True),))
     difference = np.abs(render(again, Sensor(), POSE) - render(scene, Sensor(), POSE))
     # 8-bit texels are at most half a grey level off. Float32 texture coordinates are 1e-6 of a tile off, a
-    # thousandth of a texel, which is worth less than 0.1 grey level.
-    assert np.quantile(difference, 0.9999) <= 0.6
+    # thousandth of a texel, which is worth less than 0.1 grey level. Of pixels on an edge between two sides with one
+    # texture, which are made of more samples in a box but not in a mesh, there are fewer than one in a thousand.
+    assert np.quantile(difference, 0.999) <= 0.6
     # Float32 positions move an outline by 1e-7 m: at most a sample in a pixel changes sides.
     assert difference.max() <= 255 / 16 + 0.6
 
@@ -48,9 +54,11 @@ def test_whole_greys_are_not_rounded_and_tiles_repeat(tmp_path):
     write_glb(scene, path)
     again = Scene(name="again", objects=(Mesh(kind="mesh", file=str(path), inward=True),))
     difference = np.abs(render(again, Sensor(), POSE) - render(scene, Sensor(), POSE))
-    assert np.quantile(difference, 0.9999) <= 0.1
+    # Edges as above: a few hundred of 170,000 pixels.
+    assert np.quantile(difference, 0.997) <= 0.1
 
 
+@ONE_MESH
 def test_range_is_the_same_when_read_back(tmp_path):
     scene = load_scene("room")
     path = tmp_path / "scene.glb"

@@ -80,6 +80,7 @@ def test_values_that_look_alike_stay_apart(tmp_path: Path, plugin: str, key: str
             assert len({row[4] for row in figure.data.rows}) == 2
 
 
+@pytest.mark.slow
 def test_an_axis_with_infinity_is_drawn(tmp_path: Path, plugin: str) -> None:
     experiment = load_experiment(
         str(write_small(tmp_path / "e.toml")), [f"matching.kind={plugin}"], ["matching.d_max_m=5,10,inf"]
@@ -202,6 +203,7 @@ def written(tmp_path: Path, plugin: str, name: str, axis: list) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_runs_are_paired_by_values(tmp_path: Path, plugin: str) -> None:
     first = written(tmp_path, plugin, "first", [0.5, 0.75])
     with (first / "trials.csv").open() as stream:

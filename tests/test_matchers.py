@@ -30,6 +30,7 @@ def density(outcome):
     return outcome.valid[outcome.reference.domain].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["box", "corridor"])
 def test_slanted_windows_without_noise(run, scene):
     found = run(f"scene={scene}", "matching.kind=slanted")
@@ -61,6 +62,7 @@ def test_semi_global_matching_finds_nearly_everything(run):
     assert np.mean(errors_px(found) > 1) <= 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sets",
     [
@@ -78,6 +80,7 @@ def test_another_exposure_of_the_second_camera_costs_little(run, sets):
         assert np.median(errors_px(run(*sets, noise_set, *change))) < 1.1 * alike
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0, 10])
 def test_a_wall_without_texture_is_not_confident_nonsense(run, noise):
     """Hardly any of it gets an answer, and confidence tells what does, beside its borders, from what has texture."""

@@ -84,6 +84,7 @@ def direction_in_view_2(motion: Motion, looking, alpha_2):
     return np.cos(alpha_2)[..., None] * t + np.sin(alpha_2)[..., None] * across
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "settings"), CASES)
 @pytest.mark.parametrize("view", [0, 1])
 def test_no_match_is_made_of_what_is_not_a_number(kind, settings, view):

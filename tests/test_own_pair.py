@@ -85,6 +85,7 @@ def test_points_lie_on_the_box(answer):
     assert np.median(distance) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_page(answer, tmp_path):
     with chromium(tmp_path / "profile") as context:

@@ -230,6 +230,7 @@ def test_nothing_is_left_running_behind_a_good_answer(pair: Pair, tmp_path: Path
     assert not _sleepers("62.5")
 
 
+@pytest.mark.slow
 def test_a_program_does_not_outlive_who_started_it(tmp_path: Path) -> None:
     (tmp_path / "matcher.sh").write_text(f"touch {tmp_path}/begun\nsleep 63.75\n")
     write_small(
@@ -342,6 +343,7 @@ def test_a_program_that_cannot_be_started(pair: Pair, tmp_path: Path) -> None:
     assert complaint(pair, Program(command=command)) == "program matcher: cannot be started (Exec format error)"
 
 
+@pytest.mark.slow
 def test_one_trial_of_a_run_fails(tmp_path: Path) -> None:
     np.save(tmp_path / "good.npy", np.full((50, 180), 1.5))
     (tmp_path / "matcher.sh").write_text("test $4 = 2 && sleep 100\ncp $3 $2/alpha_2.npy\n")

@@ -14,6 +14,7 @@ REFERENCES = Path(__file__).parents[1] / "results" / "reference"
 REFERENCE = json.loads((REFERENCES / "paper.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", sorted(REFERENCE["scenes"]))
 def test_the_papers_experiment_gives_its_reference_numbers(scene, paper):
     result = paper if scene == "box" else run_experiment(load_experiment("paper", sets=[f"scene={scene}"]))

@@ -407,6 +407,7 @@ def digest(kind: str, folder: Path) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_a_change_of_source_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "top.py").write_text("def f(pair, limits):\n    import beside\n    return beside.g(pair)\n")
     (tmp_path / "beside.py").write_text("import scipy.optimize\nfrom pack.inner import h as g\n")
@@ -456,6 +457,7 @@ def test_a_matcher_of_this_program_has_no_fingerprint() -> None:
 # --- Whole runs ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_edited_matcher_is_another_one(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(FAR)
     write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2]\n")
@@ -476,6 +478,7 @@ def test_an_edited_matcher_is_another_one(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "trials.csv").read_text() == before
 
 
+@pytest.mark.slow
 def test_a_failure_is_one_trials_alone(tmp_path: Path) -> None:
     source = FAR.replace("    return", "    if window == 7:\n        raise ValueError('seven')\n    return")
     (tmp_path / "mine.py").write_text(source)
@@ -513,6 +516,7 @@ def test_on_a_cluster_whose_worker_has_it_in_its_folder(tmp_path: Path) -> None:
     assert (tmp_path / "there" / "trials.csv").read_bytes() == (tmp_path / "here" / "trials.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_beside_a_matcher_of_this_program(module: Write) -> None:
     kind = f"{module(FAR)}:match"
     experiment = load_experiment("smoke", sets=[f"matching.kind={kind}"], axes=[f"matching.kind=column,{kind}"])

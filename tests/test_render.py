@@ -41,6 +41,7 @@ def test_shortcut_equals_every_sample(name, pose):
     assert difference.max() <= SHORTCUT_TOLERANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [SMALL, DISTORTED], ids=["small", "distorted"])
 @pytest.mark.parametrize("samples", [1, 4, 64])
 def test_shortcut_equals_every_sample_through_any_lens(sensor, samples):

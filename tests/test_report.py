@@ -144,10 +144,12 @@ def test_the_page_says_its_language_and_fits_small_screens(report):
     assert any(meta.get("name") == "viewport" for meta in document.every("meta"))
 
 
+@pytest.mark.slow
 def test_same_result_same_report(small):
     assert build_report(small) == build_report(small)
 
 
+@pytest.mark.slow
 def test_drawing_leaves_matplotlib_settings_alone(small):
     before = dict(mpl.rcParams)
     build_report(small)
@@ -259,6 +261,7 @@ def test_every_reason_has_words_and_a_colour_of_its_own():
 # --- Other experiments than the paper's ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_users_write_shows_as_text():
     evil = '<script>alert(1)</script> & "quotes" {{ 7 * 7 }}'
     scene = load_scene("box").model_copy(update={"name": evil, "description": evil})
@@ -269,6 +272,7 @@ def test_what_users_write_shows_as_text():
     assert any(evil in image["alt"] for image in document.every("img"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
@@ -322,6 +326,7 @@ def test_report_in_chromium(report_file, tmp_path, width):
         assert all(natural > 0 and shown > 100 for natural, shown in sizes)
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_report_without_scripts(report_file, tmp_path):
     with chromium(tmp_path / "profile", scripts=False) as browser:
@@ -332,6 +337,7 @@ def test_report_without_scripts(report_file, tmp_path):
         assert seen.page.get_by_text("Comparison of methods").last.is_visible()
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_text_that_users_write_runs_nowhere(tmp_path):
     file = tmp_path / "report.html"

@@ -128,6 +128,7 @@ def test_every_figure_has_its_numbers(page):
     assert without == ["regions"]  # the table below has them
 
 
+@pytest.mark.slow
 def test_same_rows_same_page(swept, page):
     assert build_report(swept) == page
 
@@ -212,6 +213,7 @@ def test_pixel_locking_shares_sum_to_one(page):
 # --- Rows alone, however many pixels ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_said_of_all_trials_needs_no_pixels(swept):
     bare = sweep_of(dataclasses.replace(swept, details=[]))
     context = Context(dataclasses.replace(swept, details=[]), bare, [], [], swept.outcomes[0].trial)
@@ -293,6 +295,7 @@ def test_axes_know_whether_they_are_lines():
 # --- What users write, and what fails -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_names_and_messages_show_as_text():
     evil = "<script>alert(1)</script>"
     scene = load_scene("box").model_copy(update={"name": evil})
@@ -317,6 +320,7 @@ def test_symbols_are_set_as_in_captions_and_nothing_else_becomes_html():
 # --- In a browser -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1200, 390])
 def test_sweep_in_chromium(page_file, tmp_path, width):
@@ -353,6 +357,7 @@ def test_a_sheet_of_paper_holds_all_rows_and_no_column_is_cut(page_file, tmp_pat
         assert "columns are left out" in page.locator("#table-measures .paper").inner_text()
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_tables_sort_by_keyboard(page_file, tmp_path):
     with chromium(tmp_path / "profile") as browser:
@@ -488,6 +493,7 @@ def test_compare_fits_a_terminal_of_80_columns(runs, tmp_path, capsys, monkeypat
     assert all(row.rstrip().endswith(("better", "worse", "not told apart", "the same")) for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1200, 390])
 def test_comparison_in_chromium(runs, tmp_path, width):

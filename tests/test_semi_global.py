@@ -101,6 +101,7 @@ def any_costs(seed, shape=(5, 9, 32)):
     return costs, first, last, draws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paths", [4, 8])
 @given(seed=st.integers(0, 10**6), p1=st.integers(0, 60), more=st.integers(0, 87), labels=st.sampled_from([32, 64]))
 @settings(max_examples=6, deadline=None)
@@ -200,6 +201,7 @@ def codes_by_definition(view, blur):
     return codes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("blur", "box_px"), [(True, 3), (False, 5), (True, 1)])
 def test_matching_costs_are_those_of_the_definition(blur, box_px):
     grid = Grid(width_px=24, height_px=5, z_max=0.4, z_min=-0.8)
@@ -442,6 +444,7 @@ def test_the_largest_path_costs_fit_into_their_numbers():
         np.testing.assert_array_equal(sums, sums_by_definition(costs, round(PER_BIT * p1), table, ACROSS + DIAGONAL))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation", ["bilinear", "cubic"])
 def test_mirror_images_of_turned_views_are_matched(interpolation):
     grid, sensor, t = Grid(width_px=180, height_px=50), Sensor(), np.array([0.3, -0.25, 0.1])

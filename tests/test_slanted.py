@@ -93,6 +93,7 @@ def steep(there):
     return np.linalg.norm(np.cross(x, there.t_v1 / np.linalg.norm(there.t_v1)), axis=-1) >= 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("t", "turn"),
     [((0.2, 0.05, 0.02), (20.0, 3.0, -2.0)), ((0.0, 0.0, 0.2), (0.0, 0.0, 0.0)), ((-0.1, 0.2, 0.0), (170.0, 0.0, 0.0))],
@@ -133,6 +134,7 @@ def warped(sensor, there, image, w):
 LENS = Lens(k1=0.1, k2=-0.05, p1=0.002, p2=-0.003, k3=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", [Lens(), LENS])
 def test_samples_lie_where_the_sensor_sees_the_point(lens):
     sensor, there = SENSOR.model_copy(update={"lens": lens}), motion()

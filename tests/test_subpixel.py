@@ -140,6 +140,7 @@ def found(k, **matcher):
 FRACTIONS = (7.0, 7.15, 7.3, 7.5, 7.7, 7.85)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["window", "column"])
 @pytest.mark.parametrize("cost", ["ssd", "census"])
 def test_images_recover_the_shift(kind, cost):
@@ -189,6 +190,7 @@ def test_images_fit_gain_and_offset_along_if_the_cost_is_indifferent(kind, gain,
     assert np.quantile(np.abs(before.k - after.k)[both], 0.99) < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "cost", "plain"),
     [

@@ -80,6 +80,7 @@ def test_tables_of_a_run(room: Path) -> None:
     assert set(summary["comparison"]) == {"pixel", "subpixel"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [2, 4])
 def test_workers_change_no_bit(room: Path, whole: bytes, workers: int) -> None:
     out = f"workers{workers}"
@@ -94,6 +95,7 @@ def test_the_written_experiment_gives_the_same_trials(room: Path) -> None:
     assert [each.key for each in again.planned] == [trial["key"] for trial in table(room / "whole" / "trials.csv")]
 
 
+@pytest.mark.slow
 def test_killed_again_and_again(room: Path, whole: bytes) -> None:
     out = room / "killed"
     when = random.Random(20)
@@ -115,6 +117,7 @@ def test_killed_again_and_again(room: Path, whole: bytes) -> None:
     assert (out / "trials.csv").read_bytes() == whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
     out = room / f"interrupted{workers}"
@@ -133,6 +136,7 @@ def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
     assert (out / "trials.csv").read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_workers_end_with_their_parent(room: Path) -> None:
     out = room / "orphans"
     process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
@@ -145,6 +149,7 @@ def test_workers_end_with_their_parent(room: Path) -> None:
     assert not alive
 
 
+@pytest.mark.slow
 def test_killed_worker_costs_time_alone(room: Path, whole: bytes) -> None:
     out = room / "murdered"
     process = begin(room, "run", "small.toml", "--workers", 2, "--out", out, "--no-report")
@@ -156,6 +161,7 @@ def test_killed_worker_costs_time_alone(room: Path, whole: bytes) -> None:
     assert (out / "trials.csv").read_bytes() == whole
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("whole")
 def test_nothing_left_to_do_is_quick(room: Path) -> None:
     out = room / "whole"
@@ -169,6 +175,7 @@ def test_nothing_left_to_do_is_quick(room: Path) -> None:
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_report_from_the_folder_alone(room: Path, whole: bytes) -> None:
     out = room / "whole"
     summary = (out / "summary.json").read_bytes()
@@ -181,6 +188,7 @@ def test_report_from_the_folder_alone(room: Path, whole: bytes) -> None:
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_trial_that_fails(room: Path) -> None:
     write_small(
         room / "failing.toml",
@@ -209,6 +217,7 @@ def test_a_trial_that_fails(room: Path) -> None:
     assert "2 done before" in again.stdout
 
 
+@pytest.mark.slow
 def test_rows_of_other_code_are_set_aside(tmp_path: Path) -> None:
     write_small(tmp_path / "code.toml", "[axes]\nseed = [1, 2]\n", name="code")
     out = tmp_path / "out"
@@ -225,6 +234,7 @@ def test_rows_of_other_code_are_set_aside(tmp_path: Path) -> None:
     assert (out / "trials.csv").read_bytes() == trials
 
 
+@pytest.mark.slow
 def test_a_scene_changed_since(tmp_path: Path) -> None:
     scene = tmp_path / "room.toml"
     text = (Path(__file__).parent.parent / "scenes" / "box.toml").read_text()

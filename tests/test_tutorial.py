@@ -75,6 +75,7 @@ def test_every_command_is_tried_here() -> None:
     assert [next(each for each in tried if line.startswith(each)) for line in COMMANDS] == list(tried)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_check_says_what_the_page_says(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command("omnirange check")) == 0
@@ -98,6 +99,7 @@ def test_scored_beside_others(folder: Path) -> None:
     assert len(set(errors.values())) == 3
 
 
+@pytest.mark.slow
 def test_parameters_as_axes(folder: Path) -> None:
     assert main([*command("omnirange run smoke"), "--no-report"]) == 0
     rows = table(folder / "results" / "windows" / "trials.csv")
@@ -117,6 +119,7 @@ def test_as_a_program(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.5 < program / function < 2
 
 
+@pytest.mark.slow
 def test_the_tests_of_the_page(folder: Path, pytester: pytest.Pytester) -> None:
     shutil.copy(folder / "test_plane_sweep.py", pytester.path)
     installed = any(each.value == "omnirange_pytest" for each in metadata.entry_points(group="pytest11"))
