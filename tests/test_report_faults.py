@@ -174,7 +174,7 @@ np.save(Path(sys.argv[2]) / "alpha_2.npy", np.full((50, 180), 1.5))
 
 
 @pytest.fixture
-def unused_rows(tmp_path: Path) -> tuple[Path, Path]:
+def foreign(tmp_path: Path) -> tuple[Path, Path]:
     """An experiment whose matcher is a program, and the file that the program touches."""
     mark, script = tmp_path / "ran", tmp_path / "matcher.py"
     script.write_text(PROGRAM.format(mark=str(mark)), encoding="utf-8")
