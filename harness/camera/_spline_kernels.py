@@ -3,7 +3,7 @@
 from harness.compiled import kernel
 
 QUINTIC_TAPS = 6
-"""Of a quintic B-spline, along each axis."""
+"""How many coefficients a quintic B-spline takes along each axis."""
 
 
 @kernel(inline=True)

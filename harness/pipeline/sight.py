@@ -99,7 +99,7 @@ def _z(sensor: Sensor) -> str:
 
 
 def _share_in_field(sensor: Sensor, grid: Grid) -> float:
-    """Of the panorama's pixels, those in the cone that the sensor would see on an image without borders."""
+    """The share of the panorama's pixels in the cone that the sensor would see on an image without borders."""
     return float(in_field(sensor, cylinder(grid)).mean())
 
 

@@ -160,7 +160,7 @@ class HyperboloidCamera(NamedTuple):
     gamma_u: float
     gamma_v: float
     k1_unified: float
-    """Of the lens as the unified model writes it, and so on."""
+    """The lens as the unified model writes it, here and below."""
     k2_unified: float
     p1_unified: float
     p2_unified: float
