@@ -31,6 +31,7 @@ ONE_MESH = pytest.mark.filterwarnings("ignore:.*coincide:harness.errors.Notice")
 """In one mesh, the feet of furniture coincide with the floor under them, which is said."""
 
 
+@pytest.mark.slow
 @ONE_MESH
 @pytest.mark.parametrize("name", ["box", "corridor", "room"])
 def test_the_picture_is_the_same_when_read_back(name, tmp_path):
@@ -58,6 +59,7 @@ def test_whole_greys_are_not_rounded_and_tiles_repeat(tmp_path):
     assert np.quantile(difference, 0.997) <= 0.1
 
 
+@pytest.mark.slow
 @ONE_MESH
 def test_range_is_the_same_when_read_back(tmp_path):
     scene = load_scene("room")

@@ -40,6 +40,7 @@ def test_slanted_windows_without_noise(run, scene):
     assert np.median(np.abs(found.errors.range_m[found.reference.domain & found.valid])) <= 0.004
 
 
+@pytest.mark.slow
 def test_slanted_windows_come_near_the_bound_and_know_it(run):
     quiet = run("matching.kind=slanted")
     noisy = run("matching.kind=slanted", "noise.sigma_grey=10")

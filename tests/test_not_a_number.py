@@ -119,6 +119,7 @@ def test_no_match_is_made_of_what_is_not_a_number(kind, settings, view):
     assert changed.sum() <= (0 if kind in SETTINGS else 0.02 * both.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted({"window", "column", "sgm", "slanted", "opencv-sgbm"} & set(BUILT_IN)))
 def test_an_image_of_nothing_but_nan_has_no_match(kind):
     if kind.startswith("opencv"):

@@ -125,6 +125,7 @@ def test_sums_over_paths_are_those_of_the_definition(paths, seed, p1, more, labe
         assert second[i, j] == min(rivals, default=np.iinfo(np.uint16).max)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paths", [4, 8])
 @pytest.mark.parametrize("columns", [1, 17])
 def test_the_seam_is_no_border_for_paths(paths, columns):
@@ -262,6 +263,7 @@ def test_samples_lie_on_the_epipolar_curve(t, pitch_px):
 # -- Search ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paths", [4, 8])
 @pytest.mark.parametrize("threads", [2, 5])
 def test_threads_change_nothing(threads, paths):

@@ -111,6 +111,7 @@ def test_a_plane_is_found(t, turn):
     assert np.nanquantile(error, 0.99) < 0.01
 
 
+@pytest.mark.slow
 def test_holes_in_the_start_are_filled():
     there = motion()
     begin = start(there)

@@ -210,6 +210,7 @@ def test_cancellation_locks_less_on_images(kind, cost, plain):
     assert bias["shimizu-okutomi"] < 0.6 * bias[plain]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", ["shimizu-okutomi", "images"])
 @pytest.mark.parametrize("kind", ["window", "column"])
 @pytest.mark.parametrize("cost", ["sad", "ssd", "zncc", "census"])
