@@ -191,6 +191,7 @@ scenes = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(scenes)
 def test_toml_round_trip_is_exact(scene: Scene) -> None:
     assert parse(Scene, tomllib.loads(dump_toml(scene))) == scene
