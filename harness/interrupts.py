@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -37,9 +38,16 @@ def heard() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or not _is_ours_to_take():
         yield
         return
-    before, hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    before, hook, show = signal.getsignal(signal.SIGINT), sys.unraisablehook, warnings.showwarning
+
+    def show_unless_asked(*of: Any, **more: Any) -> None:
+        # A library that swallowed the interrupt may warn of what it broke: pydantic does.
+        if not _asked_at:
+            show(*of, **more)
+
     _asked_at.clear()
     sys.unraisablehook = _silent_when_asked
+    warnings.showwarning = show_unless_asked
     signal.signal(signal.SIGINT, _on_signal)
     try:
         yield
@@ -51,6 +59,7 @@ def heard() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, before)
         sys.unraisablehook = hook
+        warnings.showwarning = show
         _asked_at.clear()
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -63,6 +64,21 @@ def test_heard_whatever_becomes_of_the_exception(
     assert capsys.readouterr().err == ""  # not even "exception ignored in"
     with interrupts.heard():  # forgotten
         interrupts.check()
+
+
+def test_warnings_of_what_it_broke_are_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pydantic drops what its callbacks raise while it serialises, and warns that the value is odd."""
+    shown: list[str] = []
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *_more, **_options: shown.append(str(message)))
+    show = warnings.showwarning
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(KeyboardInterrupt), interrupts.heard():
+            warnings.warn("before", stacklevel=1)
+            swallow()
+            warnings.warn("of what was broken", stacklevel=1)
+        assert warnings.showwarning is show
+    assert shown == ["before"]
 
 
 def test_an_error_of_ones_own_is_no_interrupt() -> None:
