@@ -64,16 +64,16 @@ class MatcherSettings(Spec, ABC):
         Raises
         ------
         InputError
-            When a matcher from elsewhere cannot be found, does not take its parameters, fails, or returns what is no
-            answer; or when settings and pair do not go together.
+            When a third-party matcher cannot be found, does not take its parameters, fails, or returns something
+            invalid; or when settings and pair do not fit each other.
         """
 
     def answer(self, pair: "Pair") -> Any:
-        """What the matcher returned before it was checked; errors as in `match`."""
+        """What the matcher returned, unchecked; errors as in `match`."""
         return self.match(pair)
 
     def check(self) -> None:
-        """See what can be seen before it is run: that it is there, and takes its parameters.
+        """Check what can be checked before a run: that the matcher exists, and takes its parameters.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class MatcherSettings(Spec, ABC):
         """
 
     def identity(self) -> str:
-        """What settings do not tell: a hash of the contents of files; empty for a matcher of this program.
+        """What the settings do not say: a hash of the contents of files; empty for a matcher of this program.
 
         Raises
         ------
@@ -113,12 +113,12 @@ class MatcherSettings(Spec, ABC):
 
     @property
     def window(self) -> int:
-        """Side of the square whose residuals tell how sure a match is, panorama pixels; see `uncertainty`."""
+        """Side of the square whose residuals give a match's uncertainty, panorama pixels; see `uncertainty`."""
         return 11
 
     @property
     def search(self) -> Spec:
-        """What of the settings the costly part of matching depends on: trials with equal ones can share it."""
+        """The settings that the costly part of matching depends on: trials with equal ones can share it."""
         return self
 
     def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
@@ -185,7 +185,7 @@ class Reason(IntEnum):
     BEYOND_INFINITY = 5
     """There is a match, but its rays are parallel or diverge: no range."""
     NO_MATCH = 6
-    """The matcher found none, or was not sure of it."""
+    """The matcher found none, or rejected it as too uncertain."""
     INCONSISTENT = 7
     """The match from view 2 back to view 1 leads elsewhere: most likely a point that view 2 does not see."""
 
@@ -201,7 +201,7 @@ class Matches(OneLine):
     """Radians: the angle in the epipolar plane between t and the direction from viewpoint 2 to the point, in v1's
     orientation. NaN where there is no match."""
     confidence: Array | None = None
-    """The larger, the surer; in any unit, as only the order counts. NaN where there is no match."""
+    """Higher is more confident; in any unit, as only the order counts. NaN where there is no match."""
     sigma_alpha_2: Array | None = None
     """Predicted standard deviation of `alpha_2`, radians. NaN where there is no match."""
     reason: NDArray[np.uint8] | None = None
@@ -227,7 +227,7 @@ class Fault:
     """What it breaks: which thing is returned, of which shape and type, angles in range, NaN where there is no match
     and only there."""
     text: str
-    """In words, the first place included."""
+    """In words, with the first pixel that it concerns."""
 
 
 def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
@@ -247,19 +247,19 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
     """
     for fault in faults(answer, grid):
         raise InputError(fault.text, file=name)
-    given = _sorted_out(answer)
+    given = _arrays_of(answer)
     matched = ~np.isnan(np.asarray(given["alpha_2"]))
     reason = np.where(matched, np.uint8(Reason.MATCHED), np.uint8(Reason.NO_MATCH))
     if given["reason"] is not None:
         reason = np.array(given["reason"], dtype=np.uint8)
     reason.flags.writeable = False
     return Matches(
-        alpha_2=_own(given["alpha_2"]),
-        confidence=None if given["confidence"] is None else _own(given["confidence"]),
-        sigma_alpha_2=None if given["sigma_alpha_2"] is None else _own(given["sigma_alpha_2"]),
+        alpha_2=_copied(given["alpha_2"]),
+        confidence=None if given["confidence"] is None else _copied(given["confidence"]),
+        sigma_alpha_2=None if given["sigma_alpha_2"] is None else _copied(given["sigma_alpha_2"]),
         reason=reason,
         refined=None if given["refined"] is None else np.array(given["refined"], dtype=bool),
-        k=None if given["k"] is None else _own(given["k"]),
+        k=None if given["k"] is None else _copied(given["k"]),
     )
 
 
@@ -271,7 +271,7 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
     a match and NaN where there is none, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
     `refined` true only there.
     """
-    given = _sorted_out(answer)
+    given = _arrays_of(answer)
     if not given:
         yield Fault(
             "form",
@@ -282,13 +282,13 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
     if given["alpha_2"] is None:
         yield Fault("form", "alpha_2 is missing")
         return
-    broken = [fault for name, value in given.items() if value is not None for fault in _no_array(name, value, grid)]
+    broken = [fault for name, value in given.items() if value is not None for fault in _array_faults(name, value, grid)]
     yield from broken
     if broken:
         return
     alpha_2 = np.asarray(given["alpha_2"], dtype=np.float64)
     matched = ~np.isnan(alpha_2)
-    yield from _somewhere(
+    yield from _fault_where(
         "angles",
         "alpha_2 must lie within 0 .. pi radians, or be NaN for no match",
         alpha_2,
@@ -298,23 +298,23 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
         if given[name] is None:
             continue
         value = np.asarray(given[name], dtype=np.float64)
-        yield from _somewhere(
+        yield from _fault_where(
             "missing", f"{name} must be finite where there is a match", value, matched & ~np.isfinite(value)
         )
-        yield from _somewhere(
+        yield from _fault_where(
             "missing", f"{name} must be NaN where there is no match", value, ~matched & ~np.isnan(value)
         )
         if name == "sigma_alpha_2":
-            yield from _somewhere("angles", f"{name} must be above zero", value, matched & (value <= 0))
+            yield from _fault_where("angles", f"{name} must be above zero", value, matched & (value <= 0))
     if given["reason"] is not None:
         reason = np.asarray(given["reason"])
-        yield from _somewhere(
+        yield from _fault_where(
             "missing",
             f"reason must be one of 0 .. {max(Reason)}",
             reason,
             ~np.isin(reason, [each.value for each in Reason]),
         )
-        yield from _somewhere(
+        yield from _fault_where(
             "missing",
             "reason must be 0 (matched) exactly where alpha_2 is not NaN",
             reason,
@@ -322,10 +322,10 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
         )
     if given["refined"] is not None:
         refined = np.asarray(given["refined"])
-        yield from _somewhere("missing", "refined must be false where there is no match", refined, refined & ~matched)
+        yield from _fault_where("missing", "refined must be false where there is no match", refined, refined & ~matched)
 
 
-def _sorted_out(answer: Any) -> dict[str, Any]:
+def _arrays_of(answer: Any) -> dict[str, Any]:
     """The arrays of an answer by name; none when it has no form that is known."""
     if isinstance(answer, np.ndarray):
         answer = Matches(answer)
@@ -334,8 +334,8 @@ def _sorted_out(answer: Any) -> dict[str, Any]:
     return {field.name: getattr(answer, field.name) for field in fields(answer)} if isinstance(answer, Matches) else {}
 
 
-def _no_array(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
-    """What keeps a value from being an array of the panorama."""
+def _array_faults(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
+    """Why a value is not an array of the panorama."""
     kinds, what = ("b", "booleans") if name == "refined" else ("iu", "whole numbers")
     if name not in {"refined", "reason"}:
         kinds, what = "fiu", "real numbers"
@@ -350,7 +350,7 @@ def _no_array(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
             yield Fault("dtype", f"{name} must be an array of {what}; its dtype is {value.dtype}")
 
 
-def _somewhere(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bool_]) -> Iterator[Fault]:
+def _fault_where(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bool_]) -> Iterator[Fault]:
     """A fault that some pixels have."""
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
@@ -361,7 +361,7 @@ def _somewhere(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bool
         )
 
 
-def _own(value: Any) -> Array:
+def _copied(value: Any) -> Array:
     """A copy: a matcher may use its arrays again."""
     array = np.array(value, dtype=np.float64)
     array.flags.writeable = False

@@ -26,7 +26,7 @@ T = TypeVar("T")
 G = TypeVar("G", bound=np.generic)
 
 Share = Callable[[str, Hashable, Callable[[], Any]], Any]
-"""`share(stage, key, make)`: the result of a stage with this key, made if nobody has made it yet."""
+"""`share(stage, key, make)`: the result of a stage with this key, made if it has not been made yet."""
 
 
 def sharing() -> Share:
@@ -52,17 +52,17 @@ class Pair(OneLine):
     motion: Motion
     """From view 1 to view 2."""
     grid: Grid
-    """The panorama's pixels: a matcher's answers are on view 1's."""
+    """The pixels of the panorama; matches are on view 1's."""
     interpolation: Interpolation = "bilinear"
     log_sigma_px: float = 1.5
     """How panoramas are made, and filtered, unless a matcher asks for something else."""
     threads: int | None = None
     """How many may be used; all available CPUs when None. No answer may depend on it."""
     keys: tuple[Hashable, Hashable] = field(default_factory=lambda: (object(), object()))
-    """What stands for each image with its place where results are shared."""
+    """What identifies each image and its pose where results are shared."""
     share: Share = field(default_factory=sharing)
     owner: str = ""
-    """Who calls `shared`, if it is somebody else's matcher: two of them may use the same words for their settings."""
+    """The third-party matcher that calls `shared`, if any: two of them may use the same words for their settings."""
 
     def __post_init__(self) -> None:
         first, second = self.images
@@ -132,7 +132,7 @@ class Pair(OneLine):
         Parameters
         ----------
         stage
-            A name; also what its time is counted under, after the name of whoever is not part of this program.
+            A name; its time is counted under it, after the name of the matcher if that is a third party's.
         settings
             All that the result depends on beside the pair.
         """
@@ -142,7 +142,7 @@ class Pair(OneLine):
 
 
 def _locked(array: NDArray[G]) -> NDArray[G]:
-    """The same, such that nobody can write to it: a view of an array that owns its memory stays as it is."""
+    """The same, read-only: a view of an array that owns its memory stays as it is."""
     held = array.copy() if array.flags.writeable else array
     held.flags.writeable = False
     return held.view()

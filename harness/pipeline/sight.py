@@ -25,7 +25,7 @@ def check_sight(trial: Trial, motion: Motion) -> None:
     Parameters
     ----------
     motion
-        What the matcher is told.
+        The motion that the matcher assumes.
 
     Raises
     ------

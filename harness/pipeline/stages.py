@@ -22,8 +22,8 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Told:
-    """What the matcher believes of the rig. Images come from the true sensor and the true poses, which may differ."""
+class Assumed:
+    """The calibration and motion that the matcher assumes. Images come from the true ones, which may differ."""
 
     sensor: Sensor
     motion: Motion
@@ -41,14 +41,14 @@ class Setup:
     """Where both views truly stand."""
     motion: Motion
     """The true motion from view 1 to view 2."""
-    told: Told
+    assumed: Assumed
 
 
 def setup_of(trial: Trial) -> Setup:
-    """The setup of a trial. The matcher is told the truth: calibration and motion are known exactly."""
+    """The setup of a trial. The matcher assumes the true calibration and the true motion."""
     poses = trial.poses
     motion = relative_motion(*poses)
-    return Setup(trial, fingerprint(trial.scene), poses, motion, Told(trial.sensor, motion))
+    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(trial.sensor, motion))
 
 
 def _none(_setup: Setup, _view: int) -> Hashable:

@@ -182,11 +182,11 @@ TRUTH = Stage(
 
 
 def _pair(work: Work, _view: int) -> Pair:
-    trial, told = work.trial, work.setup.told
+    trial, assumed = work.trial, work.setup.assumed
     return Pair(
         images=work.both(NOISE),
-        sensor=told.sensor,
-        motion=told.motion,
+        sensor=assumed.sensor,
+        motion=assumed.motion,
         grid=trial.panorama,
         interpolation=trial.unwrap.interpolation,
         log_sigma_px=trial.filter.log_sigma_px,
@@ -197,13 +197,13 @@ def _pair(work: Work, _view: int) -> Pair:
 
 
 def _pair_settings(setup: Setup, _view: int) -> Hashable:
-    told, trial = setup.told, setup.trial
-    motion = told.motion.R_v2_from_v1.tobytes(), told.motion.t_v1.tobytes()
-    return told.sensor, motion, trial.panorama, trial.unwrap, trial.filter
+    assumed, trial = setup.assumed, setup.trial
+    motion = assumed.motion.R_v2_from_v1.tobytes(), assumed.motion.t_v1.tobytes()
+    return assumed.sensor, motion, trial.panorama, trial.unwrap, trial.filter
 
 
 PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE,), cached=False)
-"""What the matcher is given: images, and what it is told of sensor and motion. It keeps what it makes by parts."""
+"""What the matcher is given: the images, and the sensor and motion that it assumes. Its parts are cached one by one."""
 
 MATCH = Stage(
     "match",
@@ -216,12 +216,12 @@ MATCH = Stage(
 
 
 def _range(work: Work, _view: int) -> tuple[Array, NDArray[np.uint8]]:
-    matches, told = work(MATCH), work.setup.told.motion
-    return ranges_of(matches, _curves(work.trial, told).alpha_1, told.baseline_m)
+    matches, motion = work(MATCH), work.setup.assumed.motion
+    return ranges_of(matches, _curves(work.trial, motion).alpha_1, motion.baseline_m)
 
 
 RANGE = Stage("range", _range, after=(MATCH,), cached=False)
-"""Range and reasons, triangulated with the motion that the matcher was told."""
+"""Range and reasons, triangulated with the motion that the matcher assumes."""
 
 
 def _reference(work: Work, _view: int) -> tuple[Reference, Layout]:
@@ -334,7 +334,7 @@ def run_trial(
     work = Work(trial, cache or StageCache(), observe, threads)
     for pose, key in zip(work.setup.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         _check_view(trial.scene, pose, key)
-    check_sight(trial, work.setup.told.motion)
+    check_sight(trial, work.setup.assumed.motion)
     if answer is not None:
         work.give(MATCH, answer)
     work.both(RENDER)
