@@ -50,7 +50,7 @@ def random_sensor(seed: int, *, distorted: bool) -> Sensor:
         if fold_radius(lens) > 1.1 * rim:
             break
     return Sensor(
-        mirror=mirror,
+        model=mirror,
         field=field,
         lens=lens,
         camera=Camera(
@@ -165,7 +165,7 @@ class TestProjection:
     def test_against_the_formula_of_the_mirror(self) -> None:
         """`rho = f r / (z + 2e)` with the mirror point found by a quadratic, another way than the program's."""
         mirror, camera = Mirror(a_m=0.03, b_m=0.02), Camera(focal_px=500, aspect=1.1, cx_px=300, cy_px=200)
-        sensor = Sensor(mirror=mirror, camera=camera)
+        sensor = Sensor(model=mirror, camera=camera)
         d = random_directions(np.random.default_rng(0), 100, -80, 20)
         c, s = np.hypot(d[:, 0], d[:, 1]), d[:, 2]
         a, b, e = mirror.a_m, mirror.b_m, mirror.e_m
@@ -185,7 +185,7 @@ class TestProjection:
         pixels, valid = project(sensor, [math.cos(elevation), 0, math.sin(elevation) - 1e-12])
         assert valid
         assert pixels[0] - 319.5 == pytest.approx(238, abs=0.005)  # the focal length is given to 0.01 px
-        assert rim_radius(sensor.mirror, sensor.field) * 614.12 == pytest.approx(238, abs=0.005)
+        assert rim_radius(sensor.model, sensor.field) * 614.12 == pytest.approx(238, abs=0.005)
 
     def test_axes_of_the_image(self) -> None:
         (right, down, below), _ = project(Sensor(), [[1, 0, 0], [0, 1, 0], [0, 0, -1]])
@@ -259,11 +259,11 @@ class TestSensorFile:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("mirror.a_m = 0.0", "mirror.a_m: must be above 0; found 0.0"),
-            ("mirror.b_m = -0.02", "mirror.b_m: must be above 0; found -0.02"),
-            ("mirror.a_m = inf", "mirror.a_m: must be a finite number; found inf"),
-            ("mirror.b_m = 1e-9", "mirror: b_m / a_m is 3.55872e-08, which is no mirror one can see with"),
-            ("mirror.e_m = 0.03", "mirror.e_m: unknown key 'e_m'; did you mean "),
+            ("model.a_m = 0.0", "model.a_m: must be above 0; found 0.0"),
+            ("model.b_m = -0.02", "model.b_m: must be above 0; found -0.02"),
+            ("model.a_m = inf", "model.a_m: must be a finite number; found inf"),
+            ("model.b_m = 1e-9", "model: b_m / a_m is 3.55872e-08, which is no mirror one can see with"),
+            ("model.e_m = 0.03", "model.e_m: unknown key 'e_m'; did you mean "),
             ("field.elevation_max_deg = 60", "field.elevation_max_deg = 60 is beyond the mirror's asymptote"),
             ("field.elevation_min_deg = 30", "field: elevation_min_deg must be below elevation_max_deg"),
             ("lens.k1 = -3", "lens: the distortion folds the image over at radius 0.333 "),

@@ -78,7 +78,7 @@ class Equiangular(CameraModel):
 
 IMAGE = {"width_px": 160, "height_px": 120, "focal_px": 29.0, "cx_px": 79.5, "cy_px": 59.5}
 """110° from straight down to the rim, +20° of elevation, at 56 px."""
-FISHEYE = {"mirror": {"kind": "equiangular"}, "camera": IMAGE}
+FISHEYE = {"model": {"kind": "equiangular"}, "camera": IMAGE}
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def outside(monkeypatch):
 SENSORS = [
     Sensor(),
     Sensor(camera=Camera(aspect=1.02), lens=Lens(k1=-0.1, k2=0.02, p1=2e-3, p2=-1e-3, k3=-1e-3)),
-    Sensor(mirror=Equiangular(), camera=Camera(**IMAGE)),
+    Sensor(model=Equiangular(), camera=Camera(**IMAGE)),
 ]
 
 
@@ -150,16 +150,16 @@ class TestModelFromOutside:
 
     def test_is_written_and_read_back(self):
         trial = self.trial()
-        assert isinstance(trial.sensor.mirror, Equiangular)
-        assert parse(Sensor, {"mirror": {"kind": "hyperboloid"}}) == Sensor()
+        assert isinstance(trial.sensor.model, Equiangular)
+        assert parse(Sensor, {"model": {"kind": "hyperboloid"}}) == Sensor()
         assert 'kind = "equiangular"' in dump_toml(trial.sensor)
         assert Trial.model_validate(trial.model_dump(mode="json")) == trial
 
     def test_unknown_one_is_refused_by_name(self):
         with pytest.raises(InputError, match="unknown camera model 'fish'; there are: hyperboloid, equiangular"):
-            parse(Sensor, {"mirror": {"kind": "fish"}})
+            parse(Sensor, {"model": {"kind": "fish"}})
         with pytest.raises(InputError, match="equiangular lens has no other distortion"):
-            parse(Sensor, {"mirror": {"kind": "equiangular"}, "lens": {"k1": 0.1}})
+            parse(Sensor, {"model": {"kind": "equiangular"}, "lens": {"k1": 0.1}})
         with pytest.raises(InputError, match="equiangular lens is not written in the unified model"):
             to_unified(self.trial().sensor)
 

@@ -55,7 +55,7 @@ def test_every_kind_of_key_can_be_an_axis(tmp_path: Path) -> None:
         "view_1.position_m": [[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]],
         "placement.offset_m": [0.0, 0.1],
         "placement.random_yaw": [False, True],
-        "sensor.mirror.a_m": [0.0281, 0.03],
+        "sensor.model.a_m": [0.0281, 0.03],
         "seed": [1, 2],
     }
     small = str(write_small(tmp_path / "e.toml"))

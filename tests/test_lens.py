@@ -33,7 +33,7 @@ def undistort(lens: Lens, points: np.ndarray) -> np.ndarray:
     """What `unproject` finds for normalised points: a camera of 1 px focal length whose rim is well within any fold."""
     camera = Camera(focal_px=1.0, cx_px=0.0, cy_px=0.0)
     # The sensor is made without its validation, which wants the image in pixels and the fold outside it.
-    sensor = Sensor.model_construct(mirror=Sensor().mirror, camera=camera, lens=lens, field=FieldOfView())
+    sensor = Sensor.model_construct(model=Sensor().model, camera=camera, lens=lens, field=FieldOfView())
     return rays_of(sensor, points[:, 0].copy(), points[:, 1].copy())[:2].T
 
 

@@ -46,7 +46,7 @@ SENSORS = {
     "default": Sensor(),
     "bent": Sensor(lens=BENT),
     "stretched": Sensor(
-        mirror=Mirror(a_m=0.03, b_m=0.03),
+        model=Mirror(a_m=0.03, b_m=0.03),
         camera=Camera(focal_px=450.0, aspect=1.1, cx_px=330.0, cy_px=231.0),
         lens=BENT,
         field=FieldOfView(elevation_max_deg=5.0),

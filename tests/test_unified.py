@@ -49,7 +49,7 @@ OPENCV_TABLE = np.array(
 
 def random_sensor(rng: np.random.Generator, lens: Lens | None = None) -> Sensor:
     return Sensor(
-        mirror=Mirror(a_m=rng.uniform(0.01, 0.05), b_m=rng.uniform(0.01, 0.05)),
+        model=Mirror(a_m=rng.uniform(0.01, 0.05), b_m=rng.uniform(0.01, 0.05)),
         camera=Camera(
             focal_px=rng.uniform(300, 900), aspect=rng.uniform(0.8, 1.25), cx_px=rng.uniform(280, 360), cy_px=250.0
         ),
@@ -101,12 +101,12 @@ def test_sensor_round_trip(seed: int) -> None:
         to_unified(sensor),
         camera.width_px,
         camera.height_px,
-        a_m=sensor.mirror.a_m,
+        a_m=sensor.model.a_m,
         lens=unified_lens(sensor),
         field=sensor.field,
     )
     # xi near 1 hides the mirror's shape: eps from xi loses half the digits there, no more than 4 in this range.
-    for mine, other in ((sensor.mirror, back.mirror), (camera, back.camera), (sensor.lens, back.lens)):
+    for mine, other in ((sensor.model, back.model), (camera, back.camera), (sensor.lens, back.lens)):
         assert other.model_dump() == pytest.approx(mine.model_dump(), rel=1e-11, abs=1e-14)
 
 

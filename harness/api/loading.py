@@ -97,7 +97,7 @@ def load_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = None) -
     --------
     >>> import harness
     >>> sensor = harness.load_sensor({"camera": {"width_px": 1280, "cx_px": 639.5}})
-    >>> sensor.camera.width_px, sensor.mirror.a_m
+    >>> sensor.camera.width_px, sensor.model.a_m
     (1280, 0.0281)
     """
     if sensor is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import SerializeAsAny, field_validator, model_validator
+from pydantic import AliasChoices, Field, SerializeAsAny, field_validator, model_validator
 
 from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
 from harness.camera.intrinsics import Camera, FieldOfView
@@ -29,7 +29,7 @@ else:
 class Sensor(Spec):
     """A single-viewpoint catadioptric sensor. The defaults are those of the shipped experiments."""
 
-    mirror: AnyModel = Mirror()
+    model: AnyModel = Field(default=Mirror(), validation_alias=AliasChoices("model", "mirror"))
     """The camera model: what bends rays to the camera."""
     camera: Camera = Camera()
     """The perspective camera that looks up at it."""
@@ -38,7 +38,7 @@ class Sensor(Spec):
     field: FieldOfView = FieldOfView()
     """The cone of directions that the sensor sees."""
 
-    @field_validator("mirror", mode="wrap")
+    @field_validator("model", mode="wrap")
     @classmethod
     def _of_any_model(cls, value: Any, validate: Callable[[Any], Mirror]) -> CameraModel:
         """Models beside the hyperboloid are told apart by their `kind`."""
@@ -52,7 +52,7 @@ class Sensor(Spec):
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
-        self.mirror.check(self.camera, self.lens, self.field)
+        self.model.check(self.camera, self.lens, self.field)
         return self
 
 
@@ -178,7 +178,7 @@ def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
 @lru_cache(maxsize=64)
 def parameters_of(sensor: Sensor) -> Any:
     """What the compiled projection is given: the named tuple of the sensor's camera model."""
-    return sensor.mirror.parameters(sensor.camera, sensor.lens)
+    return sensor.model.parameters(sensor.camera, sensor.lens)
 
 
 def sines_of_field(sensor: Sensor) -> tuple[float, float]:

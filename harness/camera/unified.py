@@ -71,7 +71,7 @@ def unified_lens(sensor: Sensor) -> Lens:
 def _hyperboloid(sensor: Sensor) -> HyperboloidCamera:
     camera = parameters_of(sensor)
     if not isinstance(camera, HyperboloidCamera):
-        raise InputError(f"a {sensor.mirror.title} is not written in the unified model", key="sensor.mirror")
+        raise InputError(f"a {sensor.model.title} is not written in the unified model", key="sensor.model")
     return camera
 
 
@@ -104,7 +104,7 @@ def from_unified(
     s = (eps * eps + 1) / (eps * eps - 1)
     lens = lens or Lens()
     return Sensor(
-        mirror=Mirror(a_m=a_m, b_m=a_m * math.sqrt(eps * eps - 1)),
+        model=Mirror(a_m=a_m, b_m=a_m * math.sqrt(eps * eps - 1)),
         camera=Camera(
             width_px=width_px,
             height_px=height_px,

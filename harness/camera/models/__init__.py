@@ -4,6 +4,6 @@ from harness.camera.models.hyperboloid import Mirror
 from harness.camera.models.model import CameraModel
 
 MODELS: dict[str, type[CameraModel]] = {"hyperboloid": Mirror}
-"""The settings of every camera model, by `kind`. A `sensor.mirror` without a `kind` is a hyperboloid."""
+"""The settings of every camera model, by `kind`. A `sensor.model` without a `kind` is a hyperboloid."""
 
 __all__ = ["MODELS", "CameraModel", "Mirror"]

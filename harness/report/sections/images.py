@@ -22,7 +22,7 @@ from harness.simulation.texture import lookup
 _ENVIRONMENT = """
 Where the images come from. (a) The scene from outside, the nearest surfaces of a closed scene cut away, with both
 viewpoints; surfaces are shaded by their direction in this overview only. (b) The image that the camera takes through
-the {{ trial.sensor.mirror.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.camera.width_px }} ×
+the {{ trial.sensor.model.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.camera.width_px }} ×
 {{ trial.sensor.camera.height_px }} px,
 {{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself. After the
 paper’s figure 4 (a) and (b).
@@ -119,7 +119,7 @@ def mirror_image(outcome: Outcome) -> Picture:
     ax.set_xlabel("$u$ (px)")
     ax.set_ylabel("$v$ (px)")
     alt = f"Mirror image of view 1, {columns} by {rows} pixels: the scene as a disc, the horizon near its rim."
-    return theme.picture(fig, alt, f"(b) {outcome.trial.sensor.mirror.title} image of view 1")
+    return theme.picture(fig, alt, f"(b) {outcome.trial.sensor.model.title} image of view 1")
 
 
 @theme.panel
