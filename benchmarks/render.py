@@ -22,9 +22,9 @@ from harness.camera.sensor import Sensor, pixel_directions, rays_of
 from harness.geometry.pose import Pose
 from harness.machine import available_cpus
 from harness.simulation.cast import in_threads, nearest_triangles
-from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render_with_range
 from harness.simulation.scene import Mesh, Scene, load_scene
+from harness.simulation.scene_geometry import geometry_of
 from harness.simulation.texture import NoiseTexture
 
 SENSOR = Sensor()

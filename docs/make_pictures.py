@@ -8,8 +8,8 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from harness.report import theme
-from harness.report.methods import methods_of
-from harness.report.sections import images, profiles
+from harness.report.method_styles import methods_of
+from harness.report.sections import profiles, scene_to_panorama
 from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
@@ -23,7 +23,7 @@ def main() -> None:
     outcomes = run_experiment(load_experiment("paper")).outcomes
     methods = methods_of(outcomes)
     with theme.style():
-        top = [images.environment(outcomes[0]), images.mirror_image(outcomes[0])]
+        top = [scene_to_panorama.environment(outcomes[0]), scene_to_panorama.mirror_image(outcomes[0])]
         row = profiles.row_at(methods, profiles.main_row(methods))
         span = profiles.limits(methods, row.index)
         rest = [profiles.profile(method, row, span, letter) for method, letter in zip(methods, "ab", strict=True)]

@@ -9,9 +9,9 @@ import harness
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
 from harness.geometry.pose import Pose
-from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render
 from harness.simulation.scene import Box, Mesh, Plane, Scene, load_scene
+from harness.simulation.scene_geometry import geometry_of
 from harness.simulation.texture import GreyTexture
 from harness.simulation.truth import ranges, truth
 

@@ -12,9 +12,9 @@ from harness.cli import main
 from harness.errors import InputError, Notice
 from harness.geometry.pose import Pose
 from harness.simulation.coincident import encloses
-from harness.simulation.geometry import geometry_of
 from harness.simulation.render import render, render_every_sample
 from harness.simulation.scene import Box, Plane, Scene, load_scene
+from harness.simulation.scene_geometry import geometry_of
 from harness.simulation.texture import GreyTexture
 from harness.simulation.truth import ranges, truth
 

@@ -18,8 +18,8 @@ from harness.pipeline.stages import Work
 from harness.runs.load import load_experiment
 from harness.runs.worker import pack
 from harness.simulation.fingerprint import files_read, fingerprint
-from harness.simulation.geometry import geometry_of
 from harness.simulation.scene import load_scene
+from harness.simulation.scene_geometry import geometry_of
 
 OBJ = """mtllib paint.mtl
 v 0 0 0

@@ -17,9 +17,9 @@ from harness.display import told_apart
 from harness.matching.program import Program
 from harness.matching.window.settings import WindowMatcher
 from harness.report import theme
-from harness.report.compare import build_comparison
-from harness.report.methods import methods_of
-from harness.report.sections import measures, sweeps
+from harness.report.method_styles import methods_of
+from harness.report.paired_differences import build_comparison
+from harness.report.sections import error_curves, measures
 from harness.report.sweep import sweep_of, texts_of
 from harness.runs.load import load_experiment
 from harness.runs.methods import method_id, method_names
@@ -76,7 +76,7 @@ def test_values_that_look_alike_stay_apart(tmp_path: Path, plugin: str, key: str
         assert row[column] == pytest.approx(np.mean(figures), rel=1e-12)  # the same sum, in another order
     assert result.cells["quiet"].nunique() == 4
     with theme.style():
-        for figure in sweeps.swept_figures(swept, 2.0)[:1]:
+        for figure in error_curves.swept_figures(swept, 2.0)[:1]:
             assert len({row[4] for row in figure.data.rows}) == 2
 
 
@@ -89,7 +89,7 @@ def test_an_axis_with_infinity_is_drawn(tmp_path: Path, plugin: str) -> None:
     swept = sweep_of(result)
     assert swept.axes[0].texts == ["5", "10", "inf"]
     with theme.style():
-        assert sweeps.swept_figures(swept, 2.0)[0].pictures
+        assert error_curves.swept_figures(swept, 2.0)[0].pictures
 
 
 PROGRAM = """

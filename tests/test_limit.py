@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from harness.evaluation.limit import efficiency, within_without_bias
+from harness.evaluation.efficiency import efficiency, within_without_bias
 from harness.report import theme
-from harness.report.sections import limit as drawn
+from harness.report.sections import noise_limit as drawn
 from harness.report.sections import steps
 from harness.report.sweep import Axis, Sweep, Way
 

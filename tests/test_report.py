@@ -15,8 +15,8 @@ from browser import chromium, visit
 from harness.evaluation.metric_table import METRICS
 from harness.report import theme, words
 from harness.report.build import build_report
-from harness.report.methods import methods_of
-from harness.report.sections import maps, profiles
+from harness.report.method_styles import methods_of
+from harness.report.sections import error_maps, profiles
 from harness.report.sections import matching_curve as curve
 from harness.report.sections.law import example
 from harness.runs.experiment import Experiment
@@ -254,8 +254,8 @@ def test_other_rows_show_walls_and_floor(paper):
 def test_every_reason_has_words_and_a_colour_of_its_own():
     from harness.matching.window.match import Reason
 
-    assert set(maps.REASONS) == set(Reason)
-    assert len({colour for _, colour in maps.REASONS.values()}) == len(Reason)
+    assert set(error_maps.REASONS) == set(Reason)
+    assert len({colour for _, colour in error_maps.REASONS.values()}) == len(Reason)
 
 
 # --- Other experiments than the paper's ---------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from test_report import SMALL, Document, run_small
 from harness.cli.parser import main
 from harness.report import theme
 from harness.report.build import build_report
-from harness.report.sections import images
+from harness.report.sections import scene_to_panorama
 from harness.runs.run import Result
 
 HOSTILE = ("$\\frac{$", "b$$c", "$x$ [/b] <i>", "\\$", "50 $")
@@ -76,12 +76,12 @@ def test_a_figure_that_fails_says_so_in_its_place_and_costs_no_other(monkeypatch
     def broken(*_):
         raise ZeroDivisionError("the <b>scene</b> has\nno middle")
 
-    monkeypatch.setattr(images, "_overview_image", broken)
+    monkeypatch.setattr(scene_to_panorama, "_overview_image", broken)
     assert main(["run", str(toml(tmp_path)), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err
     reason = "ZeroDivisionError: the <b>scene</b> has no middle"
     assert said.count("\n") == 1
-    assert f"images.environment: {reason}" in said
+    assert f"scene_to_panorama.environment: {reason}" in said
     html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     document = Document(html)
     assert f"Could not be drawn: {reason}" in document.text
@@ -90,9 +90,9 @@ def test_a_figure_that_fails_says_so_in_its_place_and_costs_no_other(monkeypatch
 
 
 def test_outside_a_page_the_error_is_raised(named, monkeypatch):
-    monkeypatch.setattr(images, "panorama_axes", None)
+    monkeypatch.setattr(scene_to_panorama, "panorama_axes", None)
     with pytest.raises(TypeError):
-        images.panorama(named.outcomes[0])
+        scene_to_panorama.panorama(named.outcomes[0])
 
 
 def test_tables_and_summary_are_there_when_the_report_fails(monkeypatch, tmp_path):

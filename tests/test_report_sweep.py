@@ -21,9 +21,9 @@ from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import balanced, mean_over_seeds, median_over_seeds, weighted_median
 from harness.report import theme
 from harness.report.build import build_report
-from harness.report.compare import COMPARED, build_comparison
+from harness.report.paired_differences import COMPARED, build_comparison
 from harness.report.section import About, Context, Figure
-from harness.report.sections import SECTIONS, locking, measures, regions, sweeps
+from harness.report.sections import SECTIONS, error_curves, locking, measures, regional_errors
 from harness.report.sweep import Axis, sweep_of, value_text
 from harness.report.words import symbols
 from harness.runs.experiment import Experiment
@@ -218,9 +218,9 @@ def test_what_is_said_of_all_trials_needs_no_pixels(swept):
     bare = sweep_of(dataclasses.replace(swept, details=[]))
     context = Context(dataclasses.replace(swept, details=[]), bare, [], [], swept.outcomes[0].trial)
     with theme.style() as missing:
-        assert sweeps.swept_figures(bare, 2.0)
+        assert error_curves.swept_figures(bare, 2.0)
         assert locking.histograms(bare)[0]
-        assert regions.over_trials(bare)[0]
+        assert regional_errors.over_trials(bare)[0]
         assert measures.all_measures(bare).rows
         made = {each.id: each(context) for each in SECTIONS if each.about is About.ALL_TRIALS}
     assert missing == []

@@ -9,8 +9,8 @@ from scipy import ndimage
 from harness import shipped
 from harness.geometry.pose import Pose
 from harness.simulation.cast import cast
-from harness.simulation.geometry import check_viewpoint, geometry_of, homographies
 from harness.simulation.scene import BOX_SIDES, Box, Mesh, Scene, assets, load_scene
+from harness.simulation.scene_geometry import check_viewpoint, geometry_of, homographies
 from harness.simulation.texture import (
     BundledTexture,
     GreyTexture,

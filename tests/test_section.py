@@ -23,10 +23,10 @@ from harness.report.section import (
     TableBlock,
     section_of,
 )
-from harness.report.sections import SECTIONS, failures, measures, settings
+from harness.report.sections import SECTIONS, failures, measures, trial_settings
 from harness.runs.run import Result
 
-RUN = (measures.section, settings.section)
+RUN = (measures.section, trial_settings.section)
 """Two of the sections that come along: quick to make."""
 
 

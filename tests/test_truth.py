@@ -8,8 +8,8 @@ from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.pose import Pose
 from harness.simulation.cast import cast
-from harness.simulation.geometry import geometry_of
 from harness.simulation.scene import Box, Plane, Scene, load_scene
+from harness.simulation.scene_geometry import geometry_of
 from harness.simulation.texture import GreyTexture
 from harness.simulation.truth import discontinuities, on_sensor, ranges, truth
 

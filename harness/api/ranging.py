@@ -47,7 +47,7 @@ class RangeEstimate(Estimate):
         InputError
             When the folder cannot be written to.
         """
-        from harness.report.photographs import build_page
+        from harness.report.photographs_page import build_page
 
         write_estimate(self, Path(folder))
         write(Path(folder) / "range.html", build_page(self))

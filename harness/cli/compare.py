@@ -28,7 +28,7 @@ def run(options: Namespace) -> None:
     from rich.console import Console
 
     from harness.files import write
-    from harness.report.compare import build_comparison
+    from harness.report.paired_differences import build_comparison
 
     comparison = build_comparison(*options.folders)
     page = options.out or options.folders[-1] / "comparison.html"

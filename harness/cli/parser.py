@@ -9,14 +9,14 @@ from typing import TextIO
 
 from harness import interrupts
 from harness.cli import cache, check, compare, completion, render, report, run, settings
-from harness.cli import photographs as own_pair
+from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
 from harness.cli.output import patient_output
 from harness.errors import InputError, Notice, described, one_line
 from harness.version import __version__
 
-_COMMANDS = (run, report, compare, cache, render, own_pair, check, settings, completion)
+_COMMANDS = (run, report, compare, cache, render, range_command, check, settings, completion)
 """In the order in which `--help` lists them."""
 
 

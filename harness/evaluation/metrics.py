@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from harness.evaluation import _grouping_kernels as _kernels
-from harness.evaluation.errors import Errors
 from harness.evaluation.metric_table import METRICS
+from harness.evaluation.pixel_errors import Errors
 from harness.evaluation.regions import SURFACES
 from harness.evaluation.tally import FRACTION_BINS, Mask, Tally
 from harness.geometry.angles import Array

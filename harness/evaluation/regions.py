@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.display import OneLine
-from harness.evaluation.errors import Reference
 from harness.evaluation.groups import Groups, Sorted, bins, grouped, members, sorted_parts
+from harness.evaluation.pixel_errors import Reference
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
 from harness.simulation.truth import Truth

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.evaluation import _grouping_kernels as _kernels
-from harness.evaluation.errors import Errors
 from harness.evaluation.groups import ascending, mean_of_middles, medians
+from harness.evaluation.pixel_errors import Errors
 from harness.evaluation.regions import SURFACES, Layout
 from harness.geometry.angles import Array
 

@@ -21,7 +21,7 @@ from harness.geometry.triangulation import sensitivity_to_alpha_2
 from harness.io.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
-from harness.matching.ranging import ranges_of
+from harness.matching.ranges import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
 
 WRITTEN = ("range.npy", "range_mm.png", "sigma_m.npy", "alpha_2.npy", "reason.npy", "points.ply")

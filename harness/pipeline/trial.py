@@ -11,8 +11,8 @@ from harness.camera.sensor import in_field
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.bound import cramer_rao
-from harness.evaluation.errors import Errors, Reference, errors, reference
 from harness.evaluation.metrics import Measures, measure
+from harness.evaluation.pixel_errors import Errors, Reference, errors, reference
 from harness.evaluation.regions import CellPixels, Layout, Region, layout
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, sample_at
@@ -20,17 +20,17 @@ from harness.geometry.panorama import Panorama, directions
 from harness.geometry.pose import Motion, Pose
 from harness.matching.interface import Matches, Support
 from harness.matching.pair import Pair
-from harness.matching.ranging import ranges_of
+from harness.matching.ranges import ranges_of
 from harness.pipeline.sight import check_sight
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
 from harness.simulation.exposure import with_exposure
 from harness.simulation.fingerprint import fingerprint
-from harness.simulation.geometry import check_viewpoint, geometry_near
 from harness.simulation.noise import generator, with_noise
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
+from harness.simulation.scene_geometry import check_viewpoint, geometry_near
 from harness.simulation.truth import Truth, truth
 
 Image = NDArray[np.float32]

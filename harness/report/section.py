@@ -12,7 +12,7 @@ from markupsafe import Markup
 from harness.pipeline.specification import Trial
 from harness.report.data import Data, Table
 from harness.report.markup import html
-from harness.report.methods import Method, Named, methods_of, names_of
+from harness.report.method_styles import Method, Named, methods_of, names_of
 from harness.report.sweep import Sweep, sweep_of
 from harness.report.theme import Picture
 from harness.runs.run import Result

@@ -11,7 +11,7 @@ import pandas as pd
 
 from harness.display import told_apart
 from harness.report import theme
-from harness.report.methods import looks
+from harness.report.method_styles import looks
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.run import Result, Row
 from harness.runs.values import identity_of, text_of

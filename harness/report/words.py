@@ -11,7 +11,7 @@ from harness.matching.interface import MatcherSettings
 from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
-from harness.report.methods import Named
+from harness.report.method_styles import Named
 from harness.report.sweep import Axis, Sweep
 from harness.runs.run import Result
 from harness.spec import as_table

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from harness.evaluation.efficiency import GROSS_PX, efficiency, within_without_bias
 from harness.evaluation.law import test_law
-from harness.evaluation.limit import GROSS_PX, efficiency, within_without_bias
 from harness.runs.experiment import Planned
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.values import shown

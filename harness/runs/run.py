@@ -31,8 +31,8 @@ from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
+from harness.runs.scheduler import run_sweep
 from harness.runs.store import Finished, Store, UnusedRows
-from harness.runs.sweep import run_sweep
 from harness.runs.values import Settings, text_of
 from harness.spec import as_table, dump_toml
 

@@ -66,7 +66,7 @@ def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions,
 
 @kernel
 def face_maps(normals, offsets, uv_maps, viewpoint, rotation, out):
-    """Write the homographies `out [faces, 3, 3]` of `harness.simulation.geometry.homographies`."""
+    """Write the homographies `out [faces, 3, 3]` of `harness.simulation.scene_geometry.homographies`."""
     cx, cy, cz = viewpoint
     for f in range(normals.shape[0]):
         nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]

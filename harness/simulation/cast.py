@@ -14,7 +14,7 @@ from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.simulation._rendering_kernels import verify_hits
 from harness.simulation.coincident import seen_from, settle
-from harness.simulation.geometry import Geometry, Ints
+from harness.simulation.scene_geometry import Geometry, Ints
 from harness.threads import in_threads
 
 _CHUNK = 1 << 15

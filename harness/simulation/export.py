@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from harness.files import write
-from harness.simulation.geometry import geometry_near, geometry_of
 from harness.simulation.mesh_gltf import Z_UP_FROM_Y_UP
 from harness.simulation.scene import Scene
+from harness.simulation.scene_geometry import geometry_near, geometry_of
 
 
 def write_glb(scene: Scene, path: str | Path) -> None:

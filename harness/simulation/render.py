@@ -35,8 +35,8 @@ from harness.simulation._rendering_kernels import (
 )
 from harness.simulation.cast import cast, nearest_triangles, rotated
 from harness.simulation.content_cache import cached_by_content
-from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_near, geometry_of, homographies
 from harness.simulation.scene import Scene
+from harness.simulation.scene_geometry import Geometry, Ints, check_viewpoint, geometry_near, geometry_of, homographies
 from harness.threads import in_threads
 
 Image = NDArray[np.float32]

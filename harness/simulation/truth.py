@@ -14,8 +14,8 @@ from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
 from harness.simulation._rendering_kernels import describe_surfaces, in_view, look_from, mark_jumps
 from harness.simulation.cast import cast, rotated
-from harness.simulation.geometry import Geometry, Ints, check_viewpoint, geometry_near
 from harness.simulation.scene import Scene
+from harness.simulation.scene_geometry import Geometry, Ints, check_viewpoint, geometry_near
 
 Mask = NDArray[np.bool_]
 

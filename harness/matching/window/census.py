@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.matching.window import _kernels
+from harness.matching.window import _window_kernels
 from harness.matching.window.centres import whole_windows
 
 NEIGHBOURHOOD_PX = 5
@@ -30,7 +30,7 @@ def census(
         The same shape: the whole neighbourhood is there.
     """
     codes = np.zeros(values.shape, dtype=np.int32)
-    _kernels.census(values, NEIGHBOURHOOD_PX // 2, parts, codes)
+    _window_kernels.census(values, NEIGHBOURHOOD_PX // 2, parts, codes)
     whole = np.empty(values.shape, dtype=bool)
     for part in range(parts):
         whole[:, part::parts] = whole_windows(valid[:, part::parts], NEIGHBOURHOOD_PX)

@@ -33,7 +33,7 @@ from harness.geometry.epipolar import Curves
 from harness.geometry.panorama import Panorama
 from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
-from harness.matching.window import _column_kernels as _kernels
+from harness.matching.window import _column_kernels
 from harness.matching.window.census import census
 from harness.matching.window.centres import searchable, whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
@@ -132,12 +132,12 @@ class _Comparison:
         self.unit, largest, greatest_sum = {
             "sad": (float(PER_GREY), 2 * _LARGEST, 0),
             "ssd": (float(PER_GREY**2), (2 * _LARGEST) ** 2, 0),
-            "zncc": (float(_kernels.ZNCC_UNIT), 2 * _LARGEST, pixels * _LARGEST**2),
+            "zncc": (float(_column_kernels.ZNCC_UNIT), 2 * _LARGEST, pixels * _LARGEST**2),
             "census": (1.0, 32, 0),
         }[matcher.cost]
         # One more than the cost of any whole window; a window has no more of them than pixels.
         self._absent = pixels * largest + 1
-        self.none = _kernels.NO_ZNCC if zncc else self._absent
+        self.none = _column_kernels.NO_ZNCC if zncc else self._absent
         self._number = np.int32 if max(pixels * self._absent, greatest_sum) < 2**31 else np.int64
         self._moments = _moments(images.first, self._half) if zncc else (np.zeros((1, 1)), np.zeros((1, 1)))
 
@@ -171,7 +171,7 @@ class _Comparison:
             found = sums
         if searched.shape[0] <= 2 * self._half:
             return found
-        _kernels.match_columns(
+        _column_kernels.match_columns(
             column_first,
             column_end,
             self._kind,
@@ -277,7 +277,7 @@ def _maps(curves: Curves, parts: int, reach: int, *, half: bool) -> _Maps:
     shift = ((1 - g) * grid.z_max - h) / grid.z_pitch + (g - 1) / 2
     # Between t and -t, and short of a stretch beyond which no two rows of an image stay within it.
     follows = (u + w > 0) & (u + w < np.pi) & (g < grid.height_px) & (np.abs(shift) < grid.height_px**2)
-    unit = 1 << _kernels.FRACTION_BITS
+    unit = 1 << _column_kernels.FRACTION_BITS
     gain = np.rint(np.where(follows, g, 1) * unit).astype(np.int64)
     offset = np.rint(np.where(follows, shift, 0) * unit).astype(np.int64)
     follows &= gain > 0
@@ -298,7 +298,7 @@ def _searched_by(curves: Curves, maps: _Maps, reach: int) -> _Searched:
 
 def _searched(k_first: Integers, k_last: Integers, maps: _Maps, reach: int) -> _Searched:
     first, end = np.full_like(maps.gain, k_first.shape[1]), np.zeros_like(maps.gain)
-    _kernels.rows_of_samples(k_first, k_last, maps.k_0, reach, first, end)
+    _column_kernels.rows_of_samples(k_first, k_last, maps.k_0, reach, first, end)
     return _Searched(k_first, k_last, first, end)
 
 
@@ -348,10 +348,10 @@ def _images(first: Panorama, second: Panorama, matcher: WindowMatcher, parts: in
     if matcher.cost == "census":
         codes_1, valid_1 = census(pixels_1, first.valid)
         codes_2, valid_2 = census(pixels_2, valid, parts)
-        return _Images(_columns(codes_1), valid_1, _columns(np.where(valid_2, codes_2, _kernels.MISSING)), parts)
+        return _Images(_columns(codes_1), valid_1, _columns(np.where(valid_2, codes_2, _column_kernels.MISSING)), parts)
     steps = np.diff(pixels_2, axis=0, append=pixels_2[-1:])
     both = valid & np.concatenate([valid[1:], valid[-1:]])
-    packed = np.where(both, pixels_2 << 16 | steps & 0xFFFF, _kernels.MISSING)
+    packed = np.where(both, pixels_2 << 16 | steps & 0xFFFF, _column_kernels.MISSING)
     own = np.where(first.valid, pixels_1, 0).astype(np.int16)
     return _Images(_columns(own), first.valid, _columns(packed), parts)
 

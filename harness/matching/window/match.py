@@ -13,7 +13,7 @@ from harness.machine import available_cpus
 from harness.matching import _matching_kernels
 from harness.matching.interface import Matches, Reason
 from harness.matching.pair import Pair
-from harness.matching.window import _kernels
+from harness.matching.window import _window_kernels
 from harness.matching.window import column as column_windows
 from harness.matching.window import square as square_windows
 from harness.matching.window.newton import gauss_newton
@@ -114,7 +114,7 @@ def match(
         offset, refined = _refine_on_images(whole, matcher, images, threads or available_cpus())
     shape = whole.k.shape
     k, alpha_2, confidence = np.empty(shape), np.empty(shape), np.empty(shape)
-    _kernels.matches(
+    _window_kernels.matches(
         _matching_kernels.SAMPLINGS[curves.sampling],
         whole.costs,
         whole.reason,

@@ -16,7 +16,7 @@ from harness.geometry.angles import Array, wrap_angle
 from harness.geometry.panorama import Grid, Panorama
 from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
-from harness.matching.window import _newton_kernels as _kernels
+from harness.matching.window import _newton_kernels
 from harness.matching.window.centres import whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
 from harness.matching.window.square import in_interleaved_rows
@@ -48,7 +48,7 @@ def gauss_newton(
         usable = whole_windows(second.valid, matcher.window_px + 4)
 
         def work(rows: NDArray[np.intp]) -> None:
-            _kernels.refine_squares(
+            _newton_kernels.refine_squares(
                 rows,
                 _matching_kernels.SAMPLINGS[matcher.sampling],
                 invariant,
@@ -78,7 +78,7 @@ def gauss_newton(
         taps = np.ascontiguousarray(whole_windows(second.valid, 5).T)
 
         def work(rows: NDArray[np.intp]) -> None:
-            _kernels.refine_columns(
+            _newton_kernels.refine_columns(
                 rows,
                 invariant,
                 farthest,

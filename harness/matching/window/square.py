@@ -12,7 +12,7 @@ from harness.geometry.epipolar import Curves
 from harness.geometry.panorama import Panorama
 from harness.matching import _matching_kernels
 from harness.matching.interface import Reason
-from harness.matching.window import _square_kernels as _kernels
+from harness.matching.window import _square_kernels
 from harness.matching.window.census import NEIGHBOURHOOD_PX, census
 from harness.matching.window.centres import searchable, whole_windows
 from harness.matching.window.settings import WholePixelMatches, WindowMatcher
@@ -39,7 +39,7 @@ def search(
     k_0, cosine, sine = _turns(curves, matcher.neighbours)
 
     def work(rows: NDArray[np.intp]) -> None:
-        _kernels.match_rows(
+        _square_kernels.match_rows(
             rows,
             _matching_kernels.SAMPLINGS[matcher.sampling],
             _matching_kernels.COSTS[matcher.cost],
@@ -93,7 +93,7 @@ def costs_of_half_samples(
     costs = np.full((*grid.shape, 7), np.nan)
 
     def work(rows: NDArray[np.intp]) -> None:
-        _kernels.costs_between(
+        _square_kernels.costs_between(
             rows,
             _matching_kernels.SAMPLINGS[matcher.sampling],
             _matching_kernels.COSTS[matcher.cost],
@@ -131,7 +131,7 @@ def costs_along_curve(
     out = np.empty(ks.size)
     images = _images(first, second, matcher)
     k_0, cosine, sine = _turns(curves, matcher.neighbours)
-    _kernels.costs_along_curve(
+    _square_kernels.costs_along_curve(
         int(curves.k_first[row, column]),
         _matching_kernels.SAMPLINGS[matcher.sampling],
         _matching_kernels.COSTS[matcher.cost],

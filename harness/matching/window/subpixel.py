@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
-from harness.matching.window import _kernels
+from harness.matching.window import _window_kernels
 
 Subpixel = Literal["none", "parabola", "parabola3", "v", "shimizu-okutomi", "images"]
 
@@ -40,15 +40,15 @@ def refine(costs: Array, method: Subpixel) -> tuple[Array, NDArray[np.bool_]]:
     if method not in FROM_COSTS:
         raise ValueError(f"{method} needs more than the costs of whole samples")
     offset, refined = _nothing(costs)
-    shape = {"parabola3": _kernels.PARABOLA, "v": _kernels.EQUIANGULAR}[method]
-    _kernels.three_point_minima(shape, _rows(costs), offset.reshape(-1), refined.reshape(-1))
+    shape = {"parabola3": _window_kernels.PARABOLA, "v": _window_kernels.EQUIANGULAR}[method]
+    _window_kernels.three_point_minima(shape, _rows(costs), offset.reshape(-1), refined.reshape(-1))
     return offset, refined
 
 
 def parabola_minimum(costs: Array) -> tuple[Array, NDArray[np.bool_]]:
     """The minimum of the least-squares parabola through each row of costs; see `refine` for shapes."""
     offset, refined = _nothing(costs)
-    _kernels.parabola_minima(_rows(costs), offset.reshape(-1), refined.reshape(-1))
+    _window_kernels.parabola_minima(_rows(costs), offset.reshape(-1), refined.reshape(-1))
     return offset, refined
 
 
@@ -72,8 +72,8 @@ def cancelled_minimum(costs: Array, *, equiangular: bool) -> tuple[Array, NDArra
         As `refine`.
     """
     offset, refined = _nothing(costs)
-    shape = _kernels.EQUIANGULAR if equiangular else _kernels.PARABOLA
-    _kernels.cancelled_minima(shape, _rows(costs), offset.reshape(-1), refined.reshape(-1))
+    shape = _window_kernels.EQUIANGULAR if equiangular else _window_kernels.PARABOLA
+    _window_kernels.cancelled_minima(shape, _rows(costs), offset.reshape(-1), refined.reshape(-1))
     return offset, refined
 
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
-from harness.evaluation.errors import MIN_SINE_ALPHA_1, Reference
 from harness.evaluation.metric_table import METRICS
+from harness.evaluation.pixel_errors import MIN_SINE_ALPHA_1, Reference
 from harness.report import words
 from harness.report.markup import html
-from harness.report.methods import Method
+from harness.report.method_styles import Method
 from harness.report.section import About, Block, Context, FixedTable, Paragraph, section_of
 from harness.runs.run import Result
 

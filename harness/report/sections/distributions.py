@@ -12,7 +12,7 @@ from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data
 from harness.report.markup import html
-from harness.report.methods import Method, common
+from harness.report.method_styles import Method, common
 from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import HALF, Picture
 

@@ -11,7 +11,7 @@ from harness.report import theme
 from harness.report.data import Data
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, section_of
-from harness.report.sections.sweeps import SURFACES
+from harness.report.sections.error_curves import SURFACES
 from harness.report.sweep import Sweep, Way
 from harness.report.theme import FAINT, HALF, Picture
 

@@ -10,7 +10,7 @@ import pandas as pd
 from harness.report.data import Cell, Data, Heading, Table, listed, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
-from harness.report.sections.sweeps import SURFACES
+from harness.report.sections.error_curves import SURFACES
 from harness.report.sweep import Sweep, Way
 from harness.report.words import figure
 

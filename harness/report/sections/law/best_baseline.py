@@ -17,8 +17,8 @@ from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.markup import html
 from harness.report.section import Block, Figure, TableBlock
+from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import is_of
-from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, Way
 from harness.report.theme import Picture
 

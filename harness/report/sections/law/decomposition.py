@@ -14,9 +14,9 @@ from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, LineKey, Paragraph, TableBlock, section_of
+from harness.report.sections.error_curves import SURFACES, draw_line, key_picture
 from harness.report.sections.law.best_baseline import best_baseline
 from harness.report.sections.law.part import is_of
-from harness.report.sections.sweeps import SURFACES, draw_line, key_picture
 from harness.report.sweep import Sweep
 from harness.report.theme import Picture
 

@@ -12,7 +12,7 @@ from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.report.data import Data
 from harness.report.markup import html
-from harness.report.methods import Method
+from harness.report.method_styles import Method
 from harness.report.section import About, Block, Context, Figure, FixedTable, Paragraph, section_of
 from harness.report.sections.law.part import INTRO
 from harness.report.theme import FAINT, HALF, INK, Picture

@@ -9,8 +9,8 @@ from harness.evaluation.law_images import LAWS, fit_laws
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG
 from harness.report import theme
 from harness.report.data import Cell, Heading, Table, count, number, words
+from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
-from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, Way, in_words
 from harness.report.theme import Picture
 from harness.report.words import figure

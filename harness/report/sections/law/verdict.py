@@ -11,8 +11,8 @@ from harness.evaluation.statistics import FEW_SEEDS
 from harness.report.data import interval
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, InAbstract, Paragraph, section_of
+from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import INTRO, Fit, is_of
-from harness.report.sections.sweeps import SURFACES
 from harness.report.sweep import Sweep, Way
 from harness.report.words import figure, typeset
 

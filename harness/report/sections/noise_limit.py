@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.evaluation.limit import GROSS_PX
+from harness.evaluation.efficiency import GROSS_PX
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.markup import html

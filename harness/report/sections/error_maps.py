@@ -15,7 +15,7 @@ from harness.report import theme
 from harness.report.blocks import Fields, in_blocks
 from harness.report.data import Data
 from harness.report.markup import html
-from harness.report.methods import Method, common
+from harness.report.method_styles import Method, common
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
 from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import Picture

@@ -13,7 +13,7 @@ from harness.pipeline.sample import BAD_PX, domain_errors_px, surest
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.markup import html
-from harness.report.methods import Method
+from harness.report.method_styles import Method
 from harness.report.section import About, Block, Context, Figure, TableBlock, section_of
 from harness.report.theme import HALF, Picture
 

@@ -11,7 +11,7 @@ from harness.pipeline.photographs import Estimate
 from harness.report import theme
 from harness.report.markup import template
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
-from harness.report.sections.maps import reasons_picture
+from harness.report.sections.error_maps import reasons_picture
 from harness.report.theme import HALF, Picture
 from harness.spec import dump_toml
 
@@ -33,7 +33,7 @@ def build_page(found: Estimate) -> str:
             else [],
             "reasons": [reasons_picture(found.reason, found.pair.grid)],
         }
-    return template("own_pair.html.j2").render(
+    return template("photographs.html.j2").render(
         found=found,
         names=_names(found),
         pictures=pictures,

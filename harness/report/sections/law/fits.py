@@ -15,9 +15,9 @@ from harness.report import theme
 from harness.report.data import Data, interval
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, LineKey, TableBlock, section_of
+from harness.report.sections.error_curves import SURFACES, key_picture
 from harness.report.sections.law import slopes
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
-from harness.report.sections.sweeps import SURFACES, key_picture
 from harness.report.sweep import Sweep, Way, log_edges
 from harness.report.theme import FAINT, Picture
 from harness.report.words import figure

@@ -15,7 +15,7 @@ from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.markup import html
-from harness.report.methods import Method
+from harness.report.method_styles import Method
 from harness.report.section import About, Block, Context, Figure, TableBlock, section_of
 from harness.report.sweep import Sweep, Way
 from harness.report.theme import WIDE, Picture

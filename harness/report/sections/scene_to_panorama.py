@@ -16,7 +16,7 @@ from harness.report.markup import html
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
 from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.theme import HALF, INK, Picture
-from harness.simulation.geometry import Geometry, geometry_near
+from harness.simulation.scene_geometry import Geometry, geometry_near
 from harness.simulation.texture import lookup
 
 _ENVIRONMENT = """
