@@ -134,7 +134,7 @@ def main() -> None:
     two = dataclasses.replace(outcome.pair, threads=THREADS, share=lambda _stage, _key, make: make())
 
     def refined() -> None:
-        refine_slanted(two.images, two.sensor, two.motion, two.grid, coarse, settings=slanted, threads=THREADS)
+        refine_slanted(two.images, two.sensors, two.motion, two.grid, coarse, settings=slanted, threads=THREADS)
 
     for name, work in (("refinement", refined), ("all of it", lambda: slanted.match(two))):
         print(f"{name:>16}" + compared(work, opencv_matchers(7), pair, max(3, repetitions // 3), share))

@@ -71,7 +71,7 @@ def textured(seen):
 
 def bound_of(images, seen, **changes):
     settings = {"R_world_from_v1": VIEWS[0].R_world_from_view, "window_px": WINDOW, "sigma_grey": 1.0} | changes
-    return cramer_rao(images, SENSOR, MOTION, GRID, seen, **settings)
+    return cramer_rao(images, (SENSOR, SENSOR), MOTION, GRID, seen, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -460,4 +460,6 @@ def test_refuses_sizes_that_do_not_fit(images, seen):
     with pytest.raises(ValueError, match="the image is"):
         bound_of((images[0], images[1][1:]), seen)
     with pytest.raises(ValueError, match="the truth is"):
-        cramer_rao(images, SENSOR, MOTION, Grid(), seen, R_world_from_v1=np.eye(3), window_px=WINDOW, sigma_grey=1.0)
+        cramer_rao(
+            images, (SENSOR, SENSOR), MOTION, Grid(), seen, R_world_from_v1=np.eye(3), window_px=WINDOW, sigma_grey=1.0
+        )

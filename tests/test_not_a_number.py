@@ -49,7 +49,7 @@ def pair(interpolation="bilinear"):
     images = [rendering.render(trial.scene, TINY, pose, 4) for pose in trial.poses]
     return Pair(
         images=(images[0], images[1]),
-        sensor=TINY,
+        sensors=(TINY, TINY),
         motion=trial.motion,
         grid=GRID,
         interpolation=interpolation,

@@ -29,7 +29,7 @@ VIEWS = Pose(position_m=(0.0, 0.0, 1.0)), Pose(position_m=(0.4, 0.1, 1.0), yaw_d
 def pair():
     scene = load_scene("box")
     first, second = (render(scene, SENSOR, view, 4) for view in VIEWS)
-    return Pair((first, second), SENSOR, relative_motion(*VIEWS), GRID)
+    return Pair((first, second), (SENSOR, SENSOR), relative_motion(*VIEWS), GRID)
 
 
 def test_both_panoramas_have_the_first_views_orientation(pair):
@@ -53,7 +53,7 @@ def test_what_was_made_is_shared_and_what_differs_is_not():
         return kept[stage, key]
 
     image = np.zeros((480, 640), np.float32)
-    one, other = (Pair((image, image), SENSOR, relative_motion(*VIEWS), GRID, share=share) for _ in range(2))
+    one, other = (Pair((image, image), (SENSOR, SENSOR), relative_motion(*VIEWS), GRID, share=share) for _ in range(2))
     one.filtered()
     one.filtered()
     assert made == ["unwrap", "unwrap", "filter", "filter"]
@@ -68,7 +68,7 @@ def test_what_was_made_is_shared_and_what_differs_is_not():
 
 def test_what_matchers_share_depends_on_how_panoramas_are_made():
     image = np.zeros((480, 640), np.float32)
-    pair = Pair((image, image), SENSOR, relative_motion(*VIEWS), GRID)
+    pair = Pair((image, image), (SENSOR, SENSOR), relative_motion(*VIEWS), GRID)
     other = dataclasses.replace(pair, log_sigma_px=3.0)
     another = dataclasses.replace(pair, interpolation="cubic")
     assert [each.shared("mine", "settings", object) is pair.shared("mine", "settings", object) for each in
@@ -97,7 +97,7 @@ def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
         images = tuple(
             (image + sigma_grey * draws.standard_normal(image.shape)).astype(np.float32) for image in pair.images
         )
-        noisy = Pair(images, SENSOR, pair.motion, GRID)
+        noisy = Pair(images, (SENSOR, SENSOR), pair.motion, GRID)
         predicted.append(sigma_alpha_2(noisy, matcher, Matches(alpha_2)))
         steps.append(one_step(noisy, curves, alpha_2, matcher.window_px))
     spread = np.std(steps, axis=0, ddof=1)

@@ -196,7 +196,7 @@ GRID = Grid(width_px=360, height_px=100)
 
 def blank(t, R=None, sensor=SMALL):
     image = np.zeros((sensor.camera.height_px, sensor.camera.width_px), np.float32)
-    return Pair((image, image), sensor, Motion(np.eye(3) if R is None else R, np.array(t, dtype=float)), GRID)
+    return Pair((image, image), (sensor, sensor), Motion(np.eye(3) if R is None else R, np.array(t, dtype=float)), GRID)
 
 
 def constant(t, disparity_px, R=None, turned=0.0):

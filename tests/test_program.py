@@ -40,7 +40,7 @@ def pair() -> Pair:
     draws = np.random.default_rng(1)
     images = [draws.uniform(0, 255, (120, 160)).astype(np.float32) for _ in (1, 2)]
     motion = relative_motion(Pose(), Pose(position_m=(0.3, 0.1, 0.05), yaw_deg=20, pitch_deg=5, roll_deg=-3))
-    return Pair((images[0], images[1]), sensor, motion, Grid(width_px=60, height_px=16, z_max=0.5), threads=1)
+    return Pair((images[0], images[1]), (sensor, sensor), motion, Grid(width_px=60, height_px=16, z_max=0.5), threads=1)
 
 
 def python(folder: Path, source: str) -> Program:

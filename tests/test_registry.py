@@ -60,7 +60,7 @@ def pair() -> Pair:
     draws = np.random.default_rng(1)
     images = [draws.uniform(0, 255, (120, 160)).astype(np.float32) for _ in (1, 2)]
     motion = relative_motion(Pose(), Pose(position_m=(0.3, 0.1, 0.05), yaw_deg=20))
-    return Pair((images[0], images[1]), sensor, motion, Grid(width_px=60, height_px=16))
+    return Pair((images[0], images[1]), (sensor, sensor), motion, Grid(width_px=60, height_px=16))
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:

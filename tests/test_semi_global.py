@@ -454,7 +454,7 @@ def test_mirror_images_of_turned_views_are_matched(interpolation):
     looking, seen = pixel_directions(sensor)
     looking = np.where(seen[..., None], looking, [1.0, 0.0, 0.0])
     images = [np.where(seen, grey, 0).astype(np.float32) for grey in sphere(looking, looking @ R_v2_from_v1, t, 13)]
-    pair = Pair((images[0], images[1]), sensor, Motion(R_v2_from_v1, t), grid, interpolation=interpolation)
+    pair = Pair((images[0], images[1]), (sensor, sensor), Motion(R_v2_from_v1, t), grid, interpolation=interpolation)
     found = SemiGlobal().match(pair)
     error_px = np.abs(found.alpha_2 - exact_alpha_2(RADIUS * directions(grid), t)) / grid.phi_pitch
     sideways = np.sin(pair.alpha_1) > 0.3

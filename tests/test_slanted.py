@@ -80,7 +80,7 @@ def refine(images, there, begin=None, **settings):
     threads = settings.pop("threads", 2)
     begin = start(there) if begin is None else begin
     chosen = SETTINGS.model_copy(update=settings)
-    return refine_slanted(images, SENSOR, there, GRID, begin, settings=chosen, threads=threads)
+    return refine_slanted(images, (SENSOR, SENSOR), there, GRID, begin, settings=chosen, threads=threads)
 
 
 def errors_px(matches, there):
@@ -122,7 +122,7 @@ def test_holes_in_the_start_are_filled():
 
 
 def warped(sensor, there, image, w):
-    way = _way(sensor, there)
+    way = _way(sensor, sensor, there, pixel_directions(sensor)[1])
     coefficients = ndimage.spline_filter(image, 3, output=np.float64, mode="mirror")
     known = np.zeros(w.shape, bool)
     value, slope, moved = np.zeros((3, *w.shape))
@@ -178,7 +178,7 @@ def test_slope_is_the_derivative(lens):
 def test_a_window_is_the_least_squares_solution(far):
     """Against numpy's solver, sample by sample, on random fields with holes."""
     draws = np.random.default_rng(5)
-    way = _way(SENSOR, motion())
+    way = _way(SENSOR, SENSOR, motion(), pixel_directions(SENSOR)[1])
     shape, half = way.seen.shape, 5
     w = draws.uniform(0.4, 0.8, shape)
     known = way.seen & (draws.random(shape) < 0.8)

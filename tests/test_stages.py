@@ -89,6 +89,6 @@ def test_a_stage_from_outside_is_shared_timed_and_sees_what_came_before():
 
 def test_the_matcher_is_told_the_truth():
     setup = setup_of(trial(view_2={"yaw_deg": 20.0}))
-    assert setup.assumed.sensor == setup.trial.sensor
+    assert setup.assumed.sensors == (setup.trial.sensor, setup.trial.sensor)
     assert np.array_equal(setup.assumed.motion.R_v2_from_v1, setup.motion.R_v2_from_v1)
     assert np.array_equal(setup.assumed.motion.t_v1, setup.motion.t_v1)

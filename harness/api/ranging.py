@@ -117,7 +117,7 @@ def estimate_range(
     if isinstance(left, np.ndarray) and isinstance(right, np.ndarray) and left.dtype != right.dtype:
         raise InputError(f"must be of one type; found {left.dtype} and {right.dtype}", key="left, right")
     first, second = (_photograph(image, sensor, name, bits) for image, name in ((left, "left"), (right, "right")))
-    found = estimate(first, second, sensor, _motion(motion), _matcher(matcher), grid)
+    found = estimate(first, second, (sensor, sensor), _motion(motion), _matcher(matcher), grid)
     return RangeEstimate(**{each.name: getattr(found, each.name) for each in fields(found)})
 
 

@@ -80,7 +80,7 @@ class Bound(OneLine):
 
 def cramer_rao(
     images: tuple[Image, Image],
-    sensor: Sensor,
+    sensors: tuple[Sensor, Sensor],
     motion: Motion,
     grid: Grid,
     truth: Truth,
@@ -97,6 +97,8 @@ def cramer_rao(
     ----------
     images
         Mirror images 1 and 2 without noise, `[sensor height, sensor width]`, grey levels; each with its own exposure.
+    sensors
+        The sensor of each view.
     truth
         On `grid`, with the second view.
     R_world_from_v1
@@ -126,23 +128,23 @@ def cramer_rao(
     x = directions(grid)
     planes = _planes(truth, x, np.asarray(R_world_from_v1, dtype=np.float64))
     seen = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
-    raw = _raw_pixels(sensor, grid)
+    raw = _raw_pixels(sensors[0], grid)
     if frame == "panorama":
         towards, cell = x, raw.cell
     else:
         # Raw pixels take the place of the panorama's, with the plane of the panorama's pixel that each falls on.
-        towards, _ = pixel_directions(sensor)
+        towards, _ = pixel_directions(sensors[0])
         cell = np.ravel_multi_index((raw.pixel[:, 0], raw.pixel[:, 1]), towards.shape[:2])
         planes, seen = (_scattered(each, raw, cell, towards.shape[:2]) for each in (planes, seen))
     pixels = _on_one_plane(seen, planes, window_px, goes_round=frame == "panorama")
-    cells = _cells(images, sensor, motion, raw, cell, planes)
+    cells = _cells(images, sensors, motion, raw, cell, planes)
     informations, counts = np.zeros((2, *pixels.shape)), np.full((2, *pixels.shape), np.nan)
     for view in range(2):
         _bound_kernels.window_information(
             cells[view], pixels, window_px // 2, towards, model == "slanted", informations[view], counts[view]
         )
     if frame == "mirror":
-        place, there = project(sensor, x)
+        place, there = project(sensors[0], x)
         column, row = np.moveaxis(np.rint(np.where(there[..., None], place, 0)).astype(np.intp), -1, 0)
         pixels = pixels[row, column] & there
         informations, counts = informations[:, row, column], np.where(pixels, counts[:, row, column], np.nan)
@@ -220,7 +222,7 @@ def _smallest(values: Array, window_px: int) -> Array:
 
 def _cells(
     images: tuple[Image, Image],
-    sensor: Sensor,
+    sensors: tuple[Sensor, Sensor],
     motion: Motion,
     raw: "_RawPixels",
     cell: NDArray[np.int64],
@@ -234,9 +236,10 @@ def _cells(
     omega = raw.omega
     R, t = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.R_v2_from_v1, motion.t_v1))
     xi = np.sum(plane * omega, axis=-1)
-    place, _ = project(sensor, (omega - xi[:, None] * t) @ R.T)
+    first, second = sensors
+    place, _ = project(second, (omega - xi[:, None] * t) @ R.T)
     # Behind a plane that a neighbour of another face has been given, or off image 2: in no window that counts.
-    camera = sensor.camera
+    camera = second.camera
     with np.errstate(invalid="ignore"):
         usable = (xi > 0) & np.all(np.abs(place + 0.5) < np.array([camera.width_px, camera.height_px]) + 1, axis=-1)
         usable &= np.all(place > -1.5, axis=-1)
@@ -244,8 +247,8 @@ def _cells(
     u, v = np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1])
     cells = np.zeros((2, planes.shape[0] * planes.shape[1], _bound_kernels.PRODUCTS))
     _bound_kernels.add_raw_pixels(
-        _spline(images[0], sensor),
-        _spline(images[1], sensor),
+        _spline(images[0], first),
+        _spline(images[1], second),
         raw.pixel,
         cell,
         omega,
@@ -255,14 +258,14 @@ def _cells(
         R,
         t,
         place,
-        rays_of(sensor, u, v),
-        (rays_of(sensor, u + _STEP_PX, v) - rays_of(sensor, u - _STEP_PX, v)) / (2 * _STEP_PX),
-        (rays_of(sensor, u, v + _STEP_PX) - rays_of(sensor, u, v - _STEP_PX)) / (2 * _STEP_PX),
+        rays_of(second, u, v),
+        (rays_of(second, u + _STEP_PX, v) - rays_of(second, u - _STEP_PX, v)) / (2 * _STEP_PX),
+        (rays_of(second, u, v + _STEP_PX) - rays_of(second, u, v - _STEP_PX)) / (2 * _STEP_PX),
         cells[0],
         cells[1],
     )
-    first, second = cells.reshape(2, *planes.shape[:2], -1)
-    return first, second
+    of_1, of_2 = cells.reshape(2, *planes.shape[:2], -1)
+    return of_1, of_2
 
 
 @dataclass(frozen=True)

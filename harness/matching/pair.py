@@ -1,4 +1,4 @@
-"""What a matcher is given: two mirror images, the sensor, how the views lie to each other, and what is made of them.
+"""What a matcher is given: two mirror images, their sensors, how the views lie to each other, and what is made of them.
 
 Panoramas and filtered panoramas are made when they are first asked for, and shared by all matchers that ask for the
 same.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation, unwrap
 from harness.display import OneLine
+from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, Panorama, directions
@@ -47,8 +48,8 @@ class Pair(OneLine):
 
     images: tuple[NDArray[np.float32], NDArray[np.float32]]
     """The mirror images `[sensor height, sensor width]`, grey levels of 0 .. 255, 0 where the sensor sees nothing."""
-    sensor: Sensor
-    """The sensor of both views."""
+    sensors: tuple[Sensor, Sensor]
+    """The sensor of each view; most rigs have two equal ones."""
     motion: Motion
     """From view 1 to view 2."""
     grid: Grid
@@ -69,6 +70,24 @@ class Pair(OneLine):
         motion = Motion(_locked(self.motion.R_v2_from_v1), _locked(self.motion.t_v1))
         object.__setattr__(self, "images", (_locked(first), _locked(second)))
         object.__setattr__(self, "motion", motion)
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor of both views, for matchers that take one.
+
+        Raises
+        ------
+        InputError
+            When the views have different sensors: an image seen through the other one's would give wrong ranges.
+        """
+        first, second = self.sensors
+        if first != second:
+            raise InputError(
+                "the views have different sensors, and the matcher asks for the one sensor of both (pair.sensor); "
+                "it has to use pair.sensors",
+                file=self.owner or None,
+            )
+        return first
 
     @property
     def directions(self) -> Array:
@@ -98,7 +117,7 @@ class Pair(OneLine):
         def one(view: int) -> Panorama:
             made = unwrap(
                 self.images[view],
-                self.sensor,
+                self.sensors[view],
                 self.grid,
                 R_sensor_from_panorama=rotations[view],
                 interpolation=how,
@@ -106,7 +125,7 @@ class Pair(OneLine):
             return _locked_panorama(made)
 
         turned = self.motion.R_v2_from_v1.tobytes()
-        keys = [(key, self.grid, how, view and turned) for view, key in enumerate(self.keys)]
+        keys = [(key, self.sensors[view], self.grid, how, view and turned) for view, key in enumerate(self.keys)]
         first, second = (cast("Panorama", self.share("unwrap", keys[i], partial(one, i))) for i in (0, 1))
         return first, second
 
@@ -118,7 +137,7 @@ class Pair(OneLine):
         how = interpolation or self.interpolation
         panoramas = self.panoramas(how)
         turned = self.motion.R_v2_from_v1.tobytes()
-        keys = [(key, self.grid, how, view and turned, sigma) for view, key in enumerate(self.keys)]
+        keys = [(key, self.sensors[view], self.grid, how, view and turned, sigma) for view, key in enumerate(self.keys)]
 
         def one(view: int) -> Panorama:
             return _locked_panorama(laplacian_of_gaussian(panoramas[view], sigma))
@@ -137,7 +156,7 @@ class Pair(OneLine):
             All that the result depends on beside the pair.
         """
         turned, made = self.motion.R_v2_from_v1.tobytes(), (self.interpolation, self.log_sigma_px)
-        key = (*self.keys, turned, self.t_v1.tobytes(), self.sensor, self.grid, made, settings)
+        key = (*self.keys, turned, self.t_v1.tobytes(), self.sensors, self.grid, made, settings)
         return cast("T", self.share(f"{self.owner} {stage}" if self.owner else stage, key, make))
 
 

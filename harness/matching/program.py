@@ -253,7 +253,9 @@ def write_input(pair: Pair, program: Program, folder: Path) -> None:
     for view, panorama in enumerate(pair.panoramas()):
         place = folder / f"view_{view + 1}"
         place.mkdir()
-        for name, data in view_files(pair.images[view], panorama, pair.sensor, poses[view], turned[view]).items():
+        for name, data in view_files(
+            pair.images[view], panorama, pair.sensors[view], poses[view], turned[view]
+        ).items():
             (place / name).write_bytes(data)
     limits = {"d_min_m": program.d_min_m, "d_max_m": program.d_max_m, "threads": pair.available_threads}
     (folder / "limits.toml").write_text(tomli_w.dumps(limits), encoding="utf-8")

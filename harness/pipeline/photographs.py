@@ -67,7 +67,7 @@ class Estimate(OneLine):
     @property
     def colours(self) -> NDArray[np.uint8]:
         """`[pixels with a range, 3]`: red, green and blue of view 1's photograph."""
-        pixels, _ = project(self.pair.sensor, directions(self.pair.grid)[self.valid])
+        pixels, _ = project(self.pair.sensors[0], directions(self.pair.grid)[self.valid])
         places = pixels[:, ::-1].T
         first = self.photographs[0].colour.astype(np.float32)
         sampled = [ndimage.map_coordinates(first[..., i], places, order=1, mode="nearest") for i in range(3)]
@@ -104,7 +104,7 @@ def read_photograph(file: Path, sensor: Sensor, bits: int | None = None) -> Phot
 def estimate(
     first: Photograph,
     second: Photograph,
-    sensor: Sensor,
+    sensors: tuple[Sensor, Sensor],
     motion: Motion,
     matcher: MatcherSettings,
     grid: Grid | None = None,
@@ -116,7 +116,7 @@ def estimate(
     InputError
         When the matcher cannot be found, or what it returns is no answer.
     """
-    pair = Pair((first.grey, second.grey), sensor, motion, grid or Grid())
+    pair = Pair((first.grey, second.grey), sensors, motion, grid or Grid())
     matches = matcher.match(pair)
     a_1 = alpha_1(pair.grid, motion.t_v1)
     range_m, reason = ranges_of(matches, a_1, motion.baseline_m)

@@ -25,7 +25,8 @@ T = TypeVar("T")
 class Assumed:
     """The calibration and motion that the matcher assumes. Images come from the true ones, which may differ."""
 
-    sensor: Sensor
+    sensors: tuple[Sensor, Sensor]
+    """The sensor of each view."""
     motion: Motion
     """From view 1 to view 2."""
 
@@ -48,7 +49,7 @@ def setup_of(trial: Trial) -> Setup:
     """The setup of a trial. The matcher assumes the true calibration and the true motion."""
     poses = trial.poses
     motion = relative_motion(*poses)
-    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(trial.sensor, motion))
+    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed((trial.sensor, trial.sensor), motion))
 
 
 def _none(_setup: Setup, _view: int) -> Hashable:

@@ -185,7 +185,7 @@ def _pair(work: Work, _view: int) -> Pair:
     trial, assumed = work.trial, work.setup.assumed
     return Pair(
         images=work.both(NOISE),
-        sensor=assumed.sensor,
+        sensors=assumed.sensors,
         motion=assumed.motion,
         grid=trial.panorama,
         interpolation=trial.unwrap.interpolation,
@@ -199,7 +199,7 @@ def _pair(work: Work, _view: int) -> Pair:
 def _pair_settings(setup: Setup, _view: int) -> Hashable:
     assumed, trial = setup.assumed, setup.trial
     motion = assumed.motion.R_v2_from_v1.tobytes(), assumed.motion.t_v1.tobytes()
-    return assumed.sensor, motion, trial.panorama, trial.unwrap, trial.filter
+    return assumed.sensors, motion, trial.panorama, trial.unwrap, trial.filter
 
 
 PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE,), cached=False)
@@ -260,7 +260,7 @@ def _bound(work: Work, _view: int) -> Array | None:
     clean = work.both(EXPOSURE)
     return cramer_rao(
         clean,
-        trial.sensor,
+        (trial.sensor, trial.sensor),
         setup.motion,
         trial.panorama,
         work(TRUTH),

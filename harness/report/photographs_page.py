@@ -45,7 +45,7 @@ def build_page(found: Estimate) -> str:
         median_share=_median(share),
         own_sigma=found.matches.sigma_alpha_2 is not None,
         settings=dump_toml(found.matcher),
-        sensor=dump_toml(found.pair.sensor),
+        sensor=dump_toml(found.pair.sensors[0]),
         grid=dump_toml(found.pair.grid),
         t=[float(each) for each in found.pair.t_v1],
         turned=not np.allclose(found.pair.motion.R_v2_from_v1, np.eye(3)),

@@ -215,8 +215,8 @@ def _one_image() -> Pair:
 
 def _blank() -> Pair:
     pair = scenery().pair
-    grey = np.where(pixel_directions(pair.sensor)[1], np.float32(128), np.float32(0))
-    return replace(fresh(pair), images=(grey, grey))
+    first, second = (np.where(pixel_directions(each)[1], np.float32(128), np.float32(0)) for each in pair.sensors)
+    return replace(fresh(pair), images=(first, second))
 
 
 PAIRS: dict[str, Callable[[], Pair]] = {

@@ -114,14 +114,14 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
             file=matcher.kind,
         )
     rectangle = Rectangle(around_of(pair, matcher.rectified_scale))
-    seen = pixel_directions(pair.sensor)[1]
-    closed = (without_gaps(image, seen)[0] for image in pair.images)
+    views = zip(pair.images, pair.sensors, strict=True)
+    closed = (without_gaps(image, pixel_directions(sensor)[1])[0] for image, sensor in views)
     first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in closed)
     _, _, _, cloud = cv2.omnidir.stereoReconstruct(
         first,
         second,
-        *mei(pair.sensor),
-        *mei(pair.sensor),
+        *mei(pair.sensors[0]),
+        *mei(pair.sensors[1]),
         rotation,
         t,
         cv2.omnidir.RECTIFY_LONGLATI,
@@ -144,15 +144,16 @@ def _of_gaps(
     pair: Pair, matcher: StereoReconstruct, rectangle: Rectangle, frame: Array, range_m: Array, cv2: Any
 ) -> NDArray[np.bool_]:
     """Pixels of the rectangle whose point is made of a pixel that is not finite, in either view."""
+    rotations = (np.eye(3), pair.motion.R_v2_from_v1)
     gaps = [
         around_gaps(
             image,
-            pair.sensor,
-            maps_to_view(pair.sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)[:2],
+            sensor,
+            maps_to_view(sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)[:2],
             matcher.block_px,
             cv2,
         )
-        for image, R in zip(pair.images, (np.eye(3), pair.motion.R_v2_from_v1), strict=True)
+        for image, sensor, R in zip(pair.images, pair.sensors, rotations, strict=True)
     ]
     # The disparity again, from OpenCV's own law: range = |t| f / disparity, with f = 1/step.
     rows, columns = np.indices(range_m.shape)

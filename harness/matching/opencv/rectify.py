@@ -160,12 +160,11 @@ def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any, bloc
     how = {"linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos4": cv2.INTER_LANCZOS4}[interpolation]
     frame = frame_along(pair.t_v1)
     images, masks = [], []
-    for image, R in zip(pair.images, (np.eye(3), pair.motion.R_v2_from_v1), strict=True):
-        u, v, seen = maps_to_view(
-            pair.sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2
-        )
-        seen = seen & ~around_gaps(image, pair.sensor, (u, v), block_px, cv2)
-        closed, _ = without_gaps(image, pixel_directions(pair.sensor)[1])
+    rotations = (np.eye(3), pair.motion.R_v2_from_v1)
+    for image, sensor, R in zip(pair.images, pair.sensors, rotations, strict=True):
+        u, v, seen = maps_to_view(sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)
+        seen = seen & ~around_gaps(image, sensor, (u, v), block_px, cv2)
+        closed, _ = without_gaps(image, pixel_directions(sensor)[1])
         sampled = cv2.remap(closed, u, v, how, borderMode=cv2.BORDER_REPLICATE)
         images.append(np.where(seen, np.clip(np.rint(sampled), 0, 255), 0).astype(np.uint8))
         masks.append(seen)

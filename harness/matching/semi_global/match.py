@@ -237,9 +237,9 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
     """
     order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
 
-    def view(image: NDArray[np.float32], R: Array) -> View:
-        coordinates, seen = _sampling_table(pair.sensor, geometry.places, R.tobytes())
-        on_sensor = pixel_directions(pair.sensor)[1]
+    def view(image: NDArray[np.float32], sensor: Sensor, R: Array) -> View:
+        coordinates, seen = _sampling_table(sensor, geometry.places, R.tobytes())
+        on_sensor = pixel_directions(sensor)[1]
         image, known = without_gaps(image, on_sensor)
         if known is not on_sensor:
             gaps = touches(on_sensor & ~known, coordinates, order)
@@ -249,7 +249,9 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
         values = np.where(seen, np.clip(values, 0, 255), 0)
         return View(np.rint(values * _PER_GREY).astype(np.int32), seen)
 
-    return view(pair.images[0], np.eye(3)), view(pair.images[1], pair.motion.R_v2_from_v1)
+    rotations = np.eye(3), pair.motion.R_v2_from_v1
+    first, second = map(view, pair.images, pair.sensors, rotations)
+    return first, second
 
 
 @lru_cache(maxsize=8)

@@ -15,7 +15,7 @@ def match_slanted(pair: Pair, matcher: Slanted) -> Matches:
         coarse = pair.shared("start", start, lambda: start.match(pair))
         return refine_slanted(
             pair.images,
-            pair.sensor,
+            pair.sensors,
             pair.motion,
             pair.grid,
             coarse.alpha_2,

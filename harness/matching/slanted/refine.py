@@ -77,7 +77,7 @@ _CORRELATED_PX = 33
 
 def refine_slanted(
     images: tuple[Image, Image],
-    sensor: Sensor,
+    sensors: tuple[Sensor, Sensor],
     motion: Motion,
     grid: Grid,
     start_alpha_2: Array,
@@ -91,6 +91,8 @@ def refine_slanted(
     ----------
     images
         Mirror images of both views, `[sensor height, sensor width]`.
+    sensors
+        The sensor of each view.
     grid
         View 1's panorama, of the start and of the answer.
     start_alpha_2
@@ -108,27 +110,30 @@ def refine_slanted(
     Raises
     ------
     ValueError
-        When an image has not the sensor's size, or the start not the grid's.
+        When an image has not its sensor's size, or the start not the grid's.
     """
     settings = settings or Slanted()
-    size = (sensor.camera.height_px, sensor.camera.width_px)
-    if any(image.shape != size for image in images):
-        raise ValueError(f"the images are {images[0].shape} and {images[1].shape}, the sensor {size} (rows, columns)")
+    sizes = tuple((each.camera.height_px, each.camera.width_px) for each in sensors)
+    shapes = tuple(image.shape for image in images)
+    if shapes != sizes:
+        raise ValueError(
+            f"the images are {shapes[0]} and {shapes[1]}, the sensors {sizes[0]} and {sizes[1]} (rows, columns)"
+        )
     if start_alpha_2.shape != grid.shape:
         raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
-    seen = pixel_directions(sensor)[1]
-    closed = [without_gaps(image, seen) for image in images]
-    there, back = _way(sensor, motion, closed[0][1]), _way(sensor, _reversed(motion), closed[1][1])
+    closed = [without_gaps(image, pixel_directions(each)[1]) for image, each in zip(images, sensors, strict=True)]
     first, second = (_view(image, known) for image, known in closed)
+    there = _way(sensors[0], sensors[1], motion, closed[0][1])
+    back = _way(sensors[1], sensors[0], _reversed(motion), closed[1][1])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
         start = _start(start_alpha_2, there, grid)
         forth = _fit(first, second, there, start, settings, settings.iterations, grid.phi_pitch, pool)
-        start = _carried_over(forth, there)
+        start = _carried_over(forth, there, back.seen.shape)
         reverse = _fit(second, first, back, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
         samples = _nothing(forth.w.shape)
         _sampled(forth.w, second, there, samples, pool)
         inflation = _inflation(forth, first, samples, there, pool)
-    return _answer(forth, reverse, inflation, samples, there, sensor, grid, settings)
+    return _answer(forth, reverse, inflation, samples, there, sensors, grid, settings)
 
 
 # -- Geometry and images -----------------------------------------------------------------------------------------------
@@ -136,25 +141,25 @@ def refine_slanted(
 
 @dataclass(frozen=True)
 class _Way:
-    """From one view to the other, as the kernels take it."""
+    """From one view to the other, as the kernels take it: pixels of the one, the camera of the other."""
 
     t: Array
     R: Array
     s: Array
     """-R t: where q = R x + w s of a point goes as its inverse range w grows."""
     camera: tuple[Any, float, float]
-    """The camera model's parameters, and the sines of the lowest and highest elevation of the field."""
+    """Of the other view: the camera model's parameters, and the sines of its field's lowest and highest elevation."""
     x: Array
-    """`[height, width, 3]`, unit directions of the mirror pixels."""
+    """`[height, width, 3]`, unit directions of the first of the two views' mirror pixels."""
     seen: Mask
     """`[height, width]`: pixels of the first of the two that are seen, and finite."""
 
 
-def _way(sensor: Sensor, motion: Motion, known: Mask | None = None) -> _Way:
-    x, seen = pixel_directions(sensor)
+def _way(sensor: Sensor, other: Sensor, motion: Motion, known: Mask) -> _Way:
+    x, _ = pixel_directions(sensor)
     t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
-    camera = (parameters_of(sensor), *sines_of_field(sensor))
-    return _Way(t, R, -R @ t, camera, x, seen if known is None else known)
+    camera = (parameters_of(other), *sines_of_field(other))
+    return _Way(t, R, -R @ t, camera, x, known)
 
 
 def _reversed(motion: Motion) -> Motion:
@@ -280,9 +285,9 @@ def _fit(
     return field
 
 
-def _carried_over(field: _Field, way: _Way) -> Array:
-    """The field seen from view 2; NaN where no point of view 1 falls."""
-    w_2, misfit_2 = np.full(field.w.shape, np.nan), np.full(field.w.shape, np.inf)
+def _carried_over(field: _Field, way: _Way, shape: tuple[int, ...]) -> Array:
+    """The field seen from view 2, `shape` its image's; NaN where no point of view 1 falls."""
+    w_2, misfit_2 = np.full(shape, np.nan), np.full(shape, np.inf)
     _kernels.carry_over(
         way.seen, way.x, field.w, field.residual, field.chosen, way.R, way.s, way.camera, w_2, misfit_2
     )  # fmt: skip
@@ -298,13 +303,13 @@ def _answer(
     inflation: Array,
     samples: _Samples,
     way: _Way,
-    sensor: Sensor,
+    sensors: tuple[Sensor, Sensor],
     grid: Grid,
     settings: Slanted,
 ) -> Matches:
     """Evaluate the planes in the directions of the panorama's pixels."""
     x, pixel = directions(grid), grid.phi_pitch
-    place, window, w = _read(forth, x, sensor)
+    place, window, w = _read(forth, x, sensors[0])
     q = x - w[..., None] * way.t
     length = np.linalg.norm(q, axis=-1)
     across = np.linalg.norm(np.cross(way.t, x), axis=-1)
@@ -313,7 +318,7 @@ def _answer(
 
     # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and what view 2 says there.
     x_2 = normalise(q @ way.R.T)
-    _, _, w_2 = _read(reverse, x_2, sensor)
+    _, _, w_2 = _read(reverse, x_2, sensors[1])
     apart = np.abs(w_2 - w / length) * across * length
 
     with np.errstate(invalid="ignore"):
