@@ -1,5 +1,6 @@
 """The one exception that is the user's to mend, the one warning, and errors in one line."""
 
+import re
 from pathlib import Path
 
 
@@ -20,9 +21,15 @@ class InputError(Exception):
         self.problem = problem
         self.file = None if file is None else str(file)
         self.key = key
-        where = ": ".join(part for part in (self.file, key) if part)
+        problem = _without_long_words(problem)
+        where = ": ".join(part for part in (self.file, key and _without_long_words(key)) if part)
         text = f"{where}: {problem}" if where else problem
         super().__init__(one_line(text))
+
+
+def _without_long_words(text: str) -> str:
+    """A text whose words of more than 300 characters, which are quoted from a damaged file, are cut in the middle."""
+    return re.sub(r"\S{300,}", lambda word: f"{word[0][:60]} ... {word[0][-40:]}", text)
 
 
 class Notice(UserWarning):

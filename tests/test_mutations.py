@@ -126,6 +126,14 @@ def test_the_valid_file_is_taken(what: str, folder: Path, monkeypatch: pytest.Mo
     assert answered(path, SPECIFICATIONS[what])
 
 
+def test_long_words_are_cut(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "long.toml"
+    path.write_text(tomli_w.dumps(_valid("m:match", folder)).replace("m:match", "x" * 5000))
+    with pytest.raises(InputError, match=r"matching\.kind: 'x{59} \.\.\. x+' is neither a matcher nor") as caught:
+        load_matcher(str(path))
+    assert len(str(caught.value)) < 800
+
+
 ARGUMENTS = [
     "", "nan", "inf", "-1", "0", "[", "]", "{", "[[[[", "'", '"', "\\", "1,2", ",,,", "[1,2]", "{a=1}", "2020-01-01",
     "x" * 9000, "[" * 3000, "/dev/zero", "pipe", "loop.toml", "~nobody-here/x", "folder.toml", "../..", "a=b", "1 # c",

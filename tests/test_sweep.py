@@ -53,6 +53,7 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("whole")
 def test_tables_of_a_run(room: Path) -> None:
     trials = table(room / "whole" / "trials.csv")
