@@ -116,7 +116,10 @@ def test_two_programs_are_two_methods(tmp_path: Path, monkeypatch: pytest.Monkey
     first, second = result.summary["comparison"].values()
     assert first["range_median_abs_m"] != second["range_median_abs_m"]
     swept = sweep_of(result)
-    assert [(way.matcher, way.label) for way in swept.ways] == [("program one.py",) * 2, ("program two.py",) * 2]
+    assert [(method.matcher, method.label) for method in swept.methods] == [
+        ("program one.py",) * 2,
+        ("program two.py",) * 2,
+    ]
     assert not swept.axes
     assert [method.label for method in methods_of(result.outcomes, experiment.planned)] == list(
         result.summary["comparison"]

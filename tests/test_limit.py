@@ -8,7 +8,7 @@ from harness.evaluation.efficiency import efficiency, within_without_bias
 from harness.report import theme
 from harness.report.sections import noise_limit as drawn
 from harness.report.sections import steps
-from harness.report.sweep import Axis, Sweep, Way
+from harness.report.sweep import Axis, MethodStyle, Sweep
 
 
 def draws(count, pixels, std, bias=0.0, seed=0):
@@ -76,8 +76,8 @@ def test_a_share_within_sigma_is_freed_of_each_pixels_bias():
 # The report's figures of it -------------------------------------------------------------------------------------------
 
 
-def way(step="own"):
-    return Way("slanted" if step == "own" else "window", step, step, "#000000", "solid", "o", filled=True)
+def method(step="own"):
+    return MethodStyle("slanted" if step == "own" else "window", step, step, "#000000", "solid", "o", filled=True)
 
 
 def entry(sigma_grey, seeds, std):
@@ -91,7 +91,7 @@ def entry(sigma_grey, seeds, std):
 
 
 def test_a_noise_with_too_few_seeds_leaves_a_gap_in_the_figure():
-    sweep = Sweep([way()], [], [1, 2, 3], pd.DataFrame(), [], pd.DataFrame())
+    sweep = Sweep([method()], [], [1, 2, 3], pd.DataFrame(), [], pd.DataFrame())
     with theme.style():
         made = drawn.limit(sweep, [entry(2.0, 1, None), entry(5.0, 3, 0.05), entry(10.0, 1, None)])
     assert len(made.pictures) == 2
@@ -99,7 +99,7 @@ def test_a_noise_with_too_few_seeds_leaves_a_gap_in_the_figure():
 
 
 def test_a_setting_without_any_estimate_has_no_best_step():
-    ways = [way("none"), way("parabola")]
+    methods = [method("none"), method("parabola")]
     trials = pd.DataFrame(
         {
             "matcher": "window",
@@ -109,7 +109,7 @@ def test_a_setting_without_any_estimate_has_no_best_step():
             "floor_disparity_median_abs_px": np.nan,
         }
     )
-    sweep = Sweep(ways, [Axis("matching.window_px", [5, 47])], [1], trials, [], pd.DataFrame())
+    sweep = Sweep(methods, [Axis("matching.window_px", [5, 47])], [1], trials, [], pd.DataFrame())
     found = steps.steps(sweep)
     assert found.findings == [
         "Walls, parabola: smaller median error than whole samples in 1 of 1 settings. It is the best of all in 1."

@@ -16,9 +16,9 @@ from harness.pipeline import maps as maps_module
 from harness.pipeline.maps import MAPS, README, TrialMaps, has_maps, maps_file, maps_of, read_maps, write_maps
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome, run_trial
-from harness.runs.executors import Workplace
+from harness.runs.executors import Backend
 from harness.runs.load import load_experiment
-from harness.runs.run import run_status, sweep
+from harness.runs.run import run_plan, run_status
 from harness.runs.store import Store
 from harness.spec import parse
 
@@ -150,9 +150,9 @@ def test_maps_are_not_kept_by_workers_on_a_cluster(tmp_path: Path) -> None:
     experiment = load_experiment(str(write_small(tmp_path / "small.toml")))
     with Store() as store:
         left = run_status(experiment, store, tmp_path).plan
-        elsewhere = Workplace(lambda: None, workers=1, slots=1, elsewhere=True)
+        remote = Backend(lambda: None, workers=1, slots=1, remote=True)
         with pytest.raises(InputError, match="--keep-arrays: writes into a folder of this machine"):
-            sweep(left, store, elsewhere, maps=tmp_path)
+            run_plan(left, store, remote, maps=tmp_path)
 
 
 def test_xarray(maps: TrialMaps, monkeypatch: pytest.MonkeyPatch) -> None:

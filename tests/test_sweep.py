@@ -17,7 +17,7 @@ import pytest
 from sweeps import begin, kill_group, omnirange, rows, wait_for, write_small
 
 from harness.runs import run
-from harness.runs.executors import Workplace
+from harness.runs.executors import Backend
 from harness.runs.load import load_experiment
 from harness.runs.plan import plan
 from harness.runs.store import Store
@@ -286,9 +286,9 @@ class _Brittle(Executor):
 def test_a_trial_that_kills_its_worker_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path))
     experiment = load_experiment(str(write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2, 3, 4, 5]\n")))
-    place = Workplace(lambda: nullcontext(_Brittle()), workers=2, slots=2, threads=1)
+    backend = Backend(lambda: nullcontext(_Brittle()), workers=2, slots=2, threads=1)
     with Store() as store:
-        run.sweep(run.run_status(experiment, store).plan, store, place)
+        run.run_plan(run.run_status(experiment, store).plan, store, backend)
         kept = store.finished(each.key for each in experiment.planned)
     states = {each.trial.seed: kept[each.key].state for each in experiment.planned}
     assert states == {1: "done", 2: "done", 3: "failed", 4: "done", 5: "done"}

@@ -11,9 +11,9 @@ from harness.api.results import RunResult
 from harness.errors import InputError
 from harness.files import make_folder
 from harness.pipeline.maps import FOLDER, prepare_folder
-from harness.runs.executors import workplace
+from harness.runs.executors import backend_for
 from harness.runs.experiment import Experiment
-from harness.runs.run import open_run, rows_of, run_status, sweep, write_tables
+from harness.runs.run import open_run, rows_of, run_plan, run_status, write_tables
 from harness.runs.store import Store
 
 
@@ -87,8 +87,8 @@ def run(
             bar = None
             if someone_watches() if progress is None else progress:
                 bar = stack.enter_context(Progress(experiment.name, before.total, before.done))
-            place = workplace(left.total_s, len(left.trials), workers)
-            sweep(left, store, place, bar.update if bar else lambda _: None, maps)
+            backend = backend_for(left.total_s, len(left.trials), workers)
+            run_plan(left, store, backend, bar.update if bar else lambda _: None, maps)
             if bar:
                 bar.finish()
         rows = rows_of(experiment, store)

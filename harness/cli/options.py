@@ -89,8 +89,8 @@ def add_changes(command: Parser, *, axes: bool = True) -> None:
         completers.offer(varied, completers.changes)
 
 
-def add_workplace(command: Parser) -> None:
-    """`--workers` and `--dask` as `workers` and `dask`: a number or an address, for `workplace` to read; or None."""
+def add_backend(command: Parser) -> None:
+    """`--workers` and `--dask` as `workers` and `dask`: a number or an address, for `backend_for` to read; or None."""
     where = command.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=whole_number, metavar="N", help="processes (default: one for each CPU, where it pays)"

@@ -37,20 +37,20 @@ def add(commands: declare.Commands) -> None:
         action="store_true",
         help="keep every trial's maps (range, angles, truth, sigma) as NPZ files in the folder maps of the output",
     )
-    declare.add_workplace(command)
+    declare.add_backend(command)
 
 
 def run(options: Namespace) -> int:
     """Run what is not yet done, then write everything that is made from it."""
     # Heavy libraries are loaded here, so that --help and a mistyped name answer at once.
-    from harness.runs.executors import ONE_THREAD, workplace
+    from harness.runs.executors import ONE_THREAD, backend_for
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
     from harness.files import make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.load import load_experiment
-    from harness.runs.run import is_reported, open_run, run_status, sweep
+    from harness.runs.run import is_reported, open_run, run_plan, run_status
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
     if options.dry_run:
@@ -73,9 +73,9 @@ def run(options: Namespace) -> int:
             try:
                 left = before.plan
                 if left.trials:
-                    place = workplace(left.total_s, len(left.trials), options.workers, options.dask)
-                    progress.say(f"{len(left.trials)} trials to run {place.name}, {before.done} done before")
-                    sweep(left, store, place, progress.update, maps)
+                    backend = backend_for(left.total_s, len(left.trials), options.workers, options.dask)
+                    progress.say(f"{len(left.trials)} trials to run {backend.name}, {before.done} done before")
+                    run_plan(left, store, backend, progress.update, maps)
             except KeyboardInterrupt:
                 progress.stop()
                 states = store.states(each.key for each in experiment.planned)

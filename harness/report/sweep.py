@@ -36,9 +36,9 @@ _STROKES: tuple[tuple[Any, str], ...] = (
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to match, a matcher with a sub-pixel step: colours stand for the step of a window, or for another matcher;
-    strokes for the matcher.
+class MethodStyle:
+    """A method, which is a matcher with a sub-pixel step, and how it is drawn: colours tell steps of the window
+    matchers and all other matchers apart, strokes tell matchers apart.
     """
 
     matcher: str
@@ -101,7 +101,7 @@ class Axis:
 class Sweep:
     """The done trials of a run."""
 
-    ways: list[Way]
+    methods: list[MethodStyle]
     axes: list[Axis]
     """Without seeds and methods."""
     seeds: list[int]
@@ -115,11 +115,11 @@ class Sweep:
     @cached_property
     def several(self) -> bool:
         """Whether there is more to it than the trials that the report shows in detail."""
-        return bool(self.axes) or len(self.seeds) > 1 or len({way.matcher for way in self.ways}) > 1
+        return bool(self.axes) or len(self.seeds) > 1 or len({method.matcher for method in self.methods}) > 1
 
-    def cells_of(self, way: Way, surface: str) -> pd.DataFrame:
-        """The cells of a way on a surface, as often as asked; `condition` is a number, which is quicker to group by."""
-        return self._parts.get((way.matcher, way.subpixel, surface), self.cells.iloc[:0])
+    def cells_of(self, method: MethodStyle, surface: str) -> pd.DataFrame:
+        """The cells of a method on a surface; `condition` is a number, which is quicker to group by."""
+        return self._parts.get((method.matcher, method.subpixel, surface), self.cells.iloc[:0])
 
     @cached_property
     def _parts(self) -> dict[tuple[str, str, str], pd.DataFrame]:
@@ -156,7 +156,7 @@ def sweep_of(result: Result) -> Sweep:
         )
     trials = pd.DataFrame(records)
     return Sweep(
-        ways=_ways(trials),
+        methods=_method_styles(trials),
         axes=axes,
         seeds=sorted(int(seed) for seed in trials["seed"].unique()),
         trials=trials,
@@ -212,15 +212,15 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value)
 
 
-def _ways(trials: pd.DataFrame) -> list[Way]:
+def _method_styles(trials: pd.DataFrame) -> list[MethodStyle]:
     pairs = list(dict.fromkeys(zip(trials["matcher"], trials["subpixel"], strict=True)))
     matchers, steps = (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True))
-    ways = []
+    methods = []
     for (matcher, step), (label, colour) in looks(pairs).items():
-        place = matchers.index(matcher)
-        stroke, marker = _STROKES[place % len(_STROKES)]
-        ways.append(Way(matcher, step, label, colour, stroke, marker, filled=place % 2 == 0))
-    return sorted(ways, key=lambda way: (matchers.index(way.matcher), steps.index(way.subpixel)))
+        index = matchers.index(matcher)
+        stroke, marker = _STROKES[index % len(_STROKES)]
+        methods.append(MethodStyle(matcher, step, label, colour, stroke, marker, filled=index % 2 == 0))
+    return sorted(methods, key=lambda method: (matchers.index(method.matcher), steps.index(method.subpixel)))
 
 
 def log_edges(values: "pd.Series[float]", count: int) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -91,10 +91,10 @@ def overview(result: Result, sweep: Sweep) -> Iterator[str]:
     """What was varied, and how much of it is done."""
     counts = result.summary["trials"]
     axes = [_varied(axis) for axis in sweep.axes]
-    ways = ", ".join(way.label for way in sweep.ways)
+    methods = ", ".join(method.label for method in sweep.methods)
     over = f" over {'; '.join(axes)}" if axes else ""
     seeds = f", {len(sweep.seeds)} seeds" if len(sweep.seeds) > 1 else ""
-    yield f"{counts['done']} trials{over}{seeds}; methods: {ways}."
+    yield f"{counts['done']} trials{over}{seeds}; methods: {methods}."
     if counts["done"] < counts["total"]:
         failed = f", {counts['failed']} of them failed" if counts["failed"] else ""
         yield f"{counts['total'] - counts['done']} of {counts['total']} trials are missing{failed}."

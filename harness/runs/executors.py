@@ -28,23 +28,23 @@ WORKER = {**ONE_THREAD, "OMNIRANGE_WORKER": "1"}
 
 
 @dataclass(frozen=True)
-class Workplace:
-    """Where batches go, through the interface of `concurrent.futures`."""
+class Backend:
+    """What runs batches, through the interface of `concurrent.futures`."""
 
     open: Callable[[], AbstractContextManager[Executor]]
-    """May be called again when what it gave is broken."""
+    """Called again when the executor is broken."""
     workers: int
     slots: int
     """Batches handed over and not yet returned, at most."""
     threads: int | None = 1
     """The threads of a trial."""
-    elsewhere: bool = False
-    """Whether workers may be on another machine, which has not got this one's files."""
+    remote: bool = False
+    """Whether workers may be on another machine, which does not have this one's files."""
     name: str = "in this process"
 
 
-def workplace(work_s: float, trials: int, workers: int | None = None, dask: str | None = None) -> Workplace:
-    """The right place for this much work.
+def backend_for(work_s: float, trials: int, workers: int | None = None, dask: str | None = None) -> Backend:
+    """The backend that suits this much work.
 
     Parameters
     ----------
@@ -74,19 +74,19 @@ def workplace(work_s: float, trials: int, workers: int | None = None, dask: str 
             )
         workers = 1
     if workers is None and (work_s < QUICK_S or trials < 2 or available_cpus() == 1):
-        return Workplace(_in_process, workers=1, slots=1, threads=None)
+        return Backend(_in_process, workers=1, slots=1, threads=None)
     count = min(workers or available_cpus(), trials)
     if count == 1:
-        return Workplace(_in_process, workers=1, slots=1)
-    return Workplace(lambda: _in_processes(count), count, slots=count + 1, name=f"in {count} processes")
+        return Backend(_in_process, workers=1, slots=1)
+    return Backend(lambda: _in_processes(count), count, slots=count + 1, name=f"in {count} processes")
 
 
 @contextmanager
 def _in_process() -> Iterator[Executor]:
-    yield _Here()
+    yield _InProcess()
 
 
-class _Here(Executor):
+class _InProcess(Executor):
     """Runs what is submitted at once."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -202,7 +202,7 @@ def _end_with(sentinel: int) -> None:
     os._exit(1)  # a pool's process would wait for work for ever
 
 
-def _on_dask(address: str) -> Workplace:
+def _on_dask(address: str) -> Backend:
     client: Any
     try:
         from distributed import Client
@@ -231,4 +231,4 @@ def _on_dask(address: str) -> Workplace:
             client.close()
 
     # More than there are workers for: others may join.
-    return Workplace(connected, threads, slots=max(64, 4 * threads), elsewhere=True, name=f"on Dask at {address}")
+    return Backend(connected, threads, slots=max(64, 4 * threads), remote=True, name=f"on Dask at {address}")

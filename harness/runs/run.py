@@ -31,7 +31,7 @@ from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
-from harness.runs.scheduler import run_sweep
+from harness.runs.scheduler import run_batches
 from harness.runs.store import Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
 from harness.spec import as_table, dump_toml
@@ -166,27 +166,27 @@ def run_status(experiment: Experiment, store: Store, maps: Path | None = None) -
     )
 
 
-def sweep(
-    left: Plan,
+def run_plan(
+    plan: Plan,
     store: Store,
-    place: executors.Workplace,
+    backend: executors.Backend,
     observe: Callable[[Sequence[Finished]], None] = lambda _: None,
     maps: Path | None = None,
 ) -> None:
-    """Run what is left to do; see `sweep.run_sweep`.
+    """Run what is left to do; see `scheduler.run_batches`.
 
     Raises
     ------
     InputError
-        When maps are to be kept and workers may be on another machine, which has not got the folder.
+        When maps are to be kept and workers may be on another machine, which does not have the folder.
     """
-    if maps is not None and place.elsewhere:
+    if maps is not None and backend.remote:
         raise InputError(
             "writes into a folder of this machine, which workers on a cluster may not have", key="--keep-arrays"
         )
     # One worker takes single trials: there is nobody else to keep busy, and a kill costs one trial.
-    longest = 0.0 if place.workers == 1 and not place.elsewhere else left.total_s / (12 * place.workers)
-    run_sweep(left.batches(min(longest, 1.0)), store, place, observe, maps)
+    longest = 0.0 if backend.workers == 1 and not backend.remote else plan.total_s / (12 * backend.workers)
+    run_batches(plan.batches(min(longest, 1.0)), store, backend, observe, maps)
 
 
 def result_of(experiment: Experiment, store: Store, *, run_code: bool = True) -> Result:
@@ -240,7 +240,7 @@ def run_experiment(experiment: Experiment, folder: Path | None = None, *, worker
     """
     with open_run(experiment, folder) if folder else Store() as store:
         left = run_status(experiment, store).plan
-        sweep(left, store, executors.workplace(left.total_s, len(left.trials), workers))
+        run_plan(left, store, executors.backend_for(left.total_s, len(left.trials), workers))
         finished = store.finished(each.key for each in experiment.planned).values()
         if all(row.state == "failed" for row in finished):
             raise InputError(next(iter(finished)).message)

@@ -1,4 +1,4 @@
-"""Runs trials on an executor and keeps each as it is finished."""
+"""Run trials on an executor, and write each as it is finished."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -8,28 +8,28 @@ from pathlib import Path
 
 from harness import interrupts
 from harness.errors import InputError, described
-from harness.runs.executors import Workplace
+from harness.runs.executors import Backend
 from harness.runs.experiment import Planned
 from harness.runs.store import Finished, Store
 from harness.runs.worker import pack, work
 from harness.simulation.fingerprint import fingerprint
 
 Trials = tuple[Planned, ...]
-_PATIENCE_S = 1.0
-"""How long trials that workers have begun are awaited after Ctrl-C."""
+_GRACE_S = 1.0
+"""How long to wait after Ctrl-C for trials that workers have begun."""
 
 Observer = Callable[[Sequence[Finished]], None]
 """Called with trials that have just been written."""
 
 
-def run_sweep(
+def run_batches(
     batches: Iterable[Trials],
     store: Store,
-    place: Workplace,
+    backend: Backend,
     observe: Observer = lambda _: None,
     maps: Path | None = None,
 ) -> None:
-    """Run batches and write their rows as they come; in which order they do makes no difference to any row.
+    """Run batches and write their rows as they come; no row depends on their order.
 
     A batch whose worker died is run again trial by trial, alone, and a trial that ends its worker once more is written
     as failed. When this is interrupted, what workers finish within a second is written first.
@@ -44,51 +44,51 @@ def run_sweep(
     InputError
         When a worker has other code, or the scheduler has gone away. What is finished is written.
     """
-    sweep = _Sweep(store, place, observe, deque(batches), maps)
+    scheduler = _Scheduler(store, backend, observe, deque(batches), maps)
     with interrupts.heard():
-        while sweep.waiting or sweep.suspects:
-            with place.open() as executor:
-                sweep.drain(executor)
+        while scheduler.waiting or scheduler.retries:
+            with backend.open() as executor:
+                scheduler.drain(executor)
 
 
 @dataclass
-class _Sweep:
+class _Scheduler:
     store: Store
-    place: Workplace
+    backend: Backend
     observe: Observer
     waiting: deque[Trials]
     maps: Path | None
-    suspects: deque[Trials] = field(default_factory=deque)
-    """Single trials of batches that came to grief, to be run alone."""
+    retries: deque[Trials] = field(default_factory=deque)
+    """Single trials of batches whose worker died, to be run again one at a time."""
     running: dict[Future[list[Finished]], Trials] = field(default_factory=dict)
-    alone: bool = False
+    retrying: bool = False
 
     def drain(self, executor: Executor) -> None:
         """Run all that is waiting, or until the executor is broken."""
         try:
-            while self.waiting or self.suspects or self.running:
+            while self.waiting or self.retries or self.running:
                 interrupts.check()
-                if not self._hand_over(executor):
-                    self._suspect_all()
+                if not self._submit(executor):
+                    self._retry_all()
                     return
                 done, _ = wait(self.running, return_when=FIRST_COMPLETED)
                 broken = [self._is_broken(future) for future in done]
                 if any(broken):
-                    self._suspect_all()
+                    self._retry_all()
                     return
         except BaseException as error:
-            # What workers are at may be a compilation: after Ctrl-C nobody waits for long.
-            self._wind_up(_PATIENCE_S if interrupts.is_real(error) else None)
+            # A worker may be compiling: after Ctrl-C nobody waits for long.
+            self._collect_finished(_GRACE_S if interrupts.is_real(error) else None)
             raise
 
-    def _hand_over(self, executor: Executor) -> bool:
-        """Give the workers as much as they should have; False when the executor is broken."""
+    def _submit(self, executor: Executor) -> bool:
+        """Submit as many batches as the backend takes; False when the executor is broken."""
         if not self.running:
-            self.alone = bool(self.suspects)
-        queue, slots = (self.suspects, 1) if self.alone else (self.waiting, self.place.slots)
+            self.retrying = bool(self.retries)
+        queue, slots = (self.retries, 1) if self.retrying else (self.waiting, self.backend.slots)
         while queue and len(self.running) < slots:
             trials = queue.popleft()
-            batch = pack(trials, threads=self.place.threads, maps=self.maps, with_files=self.place.elsewhere)
+            batch = pack(trials, threads=self.backend.threads, maps=self.maps, with_files=self.backend.remote)
             try:
                 self.running[executor.submit(work, batch)] = trials
             except BrokenExecutor:
@@ -97,7 +97,7 @@ class _Sweep:
         return True
 
     def _is_broken(self, future: Future[list[Finished]]) -> bool:
-        """Take what a batch came to; True when its executor is of no more use."""
+        """Write the rows of a finished batch; True when its executor is broken."""
         trials = self.running.pop(future)
         try:
             rows = future.result()
@@ -105,37 +105,37 @@ class _Sweep:
             raise
         except CancelledError:
             raise InputError(
-                f"the workers {self.place.name} have gone away; what is finished is kept, run the same command to go on"
+                f"the workers {self.backend.name} are gone; finished trials are stored, run the same command to resume"
             ) from None
         except Exception as error:  # noqa: BLE001 - the worker's end, not the trial's: those are rows
             interrupts.check()
-            self._grieve(trials, error)
+            self._fail_or_retry(trials, error)
             return isinstance(error, BrokenExecutor)
-        self._keep(rows)
+        self._write(rows)
         return False
 
-    def _grieve(self, trials: Trials, error: Exception) -> None:
-        if not self.alone:
-            self.suspects.extend((trial,) for trial in trials)
+    def _fail_or_retry(self, trials: Trials, error: Exception) -> None:
+        if not self.retrying:
+            self.retries.extend((trial,) for trial in trials)
             return
         message = f"the worker that ran this trial died: {described(error)}"
-        self._keep([Finished(each.key, fingerprint(each.trial.scene), "failed", message=message) for each in trials])
+        self._write([Finished(each.key, fingerprint(each.trial.scene), "failed", message=message) for each in trials])
 
-    def _suspect_all(self) -> None:
+    def _retry_all(self) -> None:
         for trials in self.running.values():
-            self.suspects.extend((trial,) for trial in trials)
+            self.retries.extend((trial,) for trial in trials)
         self.running.clear()
 
-    def _wind_up(self, patience_s: float | None) -> None:
-        """Keep what is finished, within some seconds, among that which nobody awaits any more."""
+    def _collect_finished(self, grace_s: float | None) -> None:
+        """Cancel what is running, and write what finishes within some seconds."""
         for future in self.running:
             future.cancel()
-        done, _ = wait(self.running, timeout=patience_s)
+        done, _ = wait(self.running, timeout=grace_s)
         for future in list(self.running):
             del self.running[future]
             if future in done and not future.cancelled() and future.exception() is None:
-                self._keep(future.result())
+                self._write(future.result())
 
-    def _keep(self, rows: list[Finished]) -> None:
+    def _write(self, rows: list[Finished]) -> None:
         self.store.add(rows)
         self.observe(rows)

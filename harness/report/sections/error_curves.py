@@ -18,7 +18,7 @@ from harness.report import theme
 from harness.report.data import Data
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, LineKey, Paragraph, section_of
-from harness.report.sweep import Axis, Sweep, Way
+from harness.report.sweep import Axis, MethodStyle, Sweep
 from harness.report.theme import FAINT, HALF, Picture
 
 SURFACES = {"wall": "walls", "floor": "floor, ceiling"}
@@ -84,7 +84,7 @@ class Swept:
 
 @dataclass(frozen=True)
 class _Line:
-    way: Way
+    method: MethodStyle
     surface: str
     measure: str
     x: list[float]
@@ -117,8 +117,8 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
     lines = []
     for name, (measure, _, _, _) in _MEASURES.items():
         for surface in SURFACES:
-            for way in sweep.ways:
-                table = way.of(sweep.trials).pivot_table(
+            for method in sweep.methods:
+                table = method.of(sweep.trials).pivot_table(
                     index=["seed", *others],
                     columns=axis.key,
                     values=f"{surface}_{measure}",
@@ -131,7 +131,7 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
                 table = balanced(table[present])
                 curve = mean_over_seeds(table, logarithmic=True)
                 x = [axis.positions[i] for i in present]
-                lines.append(_Line(way, surface, name, x, [axis.texts[i] for i in present], curve))
+                lines.append(_Line(method, surface, name, x, [axis.texts[i] for i in present], curve))
     shapes = _law_over_baselines(sweep) if axis.key == BASELINE else {}
     slug = f"sweep-{axis.key.replace('.', '-').replace('_', '-')}"
     pictures = [_picture(name, lines, axis, shapes) for name in _MEASURES]
@@ -145,8 +145,8 @@ def _over_range(sweep: Sweep, column_deg: float) -> Swept:
     lines = []
     shapes: dict[str, dict[str, tuple[Array, Array]]] = {}
     for surface in sweep.surfaces:
-        for way in sweep.ways:
-            cells = sweep.cells_of(way, surface)
+        for method in sweep.methods:
+            cells = sweep.cells_of(method, surface)
             if cells.empty:
                 continue
             for name, column, scale in (
@@ -156,8 +156,8 @@ def _over_range(sweep: Sweep, column_deg: float) -> Swept:
                 table = _pivot(cells, "range_bin", cells[column] * scale)
                 x = [middle[index] for index in table.columns]
                 texts = [f"{each:.2f}" for each in x]
-                lines.append(_Line(way, surface, name, x, texts, mean_over_seeds(table, logarithmic=True)))
-        found = [sweep.cells_of(way, surface) for way in sweep.ways]
+                lines.append(_Line(method, surface, name, x, texts, mean_over_seeds(table, logarithmic=True)))
+        found = [sweep.cells_of(method, surface) for method in sweep.methods]
         largest = max(found, key=len)
         shapes[surface] = {
             law: _shape(
@@ -190,7 +190,7 @@ def _law_over_baselines(sweep: Sweep) -> dict[str, dict[str, tuple[Array, Array]
     """How the laws grow and shrink with the baseline, over the places that every baseline has."""
     shapes = {}
     for surface in sweep.surfaces:
-        cells = max((sweep.cells_of(way, surface) for way in sweep.ways), key=len)
+        cells = max((sweep.cells_of(method, surface) for method in sweep.methods), key=len)
         places = ["seed", "condition", "alpha_bin", "range_bin"]
         laws = {}
         for law in LAWS:
@@ -227,9 +227,9 @@ def _picture(
             theme.note(ax, "no estimate")
             continue
         for line in here:
-            draw_line(ax, line.way, line.x, line.curve, scale)
+            draw_line(ax, line.method, line.x, line.curve, scale)
             first, last = (f"{scale * line.curve.mean[i]:.3g}" for i in (0, -1))
-            told.append(f"{line.way.label} on {words} from {first} at {line.texts[0]} to {last} at {line.texts[-1]}")
+            told.append(f"{line.method.label} on {words} from {first} at {line.texts[0]} to {last} at {line.texts[-1]}")
         level = np.exp(np.mean([np.mean(np.log(scale * line.curve.mean)) for line in here]))
         for law, (x, shape) in shapes.get(surface, {}).items():
             if name == "range":
@@ -241,20 +241,20 @@ def _picture(
     return theme.picture(fig, f"{ordinate} against {axis.label}: {'; '.join(told) or 'no estimate'}.", title)
 
 
-def draw_line(ax: Axes, way: Way, x: "list[float] | Array", curve: Curve, scale: float = 1.0) -> None:
+def draw_line(ax: Axes, method: MethodStyle, x: "list[float] | Array", curve: Curve, scale: float = 1.0) -> None:
     """A curve with its intervals as a band."""
     known = np.isfinite(curve.low)
     if known.any():
         low, high = scale * curve.low, scale * curve.high
-        ax.fill_between(x, low, high, where=known, color=way.colour, alpha=0.18, linewidth=0)
+        ax.fill_between(x, low, high, where=known, color=method.colour, alpha=0.18, linewidth=0)
     ax.plot(
         x,
         scale * curve.mean,
-        color=way.colour,
-        linestyle=way.stroke,
-        marker=way.marker,
+        color=method.colour,
+        linestyle=method.stroke,
+        marker=method.marker,
         markersize=4,
-        markerfacecolor=way.face,
+        markerfacecolor=method.face,
         linewidth=1.3,
     )
 
@@ -287,11 +287,17 @@ def key_picture(sweep: Sweep, *, laws: bool) -> Picture:
     """A legend for all figures of a section."""
     handles = [
         Line2D(
-            [], [], color=way.colour, linestyle=way.stroke, marker=way.marker, markersize=4.5, markerfacecolor=way.face
+            [],
+            [],
+            color=method.colour,
+            linestyle=method.stroke,
+            marker=method.marker,
+            markersize=4.5,
+            markerfacecolor=method.face,
         )
-        for way in sweep.ways
+        for method in sweep.methods
     ]
-    labels = [way.label for way in sweep.ways]
+    labels = [method.label for method in sweep.methods]
     shown = [theme.plain(label) for label in labels]
     if laws:
         handles += [Line2D([], [], color=FAINT, linestyle=dashes) for _, dashes in LAWS.values()]
@@ -304,7 +310,7 @@ def key_picture(sweep: Sweep, *, laws: bool) -> Picture:
 
 def _data(name: str, key: str, lines: list[_Line]) -> Data:
     rows = [
-        [line.way.matcher, line.way.subpixel, line.surface, line.measure, text, mean, low, high]
+        [line.method.matcher, line.method.subpixel, line.surface, line.measure, text, mean, low, high]
         for line in lines
         for text, mean, low, high in zip(line.texts, line.curve.mean, line.curve.low, line.curve.high, strict=True)
     ]

@@ -12,7 +12,7 @@ from harness.report.data import Data
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, section_of
 from harness.report.sections.error_curves import SURFACES
-from harness.report.sweep import Sweep, Way
+from harness.report.sweep import MethodStyle, Sweep
 from harness.report.theme import FAINT, HALF, Picture
 
 MIDDLE = (np.arange(FRACTION_BINS) / FRACTION_BINS + 0.5) % 1.0 - 0.5
@@ -52,24 +52,24 @@ def histograms(sweep: Sweep) -> tuple[list[Picture], Data, dict[str, dict[str, f
     Returns
     -------
     pictures, data, near
-        The last for each sub-pixel way and surface: the share within 0.11 samples of a whole one.
+        The last for each sub-pixel method and surface: the share within 0.11 samples of a whole one.
     """
-    refined = [way for way in sweep.ways if way.subpixel != "none"]
+    refined = [method for method in sweep.methods if method.subpixel != "none"]
     curves = {
-        (way, surface): mean_over_seeds(shares)
+        (method, surface): mean_over_seeds(shares)
         for surface in SURFACES
-        for way in refined
-        if not (shares := _shares(sweep, way, surface)).empty
+        for method in refined
+        if not (shares := _shares(sweep, method, surface)).empty
     }
     rows: list[list[object]] = []
     near: dict[str, dict[str, float]] = {}
-    for (way, surface), curve in curves.items():
-        near.setdefault(way.label, {})[SURFACES[surface]] = _near_whole_samples(curve)
+    for (method, surface), curve in curves.items():
+        near.setdefault(method.label, {})[SURFACES[surface]] = _near_whole_samples(curve)
         columns = (each[_ORDER] for each in (MIDDLE, curve.mean, curve.low, curve.high))
-        rows += [[way.matcher, way.subpixel, surface, *each] for each in zip(*columns, strict=True)]
+        rows += [[method.matcher, method.subpixel, surface, *each] for each in zip(*columns, strict=True)]
     top = 100 * max((float(np.nanmax([curve.mean, curve.high])) for curve in curves.values()), default=0.0)
     pictures = [
-        _histogram({way: curve for (way, there), curve in curves.items() if there == surface}, top, words, letter)
+        _histogram({method: curve for (method, there), curve in curves.items() if there == surface}, top, words, letter)
         for (surface, words), letter in zip(SURFACES.items(), "ab", strict=True)
         if curves
     ]
@@ -85,7 +85,7 @@ def _near_whole_samples(curve: Curve) -> float:
 
 
 @theme.panel
-def _histogram(curves: dict[Way, Curve], top: float, words: str, letter: str) -> Picture:
+def _histogram(curves: dict[MethodStyle, Curve], top: float, words: str, letter: str) -> Picture:
     """The histograms of one surface on axes up to 1.25 `top` per cent."""
     order = np.append(_ORDER, _ORDER[0])  # the first bin again as the last: positions are periodic
     at = np.append(MIDDLE[_ORDER], 0.5)
@@ -93,14 +93,14 @@ def _histogram(curves: dict[Way, Curve], top: float, words: str, letter: str) ->
     fig = theme.figure(HALF, 280)
     ax = theme.axes(fig, 56, 12, HALF - 70, 220)
     told = []
-    for way, curve in curves.items():
+    for method, curve in curves.items():
         mean, low, high = (100 * each[order] for each in (curve.mean, curve.low, curve.high))
         if np.isfinite(low).all():
             lower, upper = (np.append(each, each[-1]) for each in (low, high))
-            ax.fill_between(edges, lower, upper, step="post", color=way.colour, alpha=0.2, linewidth=0)
-        label = theme.plain(way.label)
-        ax.stairs(mean, edges, color=way.colour, linestyle=way.stroke, linewidth=1.2, baseline=None, label=label)
-        told.append(f"{way.label} {100 * _near_whole_samples(curve):.0f} %")
+            ax.fill_between(edges, lower, upper, step="post", color=method.colour, alpha=0.2, linewidth=0)
+        label = theme.plain(method.label)
+        ax.stairs(mean, edges, color=method.colour, linestyle=method.stroke, linewidth=1.2, baseline=None, label=label)
+        told.append(f"{method.label} {100 * _near_whole_samples(curve):.0f} %")
     ax.axhline(100 / FRACTION_BINS, color=FAINT, linestyle=(0, (5, 2)), linewidth=1.0)
     ax.set_xlim(-0.5, 0.5)
     ax.set_xticks([-0.5, -0.25, 0, 0.25, 0.5], ["−½", "−¼", "0", "¼", "½"])
@@ -118,14 +118,14 @@ def _histogram(curves: dict[Way, Curve], top: float, words: str, letter: str) ->
     return theme.picture(fig, alt, f"({letter}) {words}")
 
 
-def _shares(sweep: Sweep, way: Way, surface: str) -> pd.DataFrame:
+def _shares(sweep: Sweep, method: MethodStyle, surface: str) -> pd.DataFrame:
     """One row a trial, by seed; one column a bin."""
     chosen = [
         (seed, payload["fractions"][surface])
         for seed, matcher, subpixel, payload in zip(
             sweep.trials["seed"], sweep.trials["matcher"], sweep.trials["subpixel"], sweep.payloads, strict=True
         )
-        if (matcher, subpixel) == (way.matcher, way.subpixel) and sum(payload["fractions"].get(surface, ()))
+        if (matcher, subpixel) == (method.matcher, method.subpixel) and sum(payload["fractions"].get(surface, ()))
     ]
     if not chosen:
         return pd.DataFrame()

@@ -11,7 +11,7 @@ from harness.evaluation.statistics import mean_over_seeds
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, TableBlock, section_of
-from harness.report.sweep import Axis, Sweep, Way
+from harness.report.sweep import Axis, MethodStyle, Sweep
 
 MOST_ROWS = 240
 """The most rows of a table on the page; nobody reads more there, and all are in its data."""
@@ -70,19 +70,19 @@ def all_measures(sweep: Sweep) -> Table:
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
     left_out = 0
-    groups: dict[tuple[Any, ...], tuple[Way, tuple[int, ...], pd.DataFrame]] = {}
-    for index, way in enumerate(sweep.ways):
-        mine = way.of(sweep.trials)
+    groups: dict[tuple[Any, ...], tuple[MethodStyle, tuple[int, ...], pd.DataFrame]] = {}
+    for index, method in enumerate(sweep.methods):
+        mine = method.of(sweep.trials)
         for place, part in mine.groupby(keys, sort=False) if keys else [((), mine)]:
-            groups[*place, index] = (way, place, part)
-    for _, (way, place, part) in sorted(groups.items(), key=lambda each: each[0]):
+            groups[*place, index] = (method, place, part)
+    for _, (method, place, part) in sorted(groups.items(), key=lambda each: each[0]):
         curve = mean_over_seeds(part.set_index("seed")[known].astype(np.float64))
         means = dict(zip(known, curve.mean, strict=True))
         spans = {name: (low, high) for name, low, high in zip(known, curve.low, curve.high, strict=True)}
         plain.append(
             [
-                way.matcher,
-                way.subpixel,
+                method.matcher,
+                method.subpixel,
                 *(axis.texts[i] for axis, i in zip(sweep.axes, place, strict=True)),
                 len(part),
                 *(value for name in known for value in (means[name], *spans[name])),
@@ -98,7 +98,7 @@ def all_measures(sweep: Sweep) -> Table:
             cells.append(number(float(means[each.name]), each.form, each.scale, between))
         rows.append(
             [
-                words(way.label, way.colour),
+                words(method.label, method.colour),
                 *(_place(axis, i) for axis, i in zip(sweep.axes, place, strict=True)),
                 count(len(part)),
                 *cells,

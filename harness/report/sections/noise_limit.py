@@ -11,7 +11,7 @@ from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, Paragraph, TableBlock, section_of
-from harness.report.sweep import Sweep, Way, in_words
+from harness.report.sweep import MethodStyle, Sweep, in_words
 from harness.report.theme import HALF, Picture
 
 Entry = dict[str, Any]
@@ -64,9 +64,9 @@ def limit(sweep: Sweep, entries: list[Entry]) -> Limit:
     """Draw and tabulate the `limit` of a summary."""
     conditions = list(dict.fromkeys(entry["condition"] for entry in entries))
     drawn = [entry for entry in entries if entry["condition"] == conditions[0]]
-    of_way = [(way, [each for each in drawn if _is_of(each, way)]) for way in sweep.ways]
+    of_method = [(method, [each for each in drawn if _is_of(each, method)]) for method in sweep.methods]
     return Limit(
-        pictures=[_efficiency(of_way), _apart(of_way)],
+        pictures=[_efficiency(of_method), _apart(of_method)],
         table=_table(sweep, entries, several=len(conditions) > 1),
         data=Data("limit", _NAMES, [[_flat(entry, name) for name in _NAMES] for entry in entries]),
         condition=in_words(conditions[0]) if len(conditions) > 1 else "",
@@ -101,8 +101,8 @@ def _flat(entry: Entry, name: str) -> Any:
     return within[int(name[len("within_")]) - 1] if within else None
 
 
-def _is_of(entry: Entry, way: Way) -> bool:
-    return (entry["matcher"], entry["subpixel"]) == (way.matcher, way.subpixel)
+def _is_of(entry: Entry, method: MethodStyle) -> bool:
+    return (entry["matcher"], entry["subpixel"]) == (method.matcher, method.subpixel)
 
 
 def _axes(ordinate: str) -> tuple[Any, Any]:
@@ -121,28 +121,28 @@ def _line(entries: list[Entry], value: Callable[[Entry], float | None]) -> tuple
 
 
 @theme.panel
-def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
+def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
     fig, ax = _axes("standard deviation / bound")
     ax.axhline(1, color=theme.TRUTH, linewidth=1.0, zorder=1)
     told, values = [], [1.0]
-    for way, entries in of_way:
+    for method, entries in of_method:
         x, y = _line(entries, lambda entry: entry["std_over_bound"])
         if not x:
             continue
         ax.plot(
             x,
             y,
-            color=way.colour,
-            linestyle=way.stroke,
-            marker=way.marker,
+            color=method.colour,
+            linestyle=method.stroke,
+            marker=method.marker,
             markersize=4.5,
-            label=theme.plain(way.label),
+            label=theme.plain(method.label),
         )
         ends = [each["std_over_bound_quartiles"] for each in entries if each["std_over_bound"]]
         low, high = (np.array([end[i] for end in ends]) for i in (0, 1))
-        ax.vlines(x, low, high, color=way.colour, linewidth=0.8, alpha=0.6)
+        ax.vlines(x, low, high, color=method.colour, linewidth=0.8, alpha=0.6)
         values += [*low[low > 0], *high]
-        told.append(f"{way.label} {y[0]:.2f} to {y[-1]:.2f}")
+        told.append(f"{method.label} {y[0]:.2f} to {y[-1]:.2f}")
     theme.logarithmic(ax, "y", 0.85 * min(values), 1.2 * max(values))
     ax.set_xlim(0, None)
     if told:
@@ -154,22 +154,22 @@ def _efficiency(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
 
 
 @theme.panel
-def _apart(of_way: list[tuple[Way, list[Entry]]]) -> Picture:
+def _apart(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
     fig, ax = _axes("disparity (px)")
     told, values = [], []
-    for way, entries in of_way:
+    for method, entries in of_method:
         x, std = _line(entries, lambda entry: entry["std_px"])
         if not x:
             continue
-        style = {"color": way.colour, "markersize": 4.5}
-        ax.plot(x, std, linestyle=way.stroke, marker=way.marker, label=theme.plain(way.label), **style)
+        style = {"color": method.colour, "markersize": 4.5}
+        ax.plot(x, std, linestyle=method.stroke, marker=method.marker, label=theme.plain(method.label), **style)
         x_bias, bias = _line(entries, lambda entry: entry["bias_px"])
         ax.plot(x_bias, bias, linestyle=(0, (1, 1.5)), linewidth=1.0, **style)
         x_bound, bound = _line(entries, lambda entry: entry["bound_px"])
         if bound:
-            ax.plot(x_bound, bound, color=way.colour, linewidth=0.6, alpha=0.7)
+            ax.plot(x_bound, bound, color=method.colour, linewidth=0.6, alpha=0.7)
         values += [*std, *bias, *bound]
-        told.append(f"{way.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
+        told.append(f"{method.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
     if values:
         theme.logarithmic(ax, "y", max(min(values) / 1.3, max(values) / 1000), 1.3 * max(values))
         theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
@@ -198,15 +198,15 @@ def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
         Heading("Within 2σ", "%"),
         Heading("Within 1σ, bias off", "%"),
     ]
-    ways = {(way.matcher, way.subpixel): way for way in sweep.ways}
+    methods = {(method.matcher, method.subpixel): method for method in sweep.methods}
     rows: list[list[Cell]] = []
     for entry in entries:
-        way = ways[entry["matcher"], entry["subpixel"]]
+        method = methods[entry["matcher"], entry["subpixel"]]
         within = entry["within_sigma"] or (None, None)
         without_bias = entry["within_sigma_without_bias"] or (None,)
         rows.append(
             [
-                words(way.label, way.colour),
+                words(method.label, method.colour),
                 *([words(in_words(entry["condition"]))] if several else []),
                 number(entry["sigma_grey"], "g"),
                 count(entry["seeds"]),

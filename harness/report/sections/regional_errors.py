@@ -17,7 +17,7 @@ from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.markup import html
 from harness.report.method_styles import Method
 from harness.report.section import About, Block, Context, Figure, TableBlock, section_of
-from harness.report.sweep import Sweep, Way
+from harness.report.sweep import MethodStyle, Sweep
 from harness.report.theme import WIDE, Picture
 
 SPLITS = {
@@ -71,7 +71,7 @@ class _Part:
 
 
 def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
-    """Means over all trials of each way, with intervals by bootstrap over seeds."""
+    """Means over all trials of each method, with intervals by bootstrap over seeds."""
     found = [(index, region) for index, payload in enumerate(sweep.payloads) for region in payload["regions"]]
     columns: dict[str, Any] = {name: [region[name] for _, region in found] for name in ("split", "part")}
     columns |= {name: np.array([region[name] for _, region in found], dtype=np.float64) for name in ("pixels", *_KEYS)}
@@ -84,33 +84,33 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
     parts = _ordered(table)
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
-    curves: dict[tuple[Way, str], dict[_Part, tuple[float, float, float]]] = {}
-    for way in sweep.ways:
-        mine = way.of(table)
+    curves: dict[tuple[MethodStyle, str], dict[_Part, tuple[float, float, float]]] = {}
+    for method in sweep.methods:
+        mine = method.of(table)
         for key in _KEYS:
             values = mine.pivot_table(index=["seed", "trial"], columns="place", values=key, aggfunc="mean")
             if values.empty:
                 continue
             curve = mean_over_seeds(values, logarithmic=METRICS[key].geometric)
             for place, mean, low, high in zip(values.columns, curve.mean, curve.low, curve.high, strict=True):
-                curves.setdefault((way, key), {})[_Part(*places[place])] = (float(mean), float(low), float(high))
+                curves.setdefault((method, key), {})[_Part(*places[place])] = (float(mean), float(low), float(high))
     pixels = table.groupby(["split", "part"])["pixels"].mean()
     for part in parts:
-        for way in sweep.ways:
-            figures = {key: curves[way, key][part] for key in _KEYS if part in curves.get((way, key), {})}
+        for method in sweep.methods:
+            figures = {key: curves[method, key][part] for key in _KEYS if part in curves.get((method, key), {})}
             if not figures:
                 continue
             rows.append(
                 [
                     words(SPLITS.get(part.split, part.split)),
                     words(part.part.replace("-", "−")),
-                    words(way.label, way.colour),
+                    words(method.label, method.colour),
                     count(round(float(pixels[part.split, part.part]))),
                     _cell(figures.get("density"), ".1f", 100),
                     *(_cell(figures.get(each.name), each.form, each.scale) for each in _MEASURES),
                 ]
             )
-            plain.append([way.matcher, way.subpixel, part.split, part.part])
+            plain.append([method.matcher, method.subpixel, part.split, part.part])
             for key in _KEYS:
                 plain[-1] += figures.get(key, (np.nan,) * 3)
     headings = [f"{key}{end}" for key in _KEYS for end in ("", "_ci95_low", "_ci95_high")]
@@ -158,7 +158,7 @@ def _ordered(table: pd.DataFrame) -> list[_Part]:
 
 @theme.panel
 def _picture(
-    sweep: Sweep, parts: list[_Part], curves: dict[tuple[Way, str], dict[_Part, tuple[float, float, float]]]
+    sweep: Sweep, parts: list[_Part], curves: dict[tuple[MethodStyle, str], dict[_Part, tuple[float, float, float]]]
 ) -> Picture:
     """Dots in lines, one line a part."""
     gaps = np.cumsum([0.0, *(1.9 if a.split != b.split else 1.0 for a, b in pairwise(parts))])
@@ -174,20 +174,20 @@ def _picture(
         strict=True,
     ):
         seen = []
-        for index, way in enumerate(sweep.ways):
-            found = curves.get((way, key), {})
-            shift = 0.16 * (index - (len(sweep.ways) - 1) / 2)
+        for index, method in enumerate(sweep.methods):
+            found = curves.get((method, key), {})
+            shift = 0.16 * (index - (len(sweep.methods) - 1) / 2)
             y = np.array([gaps[i] + shift for i, part in enumerate(parts) if part in found])
             values = scale * np.array([found[part] for part in parts if part in found]).reshape(-1, 3)
-            ax.hlines(y, values[:, 1], values[:, 2], color=way.colour, linewidth=1.2)
+            ax.hlines(y, values[:, 1], values[:, 2], color=method.colour, linewidth=1.2)
             ax.plot(
                 values[:, 0],
                 y,
-                way.marker,
-                color=way.colour,
+                method.marker,
+                color=method.colour,
                 markersize=4.6,
-                markerfacecolor=way.face,
-                label=theme.plain(way.label),
+                markerfacecolor=method.face,
+                label=theme.plain(method.label),
             )
             seen.append(values[values > 0])
         known = np.concatenate([np.array([]), *seen])
@@ -205,14 +205,14 @@ def _picture(
     axes[0].legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
-        ncol=len(sweep.ways),
+        ncol=len(sweep.methods),
         columnspacing=1.4,
         borderaxespad=0.3,
         handletextpad=0.3,
     )
     worst = [
-        f"{way.label} largest for {_name(max(found, key=lambda part: found[part][0]))}"
-        for (way, key), found in curves.items()
+        f"{method.label} largest for {_name(max(found, key=lambda part: found[part][0]))}"
+        for (method, key), found in curves.items()
         if key == "range_median_abs_m" and found
     ]
     return theme.picture(

@@ -11,7 +11,7 @@ from harness.report.data import Cell, Data, Heading, Table, listed, number, word
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
 from harness.report.sections.error_curves import SURFACES
-from harness.report.sweep import Sweep, Way
+from harness.report.sweep import MethodStyle, Sweep
 from harness.report.words import figure
 
 _MOST_ROWS = 60
@@ -53,31 +53,31 @@ class Steps:
 
 def steps(sweep: Sweep) -> Steps | None:
     """Compare; None unless a matcher was run with whole samples and with a sub-pixel step over several settings."""
-    matchers = {way.matcher for way in sweep.ways if way.subpixel == _WHOLE}
-    refined = [way for way in sweep.ways if way.matcher in matchers and way.subpixel != _WHOLE]
+    matchers = {method.matcher for method in sweep.methods if method.subpixel == _WHOLE}
+    refined = [method for method in sweep.methods if method.matcher in matchers and method.subpixel != _WHOLE]
     if not refined or not sweep.axes:
         return None
-    compared = [way for way in sweep.ways if way.matcher in matchers]
+    compared = [method for method in sweep.methods if method.matcher in matchers]
     errors = {surface: _errors(sweep, compared, column) for surface, column in _FIGURES.items()}
     return Steps(_table(sweep, compared, errors), list(_findings(sweep, compared, errors)))
 
 
-def _errors(sweep: Sweep, ways: list[Way], column: str) -> pd.DataFrame:
-    """Median errors, geometric means over seeds: a row for each setting, a column for each way's place in the list."""
+def _errors(sweep: Sweep, methods: list[MethodStyle], column: str) -> pd.DataFrame:
+    """Median errors, geometric means over seeds: a row for each setting, a column for each method, by its index."""
     keys = [axis.key for axis in sweep.axes]
     parts = {}
-    for index, way in enumerate(ways):
-        trials = way.of(sweep.trials)
+    for index, method in enumerate(methods):
+        trials = method.of(sweep.trials)
         known = trials.assign(logarithm=np.log(trials[column].where(trials[column] > 0)))
         parts[index] = np.exp(known.groupby(keys, sort=False)["logarithm"].mean())
     return pd.DataFrame(parts)
 
 
-def _table(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) -> Table:
+def _table(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.DataFrame]) -> Table:
     headings = [
         Heading("Surface", text=True),
         *(Heading(axis.label) for axis in sweep.axes),
-        *(Heading(way.label[0].upper() + way.label[1:], "px") for way in ways),
+        *(Heading(method.label[0].upper() + method.label[1:], "px") for method in methods),
     ]
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
@@ -94,26 +94,28 @@ def _table(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) -> Ta
             plain.append([surface, *names, *(float(value) for value in values)])
     data = Data(
         "subpixel-steps",
-        ["surface", *(axis.key for axis in sweep.axes), *(f"{way.matcher} {way.subpixel}" for way in ways)],
+        ["surface", *(axis.key for axis in sweep.axes), *(f"{method.matcher} {method.subpixel}" for method in methods)],
         plain,
     )
     return Table(headings, rows[:_MOST_ROWS], data, left_out=max(0, len(rows) - _MOST_ROWS))
 
 
-def _findings(sweep: Sweep, ways: list[Way], errors: dict[str, pd.DataFrame]) -> Iterator[str]:
+def _findings(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.DataFrame]) -> Iterator[str]:
     """For each surface and step: in how many settings it helps, by how much, and at which it helps most and least."""
     for surface, table in errors.items():
-        for index, way in enumerate(ways):
-            if way.subpixel == _WHOLE:
+        for index, method in enumerate(methods):
+            if method.subpixel == _WHOLE:
                 continue
-            whole = next(i for i, each in enumerate(ways) if each.matcher == way.matcher and each.subpixel == _WHOLE)
+            whole = next(
+                i for i, each in enumerate(methods) if each.matcher == method.matcher and each.subpixel == _WHOLE
+            )
             gain = (table[whole] / table[index]).dropna()
             if gain.empty:
                 continue
             helps = int((gain > 1).sum())
             text = (
-                f"{SURFACES[surface].capitalize()}, {way.label}: smaller median error than whole samples in {helps} of "
-                f"{len(gain)} settings"
+                f"{SURFACES[surface].capitalize()}, {method.label}: smaller median error than whole samples "
+                f"in {helps} of {len(gain)} settings"
             )
             if len(gain) > 1:
                 most, least = gain.idxmax(), gain.idxmin()

@@ -19,7 +19,7 @@ from harness.report.markup import html
 from harness.report.section import Block, Figure, TableBlock
 from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import is_of
-from harness.report.sweep import Sweep, Way
+from harness.report.sweep import MethodStyle, Sweep
 from harness.report.theme import Picture
 
 _RANGES = ("#440154", "#414487", "#2A788E", "#22A884", "#7AD151", "#C9B800")
@@ -43,7 +43,7 @@ class _Curve:
         return float(RANGE_RATIO ** (self.range_bin + 0.5))
 
 
-_Curves = dict[tuple[Way, str], list[_Curve]]
+_Curves = dict[tuple[MethodStyle, str], list[_Curve]]
 """For each method and surface, by range."""
 
 
@@ -63,11 +63,13 @@ A best baseline at an end of those tried may lie beyond.
 def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
     """Spread against the baseline, a curve for each range, and where each is lowest."""
     curves = {
-        (way, surface): list(_curves(sweep.cells_of(way, surface))) for surface in sweep.surfaces for way in sweep.ways
+        (method, surface): list(_curves(sweep.cells_of(method, surface)))
+        for surface in sweep.surfaces
+        for method in sweep.methods
     }
     rows = [
-        [way.matcher, way.subpixel, surface, curve.range_m, *each]
-        for (way, surface), found in curves.items()
+        [method.matcher, method.subpixel, surface, curve.range_m, *each]
+        for (method, surface), found in curves.items()
         for curve in found
         for each in zip(curve.baselines, curve.error, curve.low, curve.high, strict=True)
     ]
@@ -88,12 +90,12 @@ def _trade_off(sweep: Sweep, curves: _Curves) -> list[Picture]:
     """Error against the baseline, a curve for each range: a picture for each surface and matcher."""
     bins = sorted({curve.range_bin for found in curves.values() for curve in found})
     colours = {range_bin: _RANGES[index % len(_RANGES)] for index, range_bin in enumerate(bins)}
-    matchers = list(dict.fromkeys(way.matcher for way in sweep.ways))
+    matchers = list(dict.fromkeys(method.matcher for method in sweep.methods))
     pictures = []
     for matcher in matchers:
         for surface in sweep.surfaces:
-            ways = [way for way in sweep.ways if way.matcher == matcher][:3]
-            here = {way: curves[way, surface] for way in ways}
+            methods = [method for method in sweep.methods if method.matcher == matcher][:3]
+            here = {method: curves[method, surface] for method in methods}
             if any(here.values()):
                 name = f"{matcher}, {SURFACES[surface]}" if len(matchers) > 1 else SURFACES[surface]
                 pictures.append(_trade_off_picture(name, here, colours))
@@ -110,15 +112,15 @@ def _curves(cells: pd.DataFrame) -> Iterator[_Curve]:
 
 
 @theme.panel
-def _trade_off_picture(name: str, curves: dict[Way, list[_Curve]], colours: dict[int, str]) -> Picture:
+def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colours: dict[int, str]) -> Picture:
     fig, panels = theme.pair(len(curves), height=330, top=46)
     every = [curve for found in curves.values() for curve in found]
     spread = 1000 * np.concatenate([curve.error for curve in every])
     lengths = np.concatenate([curve.baselines for curve in every])
     told = []
     handles: dict[int, Line2D] = {}
-    for ax, (way, found) in zip(panels, curves.items(), strict=True):
-        step = way.label.split(", ")[-1]
+    for ax, (method, found) in zip(panels, curves.items(), strict=True):
+        step = method.label.split(", ")[-1]
         ax.set_title(theme.plain(step), pad=20)
         for curve in found:
             x, y, colour = curve.baselines, 1000 * curve.error, colours[curve.range_bin]
@@ -166,17 +168,17 @@ def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table
     ]
     rows = []
     for surface in sweep.surfaces:
-        for way in sweep.ways:
-            costs = {curve.range_bin: float(curve.error[-1] / curve.error.min()) for curve in curves[way, surface]}
+        for method in sweep.methods:
+            costs = {curve.range_bin: float(curve.error[-1] / curve.error.min()) for curve in curves[method, surface]}
             for each in law["best_baseline"]:
-                if not is_of(each, way, surface):
+                if not is_of(each, method, surface):
                     continue
                 range_bin = round(math.log(each["range_m"]) / math.log(RANGE_RATIO) - 0.5)
                 low, high = each["baseline_m_ci95"]
                 rows.append(
                     [
                         words(SURFACES[surface]),
-                        words(way.label, way.colour),
+                        words(method.label, method.colour),
                         number(each["range_m"], ".2f"),
                         number(each["baseline_m"], ".3g"),
                         number(low, ".3g"),

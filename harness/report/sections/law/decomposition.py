@@ -136,8 +136,8 @@ def _against(
     told, seen = [], []
     for ax, (surface, surface_words) in zip(panels, SURFACES.items(), strict=True):
         ax.set_title(surface_words)
-        for way in sweep.ways:
-            cells = sweep.cells_of(way, surface)
+        for method in sweep.methods:
+            cells = sweep.cells_of(method, surface)
             if cells.empty:
                 continue
             values = np.log(y[cells.index]) if log_y else y[cells.index]
@@ -147,14 +147,14 @@ def _against(
             table = np.exp(table) if log_y else table
             curve = mean_over_seeds(table, logarithmic=log_y)
             at = [float(value) for value in table.columns]
-            draw_line(ax, way, at, curve, scale)
+            draw_line(ax, method, at, curve, scale)
             seen += [scale * curve.mean, scale * curve.low, scale * curve.high]
             told.append(
-                f"{way.label} on {surface_words} from {scale * curve.mean[0]:.3g} to {scale * curve.mean[-1]:.3g}"
+                f"{method.label} on {surface_words} from {scale * curve.mean[0]:.3g} to {scale * curve.mean[-1]:.3g}"
             )
             against = "t_over_d" if log_x else "alpha_1_deg"
             rows += [
-                [way.matcher, way.subpixel, surface, name, against, *each]
+                [method.matcher, method.subpixel, surface, name, against, *each]
                 for each in zip(at, curve.mean, curve.low, curve.high, strict=True)
             ]
     known = np.concatenate(seen)
@@ -185,14 +185,14 @@ def _sigma_table(sweep: Sweep, law: dict[str, Any]) -> Table:
     ]
     rows = []
     for surface in sweep.surfaces:
-        for way in sweep.ways:
+        for method in sweep.methods:
             for each in law["sigma_alpha"]:
-                if is_of(each, way, surface):
+                if is_of(each, method, surface):
                     low, high = each["slope_ci95"] or (None, None)
                     rows.append(
                         [
                             words(SURFACES[surface]),
-                            words(way.label, way.colour),
+                            words(method.label, method.colour),
                             number(each["slope_on_t_over_d"], "+.3f"),
                             number(low, "+.3f"),
                             number(high, "+.3f"),

@@ -18,7 +18,7 @@ from harness.report.section import About, Block, Context, Figure, LineKey, Table
 from harness.report.sections.error_curves import SURFACES, key_picture
 from harness.report.sections.law import slopes
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
-from harness.report.sweep import Sweep, Way, log_edges
+from harness.report.sweep import MethodStyle, Sweep, log_edges
 from harness.report.theme import FAINT, Picture
 from harness.report.words import figure
 
@@ -94,7 +94,7 @@ def section(context: Context) -> Iterator[Block]:
     yield Figure(
         "figure-law-residuals",
         [_residuals(sweep, fits, surface, letter, rows) for surface, letter in _lettered(sweep)],
-        html(_RESIDUALS, few=len(sweep.ways) < 3),
+        html(_RESIDUALS, few=len(sweep.methods) < 3),
         data=Data("law-residuals", [*_METHOD, "law_over_d", "quartile_1", "median", "quartile_3"], rows),
     )
 
@@ -102,11 +102,11 @@ def section(context: Context) -> Iterator[Block]:
 def _regressions(sweep: Sweep, fits: list[Fit]) -> Figure:
     pictures: list[Picture] = []
     rows: list[list[Any]] = []
-    for way in sweep.ways:
+    for method in sweep.methods:
         for surface in SURFACES:
-            mine = {fit["law"]: fit for fit in fits if is_of(fit, way, surface) and fit["slope"] is not None}
+            mine = {fit["law"]: fit for fit in fits if is_of(fit, method, surface) and fit["slope"] is not None}
             if mine:
-                pictures.append(_regression(sweep, way, surface, mine, rows))
+                pictures.append(_regression(sweep, method, surface, mine, rows))
     headings = [*_METHOD, "law_over_d", "cells", "median_spread_over_d", "ci95_low", "ci95_high"]
     return Figure("figure-law-images", pictures, html(_REGRESSION), data=Data("law-images", headings, rows))
 
@@ -146,9 +146,11 @@ def _adjusted(cells: pd.DataFrame) -> "pd.Series[float]":
 
 
 @theme.panel
-def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binned: list[list[Any]]) -> Picture:
-    there = [found for each in sweep.ways if len(found := sweep.cells_of(each, surface))]
-    cells = sweep.cells_of(way, surface)
+def _regression(
+    sweep: Sweep, method: MethodStyle, surface: str, fits: dict[str, Fit], binned: list[list[Any]]
+) -> Picture:
+    there = [found for each in sweep.methods if len(found := sweep.cells_of(each, surface))]
+    cells = sweep.cells_of(method, surface)
     y = np.exp(_adjusted(cells))
     limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in there])), 0.003)
     limits_x = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
@@ -167,7 +169,7 @@ def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binn
         centre = float(np.exp(np.log(x).mean())), float(np.exp(np.log(y).mean()))
         ends = np.array([x.min(), x.max()])
         ax.plot(ends, centre[1] * (ends / centre[0]), color=theme.TRUTH, linestyle=(0, (4, 2.5)), linewidth=1.0)
-        ax.plot(ends, centre[1] * (ends / centre[0]) ** fit["slope"], color=way.colour, linewidth=1.6)
+        ax.plot(ends, centre[1] * (ends / centre[0]) ** fit["slope"], color=method.colour, linewidth=1.6)
         edges = log_edges(x, 9)
         index = np.digitize(x, edges) - 1
         points = []
@@ -177,18 +179,24 @@ def _regression(sweep: Sweep, way: Way, surface: str, fits: dict[str, Fit], binn
                 median, low, high = median_over_seeds(y[inside].to_numpy(), cells["seed"][inside].to_numpy())
                 at = math.sqrt(edges[i] * edges[i + 1])
                 points.append((at, median, low, high))
-                binned.append([way.matcher, way.subpixel, surface, law, at, int(inside.sum()), median, low, high])
+                binned.append([method.matcher, method.subpixel, surface, law, at, int(inside.sum()), median, low, high])
         across, middle, lower, upper = np.array(points).reshape(-1, 4).T
-        ax.vlines(across, lower, upper, color=way.colour, linewidth=1.4)
+        ax.vlines(across, lower, upper, color=method.colour, linewidth=1.4)
         ax.plot(
-            across, middle, way.marker, color=way.colour, markersize=5, markerfacecolor=theme.PAPER, markeredgewidth=1.3
+            across,
+            middle,
+            method.marker,
+            color=method.colour,
+            markersize=5,
+            markerfacecolor=theme.PAPER,
+            markeredgewidth=1.3,
         )
         ci = fit["slope_ci95"]
         words_of_fit = f"slope {figure(fit['slope'], '.2f')}{'' if ci is None else ' ' + interval(ci, '.2f')}"
         ax.set_title(f"{words_of_fit}\nR² {fit['r2']:.2f}", fontsize=9.5)
         told.append(f"{'exact law' if law == 'exact' else 'short form'} {words_of_fit}, R² {fit['r2']:.2f}")
     panels[0].set_ylabel("spread / $d$, conditions aligned")
-    name = f"{way.label}, {SURFACES[surface]}"
+    name = f"{method.label}, {SURFACES[surface]}"
     return theme.picture(fig, f"Relative range error against the law over the range, {name}: {'; '.join(told)}.", name)
 
 
@@ -215,7 +223,7 @@ def _density(
 @theme.panel
 def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: list[list[Any]]) -> Picture:
     fig, panels = theme.pair()
-    there = [sweep.cells_of(each, surface) for each in sweep.ways]
+    there = [sweep.cells_of(each, surface) for each in sweep.methods]
     limits = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
     told, reach = [], [0.5]
     for ax, law in zip(panels, LAWS, strict=True):
@@ -223,11 +231,13 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
         ax.axhline(0, color=FAINT, linewidth=0.8)
         ax.set_title(LAW_NAMES[law])
         ax.set_xlabel("law / $d$ (per rad)")
-        for number_of, way in enumerate(sweep.ways):
-            fit = next((f for f in fits if is_of(f, way, surface) and f["law"] == law and f["slope"] is not None), None)
+        for number_of, method in enumerate(sweep.methods):
+            fit = next(
+                (f for f in fits if is_of(f, method, surface) and f["law"] == law and f["slope"] is not None), None
+            )
             if fit is None:
                 continue
-            x, off = np.array(list(residuals(sweep.cells_of(way, surface), fit))).T
+            x, off = np.array(list(residuals(sweep.cells_of(method, surface), fit))).T
             edges = log_edges(pd.Series(x), 9)
             index = np.digitize(x, edges) - 1
             points = [
@@ -236,23 +246,23 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
                 if (index == i).sum() >= 8
             ]
             at, low, middle, high = np.array(points).reshape(-1, 4).T
-            if len(sweep.ways) < 3:  # more would hide each other
-                ax.vlines(at, low, high, color=way.colour, linewidth=1.1, alpha=0.8)
+            if len(sweep.methods) < 3:  # more would hide each other
+                ax.vlines(at, low, high, color=method.colour, linewidth=1.1, alpha=0.8)
             else:
                 low = high = middle
             ax.plot(
                 at,
                 middle,
-                color=way.colour,
-                linestyle=way.stroke,
-                marker=way.marker,
+                color=method.colour,
+                linestyle=method.stroke,
+                marker=method.marker,
                 markersize=4,
-                markerfacecolor=way.face,
+                markerfacecolor=method.face,
             )
-            rows += [[way.matcher, way.subpixel, surface, law, *each] for each in points]
+            rows += [[method.matcher, method.subpixel, surface, law, *each] for each in points]
             reach += [float(np.abs([low, high]).max())] if points else []
             told.append(
-                f"{way.label} {PLAIN_NAMES[law]}: medians within {figure(float(middle.min()), '+.2f')} to "
+                f"{method.label} {PLAIN_NAMES[law]}: medians within {figure(float(middle.min()), '+.2f')} to "
                 f"{figure(float(middle.max()), '+.2f')}"
             )
     for ax in panels:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from harness.report.sweep import Way
+from harness.report.sweep import MethodStyle
 
 LAW_NAMES = {"exact": "exact law", "paper": "$d^2/|t|$"}
 PLAIN_NAMES = {"exact": "exact law", "paper": "d²/|t|", "bound": "exact law × bound"}
@@ -27,6 +27,6 @@ squared over |<b>t</b>|, for {{ alpha(1) }} = 90° and a baseline that is short 
 """The law itself, as HTML."""
 
 
-def is_of(entry: dict[str, Any], way: Way, surface: str) -> bool:
+def is_of(entry: dict[str, Any], method: MethodStyle, surface: str) -> bool:
     """Whether an entry of the summary is about this method and surface."""
-    return (entry["matcher"], entry["subpixel"], entry["surface"]) == (way.matcher, way.subpixel, surface)
+    return (entry["matcher"], entry["subpixel"], entry["surface"]) == (method.matcher, method.subpixel, surface)

@@ -11,7 +11,7 @@ from harness.report import theme
 from harness.report.data import Cell, Heading, Table, count, number, words
 from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
-from harness.report.sweep import Sweep, Way, in_words
+from harness.report.sweep import MethodStyle, Sweep, in_words
 from harness.report.theme import Picture
 from harness.report.words import figure
 
@@ -29,20 +29,20 @@ def by_direction(sweep: Sweep, fits: list[Fit], surface: str, letter: str) -> Pi
         ax.set_xlim(ALPHA_1_EDGES_DEG[0], ALPHA_1_EDGES_DEG[-1])
         ax.set_xticks(ALPHA_1_EDGES_DEG[1:-1])
         ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
-        for index, way in enumerate(sweep.ways):
-            fit = next((each for each in fits if is_of(each, way, surface) and each["law"] == law), None)
+        for index, method in enumerate(sweep.methods):
+            fit = next((each for each in fits if is_of(each, method, surface) and each["law"] == law), None)
             if fit is None:
                 continue
-            x = middle + 3.0 * (index - (len(sweep.ways) - 1) / 2)
+            x = middle + 3.0 * (index - (len(sweep.methods) - 1) / 2)
             slopes = np.array([np.nan if each["slope"] is None else each["slope"] for each in fit["by_alpha_1"]])
             bounds = np.array([each["slope_ci95"] or (np.nan, np.nan) for each in fit["by_alpha_1"]]).T
-            ax.vlines(x, *bounds, color=way.colour, linewidth=1.3)
-            ax.plot(x, slopes, way.marker, color=way.colour, markersize=4.6, markerfacecolor=way.face)
+            ax.vlines(x, *bounds, color=method.colour, linewidth=1.3)
+            ax.plot(x, slopes, method.marker, color=method.colour, markersize=4.6, markerfacecolor=method.face)
             known = slopes[np.isfinite(slopes)]
             if known.size:
                 seen += [float(known.min()), float(known.max())]
                 told.append(
-                    f"{way.label} {PLAIN_NAMES[law]} {figure(float(known.min()), '.2f')} to "
+                    f"{method.label} {PLAIN_NAMES[law]} {figure(float(known.min()), '.2f')} to "
                     f"{figure(float(known.max()), '.2f')}"
                 )
     low, high = min(0.0, *seen), max(seen)
@@ -70,17 +70,17 @@ def noise_table(sweep: Sweep, fits: list[Fit]) -> Table:
 def _table(sweep: Sweep, fits: list[Fit], heading: Heading, cell: Callable[[Fit], Cell]) -> Table:
     """A row for each fit, with a column for what tells the fits of one method and surface apart."""
     rows = [
-        [*_who(surface, way), cell(fit), *_slope_cells(fit), count(fit["cells"])]
+        [*_who(surface, method), cell(fit), *_slope_cells(fit), count(fit["cells"])]
         for surface in sweep.surfaces
-        for way in sweep.ways
+        for method in sweep.methods
         for fit in fits
-        if is_of(fit, way, surface)
+        if is_of(fit, method, surface)
     ]
     return Table([*_SURFACE_AND_METHOD, heading, *_SLOPE, Heading("Cells")], rows)
 
 
-def _who(surface: str, way: Way) -> list[Cell]:
-    return [words(SURFACES[surface]), words(way.label, way.colour)]
+def _who(surface: str, method: MethodStyle) -> list[Cell]:
+    return [words(SURFACES[surface]), words(method.label, method.colour)]
 
 
 def _slope_cells(fit: Fit) -> list[Cell]:
@@ -102,17 +102,17 @@ def condition_table(sweep: Sweep) -> Table:
     for condition, cells in sweep.cells.groupby("condition", sort=False):
         fits = fit_laws(cells.assign(alpha_bin=-1))  # over all directions only: parts of each would take long
         for surface in sweep.surfaces:
-            for way in sweep.ways:
-                part = way.of(cells[cells["surface"] == surface])
+            for method in sweep.methods:
+                part = method.of(cells[cells["surface"] == surface])
                 rows += [
                     [
                         words(in_words(str(condition))),
-                        *_who(surface, way),
+                        *_who(surface, method),
                         *_slope_cells(fit),
                         number(float((part["gross"] * part["pixels"]).sum() / part["pixels"].sum()), ".0f", 100),
                     ]
                     for fit in fits
-                    if is_of(fit, way, surface) and fit["law"] == "exact"
+                    if is_of(fit, method, surface) and fit["law"] == "exact"
                 ]
     return Table(headings, rows)
 
@@ -132,14 +132,14 @@ def coefficient_table(sweep: Sweep, fits: list[Fit]) -> Table:
     ]
     rows = []
     for surface in sweep.surfaces:
-        for way in sweep.ways:
+        for method in sweep.methods:
             for fit in fits:
-                if is_of(fit, way, surface):
+                if is_of(fit, method, surface):
                     law, bound = (fit[f"{name}_ci95"] or (None, None) for name in ("law", "bound"))
                     values = (fit["law"], *law, fit["bound"], *bound)
                     rows.append(
                         [
-                            *_who(surface, way),
+                            *_who(surface, method),
                             *(number(value, ".3f") for value in values),
                             number(fit["r2"], ".2f"),
                             count(fit["cells"]),

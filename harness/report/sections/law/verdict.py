@@ -13,7 +13,7 @@ from harness.report.markup import html
 from harness.report.section import About, Block, Context, InAbstract, Paragraph, section_of
 from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import INTRO, Fit, is_of
-from harness.report.sweep import Sweep, Way
+from harness.report.sweep import MethodStyle, Sweep
 from harness.report.words import figure, typeset
 
 _WORDS = """
@@ -39,7 +39,7 @@ these the present data show is said above; the figures below show how much.</p>
 _FINDINGS = """
 <ul class="findings">
 {% for each in findings %}
-<li style="--key: {{ each.way.colour }}"><b>{{ surfaces[each.surface] | capitalize }}, {{ each.way.label }}.</b>
+<li style="--key: {{ each.method.colour }}"><b>{{ surfaces[each.surface] | capitalize }}, {{ each.method.label }}.</b>
  {{ each.words | symbols }}
 {% if reasons and each.reasons %}<ul>{% for reason in each.reasons %}<li>{{ reason | symbols }}</li>{% endfor %}</ul>
 {% endif %}
@@ -67,7 +67,7 @@ def section(context: Context) -> Iterator[Block]:
 class Finding:
     """What can be said of the law for one method and surface."""
 
-    way: Way
+    method: MethodStyle
     surface: str
     words: str
     """The verdict of the evaluation."""
@@ -79,18 +79,18 @@ def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
     """The verdict for every method and surface, with where the law fails."""
     found = []
     for surface in sweep.surfaces:
-        for way in sweep.ways:
-            fits = [fit for fit in law["images"] if is_of(fit, way, surface)]
+        for method in sweep.methods:
+            fits = [fit for fit in law["images"] if is_of(fit, method, surface)]
             exact = next((fit for fit in fits if fit["law"] == "exact" and fit["slope"] is not None), None)
             if exact is None:
                 continue
             said = verdict(fits, sweep.cells, directions=False).partition(": ")[2]
             said = typeset(f"{said[:1].upper()}{said[1:]}")
-            found.append(Finding(way, surface, said, list(_reasons(sweep, way, surface, exact, law))))
+            found.append(Finding(method, surface, said, list(_reasons(sweep, method, surface, exact, law))))
     return found
 
 
-def _reasons(sweep: Sweep, way: Way, surface: str, exact: Fit, law: dict[str, Any]) -> Iterator[str]:
+def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: dict[str, Any]) -> Iterator[str]:
     """Where the slope's interval leaves out 1, and how the angle's own error grows."""
     known = [each for each in exact["by_alpha_1"] if each["slope_ci95"] is not None]
     off = [each for each in known if not each["slope_ci95"][0] <= 1 <= each["slope_ci95"][1]]
@@ -103,7 +103,7 @@ def _reasons(sweep: Sweep, way: Way, surface: str, exact: Fit, law: dict[str, An
         yield f"The interval leaves out 1 in {which}: α₁ = {places}."
     elif known:
         yield f"In each of the {len(known)} directions by itself the interval holds 1."
-    grown = next((each for each in law["sigma_alpha"] if is_of(each, way, surface)), None)
+    grown = next((each for each in law["sigma_alpha"] if is_of(each, method, surface)), None)
     if grown and grown["slope_ci95"] is not None:
         slope, (low, high) = grown["slope_on_t_over_d"], grown["slope_ci95"]
         power = f"the power {figure(slope, '.2f')} {interval((low, high), '.2f')} of |t|/d"
@@ -116,7 +116,7 @@ def _reasons(sweep: Sweep, way: Way, surface: str, exact: Fit, law: dict[str, An
                 else "a small dependence, but one that the data can tell from none"
             )
             yield f"σ(α₂) goes with {power}: {tail}."
-    cells = sweep.cells_of(way, surface)
+    cells = sweep.cells_of(method, surface)
     low_half, high_half = _gross_halves(cells)
     if max(low_half, high_half) > GROSS:
         yield (
