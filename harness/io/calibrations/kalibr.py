@@ -1,0 +1,107 @@
+"""Kalibr's camchain YAML: `omni`, `eucm`, `ds` and `pinhole` cameras, and the motion from each to the next."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from harness.io.calibrations.opencv import PERSPECTIVE
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.values import member, numbers, pixels, refusal, table, transform
+
+INTRINSICS = {
+    "omni": "xi fu fv pu pv",
+    "eucm": "alpha beta fu fv pu pv",
+    "ds": "xi alpha fu fv pu pv",
+    "pinhole": "fu fv pu pv",
+}
+"""The order of `intrinsics`."""
+_DISTORTION = {"none": "", "radtan": "k1 k2 p1 p2", "equidistant": "k1 k2 k3 k4", "fov": "w"}
+_SUPPORTED = {
+    "omni": ("none", "radtan"),
+    "eucm": ("none",),
+    "ds": ("none",),
+    "pinhole": ("none", "radtan", "equidistant"),
+}
+_KINDS = {"omni": "unified", "eucm": "eucm", "ds": "double_sphere", "pinhole": "unified"}
+
+
+def recognises(content: Content) -> bool:
+    """Whether it has tables cam0, cam1, ... with a `camera_model`."""
+    return any(isinstance(each, Mapping) and "camera_model" in each for each in _chain(content).values())
+
+
+def read(content: Content) -> Calibration:
+    """See `Format.read`."""
+    cameras: list[CalibratedCamera] = []
+    place = np.eye(4)
+    is_placed = True
+    for i, (name, value) in enumerate(_chain(content).items()):
+        entry = table(content, value, name)
+        camera = _camera(content, entry, name)
+        if i:
+            is_placed = is_placed and "T_cn_cnm1" in entry
+        if i and is_placed:
+            place = transform(content, entry["T_cn_cnm1"], f"{name}.T_cn_cnm1") @ place
+        cameras.append(replace(camera, T_cam_from_first=place if is_placed else None))
+    return Calibration(content.file, "kalibr", tuple(cameras))
+
+
+def _chain(content: Content) -> dict[str, Any]:
+    names = [str(key) for key in content.table if re.fullmatch(r"cam\d{1,4}", str(key))]
+    return {name: content.table[name] for name in sorted(names, key=lambda name: int(name[3:]))}
+
+
+def _camera(content: Content, entry: Mapping[str, Any], name: str) -> CalibratedCamera:
+    model = _word(content, entry, name, "camera_model", tuple(INTRINSICS))
+    distortion = (
+        _word(content, entry, name, "distortion_model", tuple(_DISTORTION))
+        if (model not in ("eucm", "ds") or "distortion_model" in entry)
+        else "none"
+    )
+    if distortion not in _SUPPORTED[model]:
+        known = " or ".join(_SUPPORTED[model])
+        raise refusal(
+            content, f"{name}.distortion_model", f"{distortion} of a {model} camera is not supported, only {known}"
+        )
+    intrinsics = numbers(content, *member(content, entry, "intrinsics", name), INTRINSICS[model])
+    given = dict(zip(INTRINSICS[model].split(), intrinsics, strict=True))
+    fu, fv = given.pop("fu"), given.pop("fv")
+    if not (fu > 0 and fv > 0):
+        raise refusal(content, f"{name}.intrinsics", f"fu and fv must be above 0; found {fu:g} and {fv:g}")
+    camera = {"focal_px": fu, "aspect": fv / fu, "cx_px": given.pop("pu"), "cy_px": given.pop("pv")}
+    terms: list[float] = []
+    if distortion != "none" or "distortion_coeffs" in entry:
+        coefficients, key = member(content, entry, "distortion_coeffs", name)
+        terms = numbers(content, coefficients, key, _DISTORTION[distortion])
+    named = dict(zip(_DISTORTION[distortion].split(), terms, strict=True))
+    if distortion == "equidistant":
+        ours: dict[str, Any] = {"kind": "kannala_brandt"} | named
+    else:
+        ours = {"kind": _KINDS[model]} | ({"xi": 0.0} if model == "pinhole" else given)
+    return CalibratedCamera(
+        name=name,
+        model=ours,
+        camera=camera,
+        lens=named if distortion == "radtan" else {},
+        size=pixels(content, *member(content, entry, "resolution", name)),
+        keys={f"camera.{each}": f"{name}.intrinsics" for each in camera}
+        | {f"model.{each}": f"{name}.intrinsics" for each in given}
+        | {"camera.width_px": f"{name}.resolution", "camera.height_px": f"{name}.resolution"}
+        | {"lens": f"{name}.distortion_coeffs"},
+        notes=(PERSPECTIVE,) if ours["kind"] == "unified" and model == "pinhole" else (),
+    )
+
+
+def _word(content: Content, entry: Mapping[str, Any], name: str, key: str, known: tuple[str, ...]) -> str:
+    value, place = member(content, entry, key, name)
+    word = str(value).strip().lower()
+    word = {"equi": "equidistant"}.get(word, word)
+    if word not in known:
+        raise refusal(content, place, f"'{word}' is not supported, only {', '.join(known)}")
+    return word
+
+
+KALIBR = Format("Kalibr camchain (YAML)", recognises, read)

@@ -1,0 +1,116 @@
+"""OCamCalib's text file (calib_results.txt): direct and inverse polynomial, centre, affine part, size.
+
+The centre is (row, column), the size height before width, and x runs along rows: (row, column) = [c d; e 1] (x, y) +
+centre. A pixel sees (x, y, a_0 + a_1 rho + ...) with rho = |(x, y)| in pixels and a_0 < 0: the optical axis is -z. So
+a camera's frame as all others have it is (X, Y, Z) = (y, x, -z), a rotation.
+"""
+
+import numpy as np
+
+from harness.display import shortened
+from harness.geometry.angles import Array
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.values import number, refusal, whole
+
+_MOST = 64
+"""Coefficients of a polynomial; OCamCalib's own reader has room for as many."""
+DIRECT, INVERSE, CENTRE, AFFINE, SIZE = (
+    "direct polynomial",
+    "inverse polynomial",
+    "center",
+    "affine parameters",
+    "image size",
+)
+
+
+def recognises(content: Content) -> bool:
+    """Whether its numbers begin with two counted lists, or its first comment is OCamCalib's."""
+    if content.syntax != "text":
+        return False
+    first = content.text.lstrip().partition("\n")[0].lower()
+    if first.startswith("#") and "polynomial" in first:
+        return True
+    words = _words(content)
+    try:
+        direct = int(words[0])
+        inverse = int(words[1 + direct])
+        [float(word) for word in words[: direct + inverse + 9]]
+    except (ValueError, IndexError):
+        return False
+    return 2 <= direct <= _MOST and 0 <= inverse <= _MOST and len(words) >= direct + inverse + 9
+
+
+def read(content: Content) -> Calibration:
+    """See `Format.read`."""
+    words = _words(content)
+    direct = _counted(content, words, DIRECT, least=2)
+    inverse = _counted(content, words, INVERSE, least=0)
+    row, column = _taken(content, words, 2, CENTRE)
+    c, d, e = _taken(content, words, 3, AFFINE)
+    height, width = (whole(content, each, SIZE) for each in _taken(content, words, 2, SIZE))
+    notes = []
+    if words:
+        notes.append(f"what follows the image size is not used: {shortened(' '.join(words))}")
+    if inverse:
+        notes.append(_agreement(np.array(direct), np.array(inverse), row, column, (height, width)))
+    camera = CalibratedCamera(
+        name="",
+        model={"kind": "ocam", "coefficients": direct, "c": c, "d": d, "e": e},
+        camera={"cx_px": column, "cy_px": row},
+        size=(width, height),
+        keys={"model.coefficients": DIRECT, "camera.cx_px": CENTRE, "camera.cy_px": CENTRE}
+        | {f"model.{each}": AFFINE for each in "cde"}
+        | {"camera.width_px": SIZE, "camera.height_px": SIZE},
+        notes=tuple(notes),
+    )
+    return Calibration(content.file, "ocamcalib", (camera,))
+
+
+def inverse_radius(inverse: Array, theta: Array) -> Array:
+    """The radius rho in pixels by the inverse polynomial, whose powers of theta ascend.
+
+    theta
+        Angle above the plane z = 0, radians; -pi/2 on the axis.
+    """
+    return np.asarray(np.polynomial.polynomial.polyval(theta, inverse), dtype=np.float64)
+
+
+def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: tuple[int, int]) -> str:
+    """How far the two polynomials of a file are apart within its image, in words."""
+    reach = max(np.hypot(row - at_row, column - at_column) for at_row in (0, shape[0]) for at_column in (0, shape[1]))
+    rho = np.linspace(1.0, reach, 400)
+    z = np.polynomial.polynomial.polyval(rho, direct)
+    theta = np.arctan2(z, rho)
+    one_way = np.concatenate([[True], np.diff(theta) > 0])
+    rho, theta = rho[np.logical_and.accumulate(one_way)], theta[np.logical_and.accumulate(one_way)]
+    apart = np.abs(inverse_radius(inverse, theta) - rho)
+    return (
+        f"the direct polynomial is used; the file's inverse polynomial is off by {apart.max():.2g} px at most and "
+        f"{np.sqrt(np.mean(apart**2)):.2g} px RMS up to {rho[-1]:.0f} px from the centre"
+    )
+
+
+def _words(content: Content) -> list[str]:
+    lines = (line.partition("#")[0] for line in content.text.splitlines())
+    return " ".join(lines).split()
+
+
+def _counted(content: Content, words: list[str], key: str, least: int) -> list[float]:
+    (count,) = _taken(content, words, 1, key)
+    if not least <= whole(content, count, key) <= _MOST:
+        raise refusal(
+            content, key, f"must begin with the number of its coefficients, {least} to {_MOST}; found {count:g}"
+        )
+    return _taken(content, words, int(count), key)
+
+
+def _taken(content: Content, words: list[str], count: int, key: str) -> list[float]:
+    """The next numbers, taken off."""
+    if len(words) < count:
+        raise refusal(content, key, f"the file ends before it: {count} numbers must be here; found {len(words)}")
+    taken = [number(content, word, key) for word in words[:count]]
+    del words[:count]
+    return taken
+
+
+OCAMCALIB = Format("OCamCalib (text)", recognises, read)

@@ -1,0 +1,70 @@
+"""What a calibration file says, in the terms of a sensor file: the record that every reader makes."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from harness.display import OneLine
+from harness.geometry.angles import Array
+
+
+@dataclass(frozen=True)
+class Content:
+    """The text of a calibration file and what a parser makes of it."""
+
+    file: Path
+    """For messages."""
+    syntax: str
+    """`yaml`, `xml`, `json`, `toml`, or `text` for all else."""
+    text: str
+    data: Any = None
+    """The parsed text: tables, lists, text and numbers; None for `text`."""
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        """The parsed text where it is a table; an empty one where it is not."""
+        return self.data if isinstance(self.data, Mapping) else {}
+
+
+@dataclass(frozen=True, repr=False)
+class CalibratedCamera(OneLine):
+    """One camera of a calibration file. Tables and keys are those of a sensor file."""
+
+    name: str
+    """What the file calls it, such as `cam0`; may be empty."""
+    model: dict[str, Any]
+    """`kind` and the model's own keys."""
+    camera: dict[str, float]
+    """Focal length, aspect, skew and centre; pixel centres at the integers."""
+    lens: dict[str, float] = field(default_factory=dict)
+    size: tuple[int, int] | None = None
+    """Width and height, pixels; None where the file does not say."""
+    keys: dict[str, str] = field(default_factory=dict)
+    """Where a value of a sensor file, by its dotted key, comes from: the key in this file, for messages."""
+    notes: tuple[str, ...] = ()
+    """What a user should know of how the file was read, one sentence each."""
+    T_cam_from_first: Array | None = None
+    """`[4, 4]`: a point in the frame of the file's first camera in this one's, metres; None where it is not told."""
+
+
+@dataclass(frozen=True, repr=False)
+class Calibration(OneLine):
+    """All cameras of a calibration file."""
+
+    file: Path
+    format: str
+    """A name in `FORMATS`."""
+    cameras: tuple[CalibratedCamera, ...]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of calibration file."""
+
+    title: str
+    """For people: `Kalibr camchain`."""
+    recognises: Callable[[Content], bool]
+    """Whether a file is of this kind, by what is in it."""
+    read: Callable[[Content], Calibration]
+    """Raises an `InputError` with file and key where something is missing, wrong or not supported."""
