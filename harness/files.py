@@ -115,11 +115,15 @@ def write(path: Path, content: str | bytes) -> None:
     InputError
         When it cannot be written.
     """
-    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     try:
-        replace_file(path, data)
+        replace_file(path, encoded(content) if isinstance(content, str) else content)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be written ({getattr(error, 'strerror', None) or error})", file=path) from error
+
+
+def encoded(text: str) -> bytes:
+    """A text as `write` writes it."""
+    return text.encode(errors="backslashreplace")
 
 
 def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:

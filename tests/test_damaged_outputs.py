@@ -2,13 +2,16 @@
 
 import os
 import random
+import re
+import shutil
 from pathlib import Path
 
 import pytest
 from sweeps import write_small
 
 from harness.cli import main
-from harness.runs.run import WRITTEN
+from harness.runs.store import Store
+from harness.runs.written import WRITTEN
 
 SEED = 20
 
@@ -148,3 +151,58 @@ def test_compare_names_the_file_that_it_cannot_read(
     said = capsys.readouterr().err
     assert said.startswith(f"omnirange: {tmp_path / name}: cannot be read as a run's (")
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("harm", ["a digit", "cut", "settings", "facts"])
+def test_compare_refuses_a_file_that_is_not_as_it_was_written(
+    made: Path, tmp_path: Path, harm: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, page = tmp_path / "copy", tmp_path / "c.html"
+    shutil.copytree(made / "o", copy)
+    assert main(["compare", str(made / "o"), str(copy), "--out", str(page)]) == 0
+    page.unlink()
+    capsys.readouterr()
+    name = {"settings": "experiment.toml", "facts": "environment.json"}.get(harm, "trials.csv")
+    before = (copy / name).read_text(encoding="utf-8")
+    digit = re.search(r"(?<=\.\d\d)\d", before)
+    changes = {
+        "a digit": lambda: before[: digit.start()] + str(9 - int(digit.group())) + before[digit.end() :],
+        "cut": lambda: before[: before.rindex("\n", 0, -1) + 1],  # whole lines: it reads as well as before
+        "settings": lambda: before.replace("seed = 1\n", "seed = 2\n"),
+        "facts": lambda: before.replace('"python": "', '"python": "1'),
+    }
+    after = changes[harm]()
+    assert after != before
+    (copy / name).write_text(after, encoding="utf-8")
+    assert main(["compare", str(made / "o"), str(copy), "--out", str(page)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"omnirange: {copy / name}: is not as it was written")
+    assert (said.count("\n"), page.exists()) == (1, False)
+    assert main(["report", str(copy)]) == 0  # which writes it anew
+    assert main(["compare", str(made / "o"), str(copy), "--out", str(page)]) == 0
+
+
+def test_compare_says_where_tables_cannot_be_checked(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for each in ("experiment.toml", "environment.json", "trials.csv"):
+        (tmp_path / each).write_bytes((made / "o" / each).read_bytes())
+    assert main(["compare", str(tmp_path), str(made / "o"), "--out", str(tmp_path / "c.html")]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith(f"omnirange: {tmp_path}: has no database with the hashes of its tables")
+    assert said.count("\n") == 1
+
+
+def test_compare_writes_nothing_into_the_folders(made: Path, tmp_path: Path) -> None:
+    """Those of somebody else can be compared, even while another process reads them."""
+    for name in ("one", "two"):
+        shutil.copytree(made / "o", tmp_path / name)
+        for path in [*(tmp_path / name).rglob("*"), tmp_path / name]:
+            path.chmod(0o555 if path.is_dir() else 0o444)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    command = ["compare", str(tmp_path / "one"), str(tmp_path / "two"), "--out", str(made / "c.html")]
+    with Store(tmp_path / "one" / "run.sqlite", read_only=True):
+        assert main(command) == 0
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+    for name in ("one", "two"):
+        (tmp_path / name).chmod(0o755)  # for pytest to clear away

@@ -1,6 +1,7 @@
 """The maps of a trial: the same numbers as the trial's own, in memory, in a file, and in a run that was resumed."""
 
 import builtins
+import dataclasses
 import re
 import sys
 import tomllib
@@ -88,7 +89,7 @@ def test_the_text_beside_the_files_names_every_array(maps: TrialMaps, tmp_path: 
         assert all(archive[name].shape == (height, width) for name in MAPS)
 
 
-@pytest.mark.parametrize("harm", ["cut short", "empty", "other code", "missing"])
+@pytest.mark.parametrize("harm", ["cut short", "empty", "other code", "missing", "changed", "another trial's"])
 def test_a_file_that_is_damaged_or_stale_is_not_read(
     harm: str, maps: TrialMaps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +101,13 @@ def test_a_file_that_is_damaged_or_stale_is_not_read(
         file.write_bytes(b"")
     elif harm == "other code":
         monkeypatch.setattr(maps_module, "code_hash", lambda: "another")
+    elif harm == "changed":
+        data = bytearray(file.read_bytes())
+        data[len(data) // 4] ^= 0xFF
+        file.write_bytes(data)
+    elif harm == "another trial's":
+        write_maps(dataclasses.replace(maps, key="0" * 16), tmp_path)
+        maps_file(tmp_path, "0" * 16).replace(file)
     else:
         file.unlink()
     assert not has_maps(tmp_path, maps.key)

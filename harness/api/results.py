@@ -13,9 +13,9 @@ from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment
 from harness.runs.recorded import recorded
-from harness.runs.run import DATABASE, Result, Row, columns_of, result_from, rows_of, write_report, write_summary
+from harness.runs.run import Result, Row, columns_of, result_from, rows_of, write_report, write_summary
 from harness.runs.settings_reference import unit_of
-from harness.runs.store import Store
+from harness.runs.store import DATABASE, Store
 from harness.runs.worker import run_here
 from harness.spec import as_table
 
@@ -201,9 +201,9 @@ class RunResult:
             return Path(file)
         if self.folder is None:
             raise InputError("the run is in memory: say where the report is to be written", key="file")
-        write_summary(self._result, self.folder)
         page = build_report(self._result)
         with Store(self.folder / DATABASE) as store:
+            write_summary(self._result, store, self.folder)
             write_report(self._result, page, store, self.folder)
         return self.folder / "report.html"
 

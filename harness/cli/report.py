@@ -31,8 +31,8 @@ def add(commands: Commands) -> None:
 def run(options: Namespace) -> int:
     """Write everything that is made from the rows of a run."""
     from harness.runs.recorded import recorded
-    from harness.runs.run import DATABASE, run_status
-    from harness.runs.store import Store
+    from harness.runs.run import run_status
+    from harness.runs.store import DATABASE, Store
 
     database = options.folder / DATABASE
     if not database.is_file():

@@ -55,7 +55,7 @@ def write(
         from harness.report.build import build_report
 
         result = result_of(experiment, store, run_code=run_code)
-        write_summary(result, folder)  # before the report: what can be read without it is not lost with it
+        write_summary(result, store, folder)  # before the report: what can be read without it is not lost with it
         not_drawn: list[str] = []
         gc.freeze()  # rows are millions of objects that stay: not to be searched again while figures are drawn
         try:

@@ -59,6 +59,7 @@ Every map is [height, width] of view 1's panorama: row 0 at the top, columns asc
 phi            rad   [width]: azimuth of the columns
 z                    [height]: height of the rows on the unit cylinder; the elevation is atan(z)
 baseline_m     m     scalar: |t|
+key                  the trial's key, as in the file's name
 settings             the trial's settings, TOML text
 code                 SHA-256 of the source and libraries that made the file
 
@@ -242,6 +243,7 @@ def write_maps(maps: TrialMaps, folder: Path) -> None:
         phi=maps.grid.phi,
         z=maps.grid.z,
         baseline_m=maps.trial.motion.baseline_m,
+        key=maps.key,
         settings=dump_toml(maps.trial),
         code=code_hash(),
     )
@@ -267,10 +269,11 @@ def maps_file(folder: Path, key: str) -> Path:
 
 
 def has_maps(folder: Path, key: str) -> bool:
-    """Whether the maps of a trial are there, made by the code and libraries of today."""
+    """Whether the maps of this very trial are there and whole, made by the code and libraries of today."""
     try:
         with maps_file(folder, key).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return str(archive["code"]) == code_hash()
+            its = (str(archive["key"]), str(archive["code"]))
+            return its == (key, code_hash()) and archive.zip.testzip() is None
     except _UNREADABLE:
         return False
 

@@ -1,9 +1,11 @@
 """Runs side by side: what differs between them, and paired differences of their main figures."""
 
 import csv
+import io
 import json
 import os
 import tomllib
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
@@ -24,9 +26,12 @@ from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure
 from harness.runs.values import identity_of, value_of
+from harness.runs.written import read_written
 
 READ = ("experiment.toml", "trials.csv")
 """Written by every run. They are read rather than the rows, so that runs of other code can be compared."""
+_FACTS = "environment.json"
+"""Written with the summary."""
 
 COMPARED = (
     "wall_disparity_median_abs_px",
@@ -146,7 +151,7 @@ def build_comparison(*folders: Path) -> Comparison:
     Raises
     ------
     InputError
-        When a folder holds no run, or what it holds cannot be read.
+        When a folder holds no run, or what it holds cannot be read or is not as it was written.
     """
     if len(folders) < 2:
         raise InputError("give at least two folders to compare")
@@ -193,21 +198,27 @@ def _read(folder: Path, name: str) -> Run:
     for file in READ:
         if not (folder / file).is_file():
             raise InputError(f"holds no run that can be compared: there is no {file} in it", file=folder)
+    files, checked = read_written(folder, (*READ, _FACTS))
     path = folder
     try:
         path = folder / "experiment.toml"
-        experiment = tomllib.loads(path.read_text(encoding="utf-8"))
+        experiment = tomllib.loads(files["experiment.toml"].decode())
         base = dict(_flat(experiment["trial"]))
-        path, facts = folder / "environment.json", {}
-        if path.is_file():
-            facts = json.loads(path.read_text(encoding="utf-8"))
+        path = folder / _FACTS
+        facts = json.loads(files.get(_FACTS, b"{}"))
         path = folder / "trials.csv"
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
-        return _run(folder, name, str(experiment["name"]), base, rows, facts)
+        rows = list(csv.DictReader(io.StringIO(files["trials.csv"].decode(), newline="")))
+        run = _run(folder, name, str(experiment["name"]), base, rows, facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         why = f"there is no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"cannot be read as a run's ({why})", file=path) from error
+    if not checked:
+        warnings.warn(
+            f"{folder}: has no database with the hashes of its tables, so whether they were changed is not known",
+            Notice,
+            stacklevel=2,
+        )
+    return run
 
 
 def _run(

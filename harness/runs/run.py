@@ -32,24 +32,14 @@ from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
 from harness.runs.scheduler import run_batches
-from harness.runs.store import Finished, Store, UnusedRows
+from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
+from harness.runs.written import is_written, set_reported, write_files
 from harness.spec import as_table, dump_toml
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
 """What `summary.json` and the report call the paper's two methods."""
-
-DATABASE = "run.sqlite"
-WRITTEN = (
-    "experiment.toml",
-    "environment.json",
-    "trials.csv",
-    "timings.csv",
-    "summary.json",
-    "report.html",
-)
-"""The files made from the rows; `failures.csv` too, when a trial failed."""
 
 
 @dataclass(frozen=True)
@@ -259,9 +249,12 @@ def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
         When the folder cannot be written to.
     """
     rows = rows_of(experiment, store)
-    write(folder / "experiment.toml", dump_toml(experiment))
-    write(folder / "trials.csv", _trials(experiment, rows))
-    write(folder / "timings.csv", _timings(rows))
+    tables = {
+        "experiment.toml": dump_toml(experiment),
+        "trials.csv": _trials(experiment, rows),
+        "timings.csv": _timings(rows),
+    }
+    write_files(tables, folder, store)
     failures = folder / "failures.csv"
     if any(row.state == "failed" for row in rows):
         write(failures, _failures(experiment, rows))
@@ -269,7 +262,7 @@ def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
         failures.unlink(missing_ok=True)
 
 
-def write_summary(result: Result, folder: Path) -> None:
+def write_summary(result: Result, store: Store, folder: Path) -> None:
     """Write `environment.json` and `summary.json`.
 
     Raises
@@ -277,8 +270,8 @@ def write_summary(result: Result, folder: Path) -> None:
     InputError
         When the folder cannot be written to.
     """
-    write(folder / "environment.json", _json(result.environment))
-    write(folder / "summary.json", _json(result.summary))
+    files = {"environment.json": _json(result.environment), "summary.json": _json(result.summary)}
+    write_files(files, folder, store)
 
 
 def write_report(result: Result, report: str, store: Store, folder: Path) -> None:
@@ -289,25 +282,13 @@ def write_report(result: Result, report: str, store: Store, folder: Path) -> Non
     InputError
         When the folder cannot be written to.
     """
-    write(folder / "report.html", report)
-    store.set_fact("reported", [_digest(result.experiment, store), _hashes(folder)])
+    write_files({"report.html": report}, folder, store)
+    set_reported(_digest(result.experiment, store), store, folder)
 
 
 def is_reported(experiment: Experiment, store: Store, folder: Path) -> bool:
     """Whether all that would be written from the rows is there already, and as it was written."""
-    hashes = _hashes(folder)
-    return None not in hashes.values() and store.fact("reported") == [_digest(experiment, store), hashes]
-
-
-def _hashes(folder: Path) -> dict[str, str | None]:
-    """SHA-256 of the files made from the rows, by name; None for what is no regular file."""
-    hashes: dict[str, str | None] = dict.fromkeys(WRITTEN)
-    for name in WRITTEN:
-        path = folder / name
-        if path.is_file() and not path.is_symlink():
-            with path.open("rb") as stream:
-                hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return hashes
+    return is_written(_digest(experiment, store), store, folder)
 
 
 def columns_of(experiment: Experiment) -> list[str]:

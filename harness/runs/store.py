@@ -17,6 +17,9 @@ from typing import Any, Literal, Self
 from harness.errors import InputError
 from harness.pipeline.environment import code_hash
 
+DATABASE = "run.sqlite"
+"""Its name in the run's folder."""
+
 _APPLICATION, _SCHEMA = 0x6F6D6E69, 2
 """SQLite's `application_id` of our files ("omni"), and the `user_version`, that of the tables below."""
 
@@ -90,6 +93,8 @@ class Store:
     ----------
     path
         The file, made if it is not there; None for one in memory.
+    read_only
+        Nothing is written, and the file has to be there. Others may read it at the same time.
 
     Raises
     ------
@@ -97,7 +102,7 @@ class Store:
         When the file is no run of this program, is damaged, or is held by another process.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
+    def __init__(self, path: Path | None = None, *, read_only: bool = False) -> None:
         self._path = path
         self._code = code_hash()
         if path is not None and path.is_symlink():  # it could lead to another's file
@@ -105,11 +110,12 @@ class Store:
         if path is not None and path.exists() and not path.is_file() and not path.is_dir():
             raise InputError("is not a regular file; move it away, or give another folder", file=path)
         try:
-            self._connection = sqlite3.connect(path or ":memory:", timeout=0, isolation_level=None)
+            name = f"{path.absolute().as_uri()}?mode=ro" if path and read_only else path or ":memory:"
+            self._connection = sqlite3.connect(name, timeout=0, isolation_level=None, uri=read_only)
         except _DAMAGE as error:
             raise self._explained(error) from error
         try:
-            self._open()
+            self._open(read_only=read_only)
         except BaseException as error:
             self._connection.close()  # nobody else will: there is no store to leave
             if isinstance(error, _DAMAGE):
@@ -124,13 +130,13 @@ class Store:
     ) -> None:
         self._connection.close()
 
-    def _open(self) -> None:
+    def _open(self, *, read_only: bool) -> None:
         # The lock is kept until the connection closes, and falls with the process, however it ends.
         self._do("PRAGMA locking_mode = EXCLUSIVE")
         self._do("PRAGMA synchronous = FULL")
-        self._do("BEGIN EXCLUSIVE")
+        self._do("BEGIN" if read_only else "BEGIN EXCLUSIVE")
         application, tables = self._number("PRAGMA application_id"), self._number("SELECT count(*) FROM sqlite_master")
-        if not application and not tables:
+        if not application and not tables and not read_only:
             for statement in _TABLES.split(";"):
                 self._do(statement)
             self._do(f"PRAGMA application_id = {_APPLICATION}")
@@ -141,7 +147,8 @@ class Store:
             raise InputError("was written by another version of omnirange; give another folder", file=self._path)
         elif self._do("PRAGMA quick_check").fetchone()[0] != "ok":
             raise sqlite3.DatabaseError("quick_check")
-        self._do(_ANSWERS)
+        if not read_only:
+            self._do(_ANSWERS)
         self._do("COMMIT")
 
     def finished(self, keys: Iterable[str]) -> dict[str, Finished]:

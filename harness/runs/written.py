@@ -1,0 +1,101 @@
+"""The files made from a run's rows, and the hashes by which one that was changed since is noticed."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from harness.errors import InputError
+from harness.files import encoded, read_regular, write
+from harness.runs.store import DATABASE, Store
+
+WRITTEN = (
+    "experiment.toml",
+    "environment.json",
+    "trials.csv",
+    "timings.csv",
+    "summary.json",
+    "report.html",
+)
+"""The files made from the rows; `failures.csv` too, when a trial failed."""
+
+_LIMIT_BYTES = 1 << 30
+"""The most that is read of such a file: a hundred thousand trials have tables of some hundred megabytes."""
+
+_FACT, _FACT_OF_REPORT = "written", "reported"
+
+
+def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
+    """Write files into a run's folder, by name, and keep their hashes in its database.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written to.
+    """
+    hashes = dict(_hashes_kept(store) or {})
+    for name, text in files.items():
+        data = encoded(text)
+        write(folder / name, data)
+        hashes[name] = hashlib.sha256(data).hexdigest()
+    store.set_fact(_FACT, hashes)
+
+
+def set_reported(digest: str, store: Store, folder: Path) -> None:
+    """Keep that all that is written, file by file, belongs to the rows with this digest."""
+    store.set_fact(_FACT_OF_REPORT, [digest, _hashes(folder)])
+
+
+def is_written(digest: str, store: Store, folder: Path) -> bool:
+    """Whether all that would be written from the rows with this digest is there, and as it was written."""
+    hashes = _hashes(folder)
+    return None not in hashes.values() and store.fact(_FACT_OF_REPORT) == [digest, hashes]
+
+
+def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes], bool]:
+    """Files that a run of any code wrote, by name; those that are not there are left out.
+
+    Returns
+    -------
+    files : dict of bytes
+    checked : bool
+        Whether they were held against the hashes in the run's database. A copy of the tables alone has none.
+
+    Raises
+    ------
+    InputError
+        When a file is not as it was written, or the database cannot be read.
+    """
+    files = {name: read_regular(folder / name, _LIMIT_BYTES) for name in names if (folder / name).is_file()}
+    database = folder / DATABASE
+    hashes = None
+    if database.exists() or database.is_symlink():
+        with Store(database, read_only=True) as store:
+            hashes = _hashes_kept(store)
+    if hashes is None:
+        return files, False
+    for name, data in files.items():
+        if hashes.get(name) != hashlib.sha256(data).hexdigest():
+            raise InputError(
+                "is not as it was written: it was cut or edited since; the command that made the run writes it anew",
+                file=folder / name,
+            )
+    return files, True
+
+
+def _hashes_kept(store: Store) -> dict[str, Any] | None:
+    """Those that the database has; None where it has none, as of a run that has not come to an end yet."""
+    hashes: dict[str, Any] | None = store.fact(_FACT)
+    reported = store.fact(_FACT_OF_REPORT)
+    return hashes or (reported[1] if reported else None)
+
+
+def _hashes(folder: Path) -> dict[str, str | None]:
+    """SHA-256 of the files made from the rows, by name; None for what is no regular file."""
+    hashes: dict[str, str | None] = dict.fromkeys(WRITTEN)
+    for name in WRITTEN:
+        path = folder / name
+        if path.is_file() and not path.is_symlink():
+            with path.open("rb") as stream:
+                hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return hashes
