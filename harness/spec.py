@@ -2,18 +2,19 @@
 
 import difflib
 import re
-import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args, get_origin
 
 import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from harness.annotations import inside, members, tags
 from harness.display import brief, shortened
 from harness.errors import InputError
+from harness.renamed import Renaming, former_names, give_notice, up_to_date
 from harness.toml import levels, read_toml
 
 LARGEST = 1e60
@@ -69,6 +70,15 @@ class Spec(BaseModel, metaclass=_SpecType):
 
     __str__ = __repr__
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            present = former_names(type(self)).get(name)
+            if present is None:
+                return super().__getattr__(name)
+            give_notice([Renaming(f"{type(self).__name__}.{name}", name, present)])
+            return getattr(self, present)
+
     def __dir__(self) -> list[str]:
         """The keys and what the class adds to them: none of pydantic's own methods, which are there all the same."""
         return [*filter(_is_shown, super().__dir__())]
@@ -107,7 +117,11 @@ def parse(
     InputError
         One line that names the file, the key and what would be right; the first problem only.
     """
-    given = dict(table) if isinstance(table, Mapping) else table
+    try:
+        given, renamed = up_to_date(model, dict(table) if isinstance(table, Mapping) else table, key)
+    except InputError as error:
+        raise InputError(error.problem, file=file, key=error.key) from error
+    give_notice(renamed, file)
     try:
         spec = model.model_validate(given)
     except ValidationError as error:
@@ -145,7 +159,7 @@ def dump_toml(spec: Spec) -> str:
 def _has_any_keys(annotation: Any) -> bool:
     """Whether a key holds a table of any keys, or a list of such."""
     if get_origin(annotation) is list:
-        return any(_has_any_keys(each) for each in _members(get_args(annotation)[0]))
+        return any(_has_any_keys(each) for each in members(get_args(annotation)[0]))
     return get_origin(annotation) is dict
 
 
@@ -276,13 +290,13 @@ def _locate(model: type[BaseModel], error: Any) -> _Problem:
     member_is_next = False
     for part in error["loc"]:
         if member_is_next:
-            tagged = [each for each in here if part in _tags(each)]
+            tagged = [each for each in here if part in tags(each)]
             named = [each for each in here if getattr(each, "__name__", "?") in str(part)]
             fork = len(place) if not tagged and fork is None else fork
             here, member_is_next = tagged or named or here, False
         else:
             place.append(part)
-            parents, here = here, [each for parent in here for each in _inside(parent, part)]
+            parents, here = here, [each for parent in here for each in inside(parent, part)]
             member_is_next = len(here) > 1
     return _Problem(error, tuple(place), parents, here, fork)
 
@@ -318,7 +332,7 @@ def _describe(problem: _Problem) -> tuple[Place, str]:
         return place, "this key is missing"
     if kind == "union_tag_not_found":
         tag = context["discriminator"].strip("'")
-        valid = sorted({str(word) for each in problem.members for word in _tags(each, tag)})
+        valid = sorted({str(word) for each in problem.members for word in tags(each, tag)})
         return (*place, tag), f"this key is missing; valid: {', '.join(valid)}"
     if kind == "union_tag_invalid":
         tag, word = context["discriminator"].strip("'"), str(context["tag"])
@@ -405,34 +419,3 @@ def _coerced(given: Any, taken: Any, place: Place = (), *, checked: dict[int, An
 def _words(quoted: str) -> list[str]:
     """The words in pydantic's "'one', 'two' or 'three'"."""
     return re.findall(r"'([^']*)'", quoted)
-
-
-def _inside(annotation: Any, part: int | str) -> list[Any]:
-    """What may stand at a key or an index of a value of this type, the members of a union one by one."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        field = annotation.model_fields.get(str(part))
-        return [] if field is None else _members(field.annotation)
-    arguments = get_args(annotation)
-    if not arguments:
-        return []
-    if get_origin(annotation) is tuple and isinstance(part, int) and arguments[-1] is not ...:
-        return _members(arguments[part]) if part < len(arguments) else []
-    is_table = isinstance(get_origin(annotation), type) and issubclass(get_origin(annotation), Mapping)
-    return _members(arguments[1] if is_table else arguments[0])
-
-
-def _members(annotation: Any) -> list[Any]:
-    if get_origin(annotation) is Annotated:
-        return _members(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, types.UnionType):
-        return [each for member in get_args(annotation) for each in _members(member) if each is not type(None)]
-    return [annotation]
-
-
-def _tags(annotation: Any, name: str | None = None) -> set[Any]:
-    """The values of the literal keys of a specification, or of one of them: one is the tag that pydantic sees."""
-    fields = getattr(annotation, "model_fields", {})
-    literals = [
-        f.annotation for key, f in fields.items() if name in (None, key) and get_origin(f.annotation) is Literal
-    ]
-    return {tag for literal in literals for tag in get_args(literal)}

@@ -156,7 +156,7 @@ class TestModelFromOutside:
         assert Trial.model_validate(trial.model_dump(mode="json")) == trial
 
     def test_unknown_one_is_refused_by_name(self):
-        with pytest.raises(InputError, match="unknown camera model 'fish'; there are: hyperboloid, equiangular"):
+        with pytest.raises(InputError, match=r"model\.kind: unknown kind 'fish'; valid: hyperboloid, equiangular"):
             parse(Sensor, {"model": {"kind": "fish"}})
         with pytest.raises(InputError, match="equiangular lens has no other distortion"):
             parse(Sensor, {"model": {"kind": "equiangular"}, "lens": {"k1": 0.1}})

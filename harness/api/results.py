@@ -10,6 +10,8 @@ import pandas as pd
 from harness.errors import InputError
 from harness.files import write
 from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
+from harness.pipeline.specification import Trial
+from harness.renamed import DottedKeys, dotted_up_to_date
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment
 from harness.runs.recorded import recorded
@@ -221,10 +223,11 @@ class RunResult:
         if isinstance(trial, str):
             found = [each for each in every if each.key == trial]
         elif isinstance(trial, Mapping):
-            for key in trial.keys() - every[0].place.keys():
+            chosen, _ = dotted_up_to_date(DottedKeys(Trial), trial)
+            for key in chosen.keys() - every[0].place.keys():
                 varied = ", ".join(every[0].place) or "none"
                 raise InputError(f"'{key}' is not a key that varies; those are: {varied}", key="trial")
-            found = [each for each in every if all(each.place[key] == value for key, value in trial.items())]
+            found = [each for each in every if all(each.place[key] == value for key, value in chosen.items())]
         else:
             if not -len(every) <= trial < len(every):
                 raise InputError(f"there is no trial {trial}: there are {len(every)}, the first is 0", key="trial")

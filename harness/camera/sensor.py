@@ -4,26 +4,20 @@ How a direction becomes a pixel is the model's affair (`harness.camera.models`).
 pixel [v, u] is at the integers (u, v).
 """
 
-from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AliasChoices, Field, SerializeAsAny, field_validator, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.models import MODELS, CameraModel, Mirror
+from harness.camera.models import AnyModel, Mirror
 from harness.geometry.angles import Array
 from harness.spec import Spec, load
-
-if TYPE_CHECKING:
-    AnyModel = CameraModel
-else:
-    AnyModel = SerializeAsAny[Mirror]
 
 
 class Sensor(Spec):
@@ -37,18 +31,6 @@ class Sensor(Spec):
     """The distortion of the camera's lens."""
     field: FieldOfView = FieldOfView()
     """The cone of directions that the sensor sees."""
-
-    @field_validator("model", mode="wrap")
-    @classmethod
-    def _of_any_model(cls, value: Any, validate: Callable[[Any], Mirror]) -> CameraModel:
-        """Models beside the hyperboloid are told apart by their `kind`."""
-        if isinstance(value, Mapping) and "kind" in value:
-            kind = value["kind"]
-            if kind not in MODELS:
-                raise ValueError(f"unknown camera model '{kind}'; there are: {', '.join(MODELS)}")
-            known = "kind" in MODELS[kind].model_fields
-            value = MODELS[kind].model_validate({key: each for key, each in value.items() if known or key != "kind"})
-        return value if isinstance(value, CameraModel) else validate(value)
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":

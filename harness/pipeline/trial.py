@@ -27,7 +27,7 @@ from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
 from harness.simulation.exposure import with_exposure
 from harness.simulation.fingerprint import fingerprint
-from harness.simulation.noise import generator, with_noise
+from harness.simulation.noise import generator, with_noise, words_of
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.scene_geometry import check_viewpoint, geometry_near
@@ -145,7 +145,7 @@ EXPOSURE = Stage(
 
 def _add_noise(work: Work, view: int) -> Image:
     trial, setup = work.trial, work.setup
-    draws = generator(trial.seed, "noise", setup.scene, trial.sensor.model_dump_json(), f"view {view + 1}")
+    draws = generator(trial.seed, "noise", setup.scene, words_of(trial.sensor), f"view {view + 1}")
     noisy = with_noise(work(EXPOSURE, view), trial.sensor, trial.noise.sigma_grey, draws)
     return _finite(noisy, trial.scene, "trial.noise")
 

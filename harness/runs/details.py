@@ -22,6 +22,7 @@ from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
+from harness.renamed import up_to_date
 from harness.runs import worker
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodName
@@ -122,7 +123,11 @@ class _Memory:
         with contextlib.suppress(KeyError, TypeError, InputError):  # a file that was meddled with: nothing is kept
             # Another plan may have been made since with other files of a matcher.
             if fact and (not self._recorded or fact["plan"] == _plan_hash(experiment)):
-                self._kept = [(parse(Trial, each["trial"]), each["key"], each["scene"]) for each in fact["trials"]]
+                tables = [up_to_date(Trial, each["trial"])[0] for each in fact["trials"]]
+                self._kept = [
+                    (parse(Trial, table), each["key"], each["scene"])
+                    for table, each in zip(tables, fact["trials"], strict=True)
+                ]
                 self.comparison = fact["comparison"] if self._recorded else None
 
     def look(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:

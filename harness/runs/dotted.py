@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from harness.camera import models
 from harness.errors import InputError
 from harness.matching import registry
 from harness.runs.named_files import read_in
@@ -11,6 +12,9 @@ from harness.runs.values import Settings, text_of
 
 KIND = "matching.kind"
 """The key that says which matcher: with another one, the matcher's table has other keys."""
+
+MODEL_KINDS = ("sensor.model.kind",)
+"""The same of camera models."""
 
 
 def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
@@ -21,11 +25,16 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
     InputError
         When a key leads through a value that has no keys, or past the end of a list.
     """
-    for place in sorted(settings, key=lambda each: (each.count("."), each != KIND)):
+    for place in sorted(settings, key=lambda each: (each.count("."), not each.endswith(".kind"))):
         where = f"{key}.{place}" if key else place
         if place == KIND and isinstance(table.get("matching"), Mapping):
             # Before what else is said of the matcher: another kind has other keys.
             table = {**table, "matching": registry.carried_over(table["matching"], settings[place])}
+        if place in MODEL_KINDS:
+            sensor, model, _ = place.split(".")
+            if isinstance(value_at(table, f"{sensor}.{model}"), Mapping):
+                other = models.carried_over(value_at(table, f"{sensor}.{model}"), settings[place])
+                table = {**table, sensor: {**table[sensor], model: other}}
         table = _with(table, place.split("."), settings[place], file, where)
         if place in {"scene", "sensor"}:
             table = read_in(table, Path(), file, key)

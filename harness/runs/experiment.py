@@ -12,6 +12,7 @@ from pydantic import Field, field_validator
 from harness.display import shortened
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
+from harness.renamed import DottedKeys
 from harness.runs.dotted import changed, value_at
 from harness.runs.methods import MethodName, method_id, method_names
 from harness.runs.values import Settings, shown
@@ -44,9 +45,11 @@ class Experiment(Spec):
     """What the experiment is for, for people."""
     trial: Trial
     """The base trial."""
-    axes: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
+    axes: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], DottedKeys(Trial, listed=True)] = Field(
+        default_factory=dict
+    )
     """Dotted keys of a trial, and the values that each takes: all combinations are run."""
-    cases: list[Annotated[Settings, Field(min_length=1)]] = Field(default_factory=list)
+    cases: Annotated[list[Annotated[Settings, Field(min_length=1)]], DottedKeys(Trial)] = Field(default_factory=list)
     """Explicit settings, instead of or beside axes; without any, one case that changes nothing."""
 
     def __repr__(self) -> str:

@@ -8,6 +8,8 @@ from harness import shipped
 from harness.errors import InputError
 from harness.matching.interface import MatcherSettings
 from harness.matching.registry import Matcher
+from harness.pipeline.specification import Trial
+from harness.renamed import DottedKeys, dotted_up_to_date, give_notice
 from harness.runs.dotted import changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute, of_matcher, read_in
@@ -53,6 +55,8 @@ def load_experiment(
         values = {str(key): listed(str(key), each) for key, each in axes.items()}
     else:
         values = {key: values_of(text, key) for key, text in (split("--axis", each) for each in axes)}
+    settings = _up_to_date(DottedKeys(Trial), settings, set_option)
+    values = _up_to_date(DottedKeys(Trial, listed=True), values, axis_option)
     changed = with_axes(with_sets(experiment, settings, set_option), values, axis_option)
     try:
         _ = changed.planned
@@ -66,6 +70,16 @@ def load_experiment(
                 raise InputError(error.problem, file=set_option, key=key) from error
         raise InputError(error.problem, file=file, key=error.key) from error
     return changed
+
+
+def _up_to_date(keys: DottedKeys, given: dict[str, Any], option: str) -> dict[str, Any]:
+    """What an option gives, under the present names of its keys."""
+    try:
+        present, renamed = dotted_up_to_date(keys, given)
+    except InputError as error:
+        raise InputError(error.problem, file=option, key=error.key) from error
+    give_notice(renamed, option)
+    return dict(present)
 
 
 def _read_experiment(source: Source) -> tuple[Experiment, Path | None]:

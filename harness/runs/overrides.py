@@ -5,11 +5,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from harness.camera import models
 from harness.display import shortened
 from harness.errors import InputError
 from harness.matching import registry
 from harness.pipeline.specification import Trial
-from harness.runs.dotted import KIND, changed
+from harness.runs.dotted import KIND, MODEL_KINDS, changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute
 from harness.runs.values import Settings
@@ -108,8 +109,8 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
     settings = {key: absolute(key, value, Path(), option) for key, value in settings.items()}
     trial = parse(Trial, changed(as_table(experiment.trial), settings, file=option), file=option)
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
-    if KIND in settings:  # what another matcher does not know cannot be varied
-        axes = {key: values for key, values in axes.items() if _is_known(key, settings[KIND])}
+    # What another matcher, or another camera model, does not know cannot be varied.
+    axes = {key: values for key, values in axes.items() if all(_is_known(key, *each) for each in settings.items())}
     return experiment.model_copy(update={"trial": trial, "axes": axes})
 
 
@@ -130,15 +131,19 @@ def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: st
     merged = experiment.axes | {
         key: [absolute(key, value, Path(), option) for value in values] for key, values in given.items()
     }
-    if KIND in given:  # an axis of the experiment that one of these matchers does not know cannot be varied
-        merged = {
-            key: values
-            for key, values in merged.items()
-            if key in given or all(_is_known(key, kind) for kind in given[KIND])
-        }
+    # An axis of the experiment that one of the given matchers, or camera models, does not know cannot be varied.
+    merged = {
+        key: values
+        for key, values in merged.items()
+        if key in given or all(_is_known(key, other, kind) for other, kinds in given.items() for kind in kinds)
+    }
     return experiment.model_copy(update={"axes": merged})
 
 
-def _is_known(key: str, kind: Any) -> bool:
-    first, *rest = key.split(".")
-    return first != "matching" or not rest or registry.knows(kind, rest[0])
+def _is_known(key: str, other: str, kind: Any) -> bool:
+    """Whether a key is still one where another key has a certain value, which may be a `kind`."""
+    table = other.removesuffix("kind")
+    if not key.startswith(table) or other not in (KIND, *MODEL_KINDS):
+        return True
+    name = key.removeprefix(table).partition(".")[0]
+    return registry.knows(kind, name) if other == KIND else models.knows(kind, name)

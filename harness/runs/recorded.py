@@ -13,6 +13,7 @@ from pydantic import PrivateAttr
 
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
+from harness.renamed import DottedKeys, dotted_up_to_date, up_to_date
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.store import Store
 from harness.spec import Spec, as_table, parse
@@ -80,16 +81,18 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
         raise InputError(
             "was begun by an earlier version of omnirange, without its plan; run the experiment again", file=file
         )
-    experiment = parse(RecordedExperiment, store.fact(_EXPERIMENT), file=file)
+    # Nobody is told of former names here: the file is the program's own.
+    experiment = parse(RecordedExperiment, up_to_date(RecordedExperiment, store.fact(_EXPERIMENT))[0], file=file)
     known: dict[tuple[str, int], Any] = {}
     planned = []
     try:
         for key, place, (matcher, step), changed in plan["trials"]:
             table = {name: getattr(experiment.trial, name) for name in Trial.model_fields}
             table |= {name: known.get((name, index), plan["parts"][index]) for name, index in changed.items()}
-            trial = parse(Trial, table, file=file)
+            trial = parse(Trial, up_to_date(Trial, table)[0], file=file)
             known |= {(name, index): getattr(trial, name) for name, index in changed.items()}
-            planned.append(Planned(str(key), dict(place), trial, (str(matcher), str(step))))
+            settings, _ = dotted_up_to_date(DottedKeys(Trial), place)
+            planned.append(Planned(str(key), settings, trial, (str(matcher), str(step))))
         scenes = frozenset(map(str, plan["scenes"]))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"its plan cannot be read ({type(error).__name__}: {error})", file=file) from error

@@ -13,6 +13,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from harness.errors import InputError
+from harness.pipeline.specification import Trial
+from harness.renamed import up_to_date_key
 from harness.runs.experiment import Experiment
 from harness.spec import LARGEST, nearest
 
@@ -84,6 +86,7 @@ def find_settings(key: str | None = None) -> tuple[Setting, ...]:
     if key is None:
         return every
     wanted = re.sub(r"\[(\d+)\]", r".\1", key.strip()).removeprefix("trial.")
+    wanted = up_to_date_key(Trial, wanted)
     wanted = ".".join(ITEM if part.isdecimal() else part for part in wanted.split("."))
     found = [each for each in every if f"{each.key}.".startswith(f"{wanted}.")]
     found = found or [each for each in every if each.key.endswith(f".{wanted}")]

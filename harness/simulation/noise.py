@@ -1,11 +1,15 @@
 """Noise of the camera: white, Gaussian, the same for all matchers."""
 
 import hashlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_json
 
+from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor, pixel_directions
+from harness.spec import Spec
 
 
 def generator(seed: int, *purpose: str) -> np.random.Generator:
@@ -16,6 +20,39 @@ def generator(seed: int, *purpose: str) -> np.random.Generator:
     """
     words = "\0".join((str(seed), *purpose))
     return np.random.default_rng(int.from_bytes(hashlib.sha256(words.encode()).digest()[:16], "little"))
+
+
+_NAMED = {
+    "model": ("a_m", "b_m"),
+    "camera": ("width_px", "height_px", "focal_px", "aspect", "cx_px", "cy_px"),
+    "lens": ("k1", "k2", "p1", "p2", "k3"),
+    "field": ("elevation_min_deg", "elevation_max_deg"),
+}
+"""The keys of a sensor that draws have always been named by, those of the hyperboloid for its model."""
+
+
+def words_of(sensor: Sensor) -> str:
+    """The words that name a sensor among the purposes of `generator`.
+
+    A key that sensors have had for less long counts only where it is not at its default, and the model is called what
+    it was first called: a sensor that could be described before keeps its draws.
+    """
+    words: dict[str, Any] = {}
+    for name, part in sensor:
+        if not isinstance(part, Spec):
+            if part != type(sensor).model_fields[name].default:
+                words[name] = part
+            continue
+        table = part.model_dump(mode="json")
+        always = _NAMED.get(name, ()) if name != "model" or isinstance(part, Mirror) else tuple(table)
+        kept = {
+            key: value
+            for key, value in table.items()
+            if key in always or getattr(part, key) != type(part).model_fields[key].default
+        }
+        if kept:
+            words["mirror" if name == "model" else name] = kept
+    return to_json(words).decode()
 
 
 def with_noise(

@@ -1,9 +1,61 @@
 """The camera models, one file each, and the table of them."""
 
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Tag
+from pydantic_core import PydanticKnownError
+
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.models.model import CameraModel
 
-MODELS: dict[str, type[CameraModel]] = {"hyperboloid": Mirror}
-"""The settings of every camera model, by `kind`. A `sensor.model` without a `kind` is a hyperboloid."""
+BUILT_IN: dict[str, type[CameraModel]] = {"hyperboloid": Mirror}
+"""The settings of every camera model of this program, by `kind`."""
 
-__all__ = ["MODELS", "CameraModel", "Mirror"]
+MODELS = dict(BUILT_IN)
+"""The same, and those that were added from elsewhere. A table without a `kind` is a hyperboloid."""
+
+_ELSEWHERE = "elsewhere"
+
+
+def _tag(value: Any) -> str:
+    kind = value.get("kind", "hyperboloid") if isinstance(value, Mapping) else getattr(value, "kind", None)
+    return kind if isinstance(kind, str) and kind in BUILT_IN else _ELSEWHERE
+
+
+def _of_elsewhere(value: Any) -> CameraModel:
+    """A model that is not one of the program's own, or the complaint that there is no such model."""
+    if isinstance(value, CameraModel):
+        return value
+    if not isinstance(value, Mapping):
+        raise PydanticKnownError("model_type", {"class_name": "CameraModel"})
+    kind = value["kind"]
+    if not (isinstance(kind, str) and kind in MODELS):
+        kinds = ", ".join(f"'{each}'" for each in MODELS)
+        raise PydanticKnownError(
+            "union_tag_invalid", {"discriminator": "'kind'", "tag": str(kind), "expected_tags": kinds}
+        )
+    return MODELS[kind].model_validate(value)
+
+
+if TYPE_CHECKING:
+    AnyModel = CameraModel
+else:
+    AnyModel = Annotated[
+        Annotated[Mirror, Tag("hyperboloid")] | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
+        Discriminator(_tag),
+    ]
+    """The settings of any camera model, told apart by `kind`."""
+
+
+def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
+    """The table of a camera model after its `kind` was changed: keys of one name mean other things in other models."""
+    return dict(settings) if settings.get("kind", "hyperboloid") == kind else {"kind": kind}
+
+
+def knows(kind: Any, key: str) -> bool:
+    """Whether the settings of a camera model have a key; true where there is no such model, which is said later."""
+    return not (isinstance(kind, str) and kind in MODELS) or key in MODELS[kind].model_fields
+
+
+__all__ = ["BUILT_IN", "MODELS", "AnyModel", "CameraModel", "Mirror", "carried_over", "knows"]

@@ -12,7 +12,7 @@ Domain: `a |d| > e d_z`, below the mirror's asymptote; and within the radius at 
 """
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,8 @@ class Mirror(CameraModel):
 
     title: ClassVar[str] = "hyperboloid mirror"
 
+    kind: Literal["hyperboloid"] = "hyperboloid"
+    """The camera model."""
     a_m: Positive = 0.0281
     """Semi-axis of the hyperboloid along the optical axis, metres."""
     b_m: Positive = 0.0234
