@@ -11,9 +11,10 @@ from harness.camera.sensor import Sensor, pixel_directions
 from harness.cli import main
 from harness.errors import InputError, Notice
 from harness.geometry.pose import Pose
-from harness.simulation.coincident import encloses
+from harness.simulation.box_tree import LEAF, box_tree
+from harness.simulation.coincident import enclosed, encloses
 from harness.simulation.render import render, render_every_sample
-from harness.simulation.scene import Box, Plane, Scene, load_scene
+from harness.simulation.scene import Box, Mesh, Plane, Scene, load_scene
 from harness.simulation.scene_geometry import geometry_of
 from harness.simulation.texture import GreyTexture
 from harness.simulation.truth import ranges, truth
@@ -189,3 +190,121 @@ def test_encloses_agrees_with_a_ball():
     for p, r in zip(points, radius, strict=True):
         if r < innermost or r > 1:
             assert encloses(corners, p) == (r < 1)
+
+
+# --- Many faces: what a tree of boxes finds is what brute force finds ----------------------------------------------
+
+
+def cross(p, q):
+    return float(p[0] * q[1] - p[1] * q[0])
+
+
+def shared_area(a, b, normal):
+    """The area that two triangles `[3, 3]` in one plane share: one is clipped by the sides of the other."""
+    e1 = (a[1] - a[0]) / np.linalg.norm(a[1] - a[0])
+    e2 = np.cross(normal, e1)
+    polygon, window = [np.stack([(each - a[0]) @ e1, (each - a[0]) @ e2], axis=1) for each in (a, b)]
+    if cross(window[1] - window[0], window[2] - window[0]) < 0:
+        window = window[::-1]
+    for p, q in zip(window, np.roll(window, -1, axis=0), strict=True):
+        clipped = []
+        for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            s, e = cross(q - p, start - p), cross(q - p, end - p)
+            if s >= 0:
+                clipped.append(start)
+            if (s < 0) != (e < 0):
+                clipped.append(start + (end - start) * s / (s - e))
+        polygon = np.array(clipped)
+        if not len(polygon):
+            return 0.0
+    return abs(sum(cross(p, q) for p, q in zip(polygon, np.roll(polygon, -1, axis=0), strict=True))) / 2
+
+
+def brute_force_pairs(geometry):
+    """Pairs of faces, from every pair of triangles."""
+    corners, face = geometry.corners, geometry.face_of_triangle[:-1]
+    pairs = set()
+    for i, triangle in enumerate(corners):
+        normal, offset = geometry.normals[face[i]], geometry.offsets[face[i]]
+        in_plane = (np.abs(corners @ normal - offset) < 1e-6 * np.abs(corners).max()).all(axis=1)
+        near = (corners.max(axis=1) >= triangle.min(axis=0)).all(axis=1) & (
+            corners.min(axis=1) <= triangle.max(axis=0)
+        ).all(axis=1)
+        for j in np.flatnonzero(in_plane & near & (face > face[i])).tolist():
+            if shared_area(triangle, corners[j], normal) > 1e-6:  # m^2, of triangles of 1e-2 m^2: touching is none
+                pairs.add((int(face[i]), int(face[j])))
+    return sorted(pairs)
+
+
+def solids(tmp_path, kind, seed):
+    """Two meshes that lie on each other in part, one of them with its winding upset, and a rug or poster on each."""
+    rng = np.random.default_rng(seed)
+    first = trimesh.creation.icosphere(subdivisions=2, radius=0.5) if kind == "balls" else trimesh.creation.box()
+    for _ in range(3 if kind == "boxes" else 0):
+        first = first.subdivide()
+    second = first.copy()
+    if kind == "boxes":
+        second.apply_translation([0.0, 0.37, 0.21])  # its sides slide along those of the first
+    upset = rng.random(len(second.faces)) < 0.5
+    second.faces[upset] = second.faces[upset][:, ::-1]
+    things = []
+    for name, mesh in (("first", first), ("second", second)):
+        mesh.export(tmp_path / f"{name}.ply")
+        file = str(tmp_path / f"{name}.ply")
+        things.append(Mesh(kind="mesh", name=name, file=file, position_m=(1.5, 0, 1.5), texture=grey(20)))
+    return room(*things, rug(30, height=1.0, x=1.5), rug(40, size=(0.3, 0.3), height=1.0, x=1.5))
+
+
+@pytest.mark.parametrize("kind", ["balls", "boxes"])
+def test_pairs_and_sides_are_those_of_brute_force(tmp_path, kind):
+    geometry = geometry_of(solids(tmp_path, kind, 3))
+    pairs = geometry.rivals.pairs
+    assert pairs.tolist() == [list(each) for each in brute_force_pairs(geometry)]
+    assert len(pairs) > 300
+    corners_of = {solid.name: solid.corners for solid in geometry.solids}
+    first_triangle = np.unique(geometry.face_of_triangle[:-1], return_index=True)[1]
+    for faces, sides in zip(pairs.tolist(), geometry.rivals.visible_from.tolist(), strict=True):
+        for face, side in zip(faces, sides, strict=True):
+            solid = corners_of.get(geometry.object_names[geometry.object_of_face[face]])
+            if solid is None:
+                continue
+            middle = geometry.corners[first_triangle[face]].mean(axis=0)
+            assert side == (-1 if encloses(solid, middle + 1e-4 * geometry.normals[face]) else 1)
+
+
+@pytest.mark.parametrize("boxes", [1, LEAF, LEAF + 1, 1000])
+@pytest.mark.parametrize("kind", ["anywhere", "flat", "one place", "far"])
+def test_every_box_lies_in_its_leaf_and_in_all_nodes_above(boxes, kind):
+    rng = np.random.default_rng(boxes)
+    low = rng.normal(size=(boxes, 3)) * {"anywhere": [1, 1, 1], "flat": [1, 1, 0], "one place": 0, "far": 1e-9}[kind]
+    low += 1e6 * (kind == "far")
+    high = low + rng.random((boxes, 3)) ** 8  # most of them small, some as large as all
+    tree = box_tree(low, high)
+    assert sorted(tree.order) == list(range(boxes))
+    for place, box in enumerate(tree.order):
+        node = len(tree.low) // 2 + place // LEAF
+        while node:
+            assert (tree.low[node] <= low[box]).all()
+            assert (tree.high[node] >= high[box]).all()
+            node //= 2
+
+
+def test_points_are_enclosed_as_one_by_one():
+    rng = np.random.default_rng(8)
+    ball = np.array(trimesh.creation.icosphere(subdivisions=3, radius=1.0).triangles)
+    shell = np.concatenate([ball, 0.6 * ball[::-1], rng.permutation(0.3 * ball) + 0.1])
+    points = np.concatenate([rng.uniform(-1.2, 1.2, (500, 3)), ball.mean(axis=1)[:200] * (1 + 1e-5)])
+    inside = enclosed(shell, points)
+    assert inside.tolist() == [encloses(shell, p) for p in points]
+    assert 50 < inside.sum() < 450
+    assert enclosed(shell, points[:0]).shape == (0,)
+
+
+def test_two_meshes_of_thousands_of_triangles_in_one_place(tmp_path):
+    """A hundred times as fast as every face against every triangle: slow would be noticed by `make quick`."""
+    trimesh.creation.icosphere(subdivisions=5, radius=0.5).export(tmp_path / "ball.ply")
+    ball = {"kind": "mesh", "file": str(tmp_path / "ball.ply"), "position_m": (1, 0, 1), "texture": grey(20)}
+    geometry = geometry_of(room(Mesh(name="one", **ball), Mesh(name="two", **ball)))
+    triangles = 20 * 4**5
+    assert geometry.rivals.pairs.tolist() == [[6 + i, 6 + triangles + i] for i in range(triangles)]
+    assert (geometry.rivals.visible_from == 1).all()  # the file's normals point outwards

@@ -8,38 +8,61 @@ from harness.compiled import kernel
 
 
 @kernel
-def sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, most, out):
+def overlapping(
+    order, node_low, node_high, leaf, low, high, corners, face_of_triangle, normals, offsets, tolerance, most, out
+):
     """Write pairs of faces whose triangles overlap in one plane, the earlier first, as far as there is room in `out`.
 
-    Triangles are gone through in `order`, along an axis, each beside those that begin before it ends.
+    order, node_low, node_high, leaf : the tree over the triangles' boxes `low`, `high`, see `box_tree`.
 
     Returns how many pairs there are; some are found repeatedly. Ends when there are more than `most`.
     """
     count = 0
+    first_leaf = node_low.shape[0] // 2
+    waiting = np.empty(64, dtype=np.int64)
     for i in range(order.size):
-        a = order[i]
-        for j in range(i + 1, order.size):
-            b = order[j]
-            if low[b, axis] > high[a, axis]:
-                break
-            f, g = face_of_triangle[a], face_of_triangle[b]
-            if f == g:
+        t = order[i]
+        waiting[0] = 1
+        depth = 1
+        while depth:
+            depth -= 1
+            node = waiting[depth]
+            if _apart(node_low[node], node_high[node], low[t], high[t]):
                 continue
-            apart = False
-            for k in range(3):
-                apart = apart or low[a, k] > high[b, k] or low[b, k] > high[a, k]
-            if apart or not (
-                _in_plane(corners[a], normals[g], offsets[g], tolerance)
-                or _in_plane(corners[b], normals[f], offsets[f], tolerance)
-            ):
+            if node < first_leaf:
+                waiting[depth], waiting[depth + 1] = 2 * node + 1, 2 * node
+                depth += 2
                 continue
-            if _overlap(corners[a], corners[b], normals[f], tolerance):
-                if count < out.shape[0]:
-                    out[count, 0], out[count, 1] = min(f, g), max(f, g)
-                count += 1
-                if count > most:
-                    return count
+            begin = (node - first_leaf) * leaf
+            for j in range(max(begin, i + 1), min(begin + leaf, order.size)):
+                u = order[j]
+                if face_of_triangle[t] == face_of_triangle[u] or _apart(low[u], high[u], low[t], high[t]):
+                    continue
+                a, b = (t, u) if face_of_triangle[t] < face_of_triangle[u] else (u, t)
+                if _coincide(a, b, corners, face_of_triangle, normals, offsets, tolerance):
+                    if count < out.shape[0]:
+                        out[count, 0], out[count, 1] = face_of_triangle[a], face_of_triangle[b]
+                    count += 1
+                    if count > most:
+                        return count
     return count
+
+
+@kernel
+def _apart(low_1, high_1, low_2, high_2):
+    apart = False
+    for k in range(3):
+        apart = apart or low_1[k] > high_2[k] or low_2[k] > high_1[k]
+    return apart
+
+
+@kernel
+def _coincide(a, b, corners, face_of_triangle, normals, offsets, tolerance):
+    f, g = face_of_triangle[a], face_of_triangle[b]
+    in_one_plane = _in_plane(corners[a], normals[g], offsets[g], tolerance) or _in_plane(
+        corners[b], normals[f], offsets[f], tolerance
+    )
+    return in_one_plane and _overlap(corners[a], corners[b], normals[f], tolerance)
 
 
 @kernel
@@ -144,18 +167,62 @@ def _inside(corners, cx, cy, cz, dx, dy, dz):
 @kernel
 def crossings(corners, p):
     """How many triangles `[triangles, 3, 3]` a ray from p goes through, in a direction in which nothing is aligned."""
-    r0, r1, r2 = 0.537761, 0.279103, 0.795541
     count = 0
     for i in range(len(corners)):
-        a0, a1, a2 = corners[i, 0, 0] - p[0], corners[i, 0, 1] - p[1], corners[i, 0, 2] - p[2]
-        b0, b1, b2 = corners[i, 1, 0] - p[0], corners[i, 1, 1] - p[1], corners[i, 1, 2] - p[2]
-        c0, c1, c2 = corners[i, 2, 0] - p[0], corners[i, 2, 1] - p[1], corners[i, 2, 2] - p[2]
-        n0, n1, n2 = b1 * c2 - b2 * c1, b2 * c0 - b0 * c2, b0 * c1 - b1 * c0
-        u = n0 * r0 + n1 * r1 + n2 * r2
-        v = (c1 * a2 - c2 * a1) * r0 + (c2 * a0 - c0 * a2) * r1 + (c0 * a1 - c1 * a0) * r2
-        w = (a1 * b2 - a2 * b1) * r0 + (a2 * b0 - a0 * b2) * r1 + (a0 * b1 - a1 * b0) * r2
-        # On one side of all three, and ahead: the determinant has the sign of their sum.
-        through = (u > 0 and v > 0 and w > 0) or (u < 0 and v < 0 and w < 0)
-        if through and (a0 * n0 + a1 * n1 + a2 * n2) * (u + v + w) > 0:
-            count += 1
+        count += _goes_through(corners[i], p)
     return count
+
+
+@kernel
+def crossings_of_all(order, node_low, node_high, leaf, corners, points, out):
+    """Write for every point what `crossings` returns.
+
+    order, node_low, node_high, leaf : the tree over the triangles' boxes, see `box_tree`. Boxes have a margin, so that
+    no rounding here leaves one out.
+    """
+    first_leaf = node_low.shape[0] // 2
+    waiting = np.empty(64, dtype=np.int64)
+    for i in range(len(points)):
+        p = points[i]
+        count = 0
+        waiting[0] = 1
+        depth = 1
+        while depth:
+            depth -= 1
+            node = waiting[depth]
+            if not _meets(node_low[node], node_high[node], p):
+                continue
+            if node < first_leaf:
+                waiting[depth], waiting[depth + 1] = 2 * node + 1, 2 * node
+                depth += 2
+                continue
+            begin = (node - first_leaf) * leaf
+            for j in range(begin, min(begin + leaf, order.size)):
+                count += _goes_through(corners[order[j]], p)
+        out[i] = count
+
+
+@kernel
+def _meets(low, high, p):
+    """Whether the ray from p meets a box; all components of its direction are positive."""
+    enter, leave = 0.0, math.inf
+    for k in range(3):
+        r = (0.537761, 0.279103, 0.795541)[k]
+        enter, leave = max(enter, (low[k] - p[k]) / r), min(leave, (high[k] - p[k]) / r)
+    return enter <= leave
+
+
+@kernel
+def _goes_through(corners, p):
+    """Whether the ray from p goes through a triangle, 1 or 0."""
+    r0, r1, r2 = 0.537761, 0.279103, 0.795541
+    a0, a1, a2 = corners[0, 0] - p[0], corners[0, 1] - p[1], corners[0, 2] - p[2]
+    b0, b1, b2 = corners[1, 0] - p[0], corners[1, 1] - p[1], corners[1, 2] - p[2]
+    c0, c1, c2 = corners[2, 0] - p[0], corners[2, 1] - p[1], corners[2, 2] - p[2]
+    n0, n1, n2 = b1 * c2 - b2 * c1, b2 * c0 - b0 * c2, b0 * c1 - b1 * c0
+    u = n0 * r0 + n1 * r1 + n2 * r2
+    v = (c1 * a2 - c2 * a1) * r0 + (c2 * a0 - c0 * a2) * r1 + (c0 * a1 - c1 * a0) * r2
+    w = (a1 * b2 - a2 * b1) * r0 + (a2 * b0 - a0 * b2) * r1 + (a0 * b1 - a1 * b0) * r2
+    # On one side of all three, and ahead: the determinant has the sign of their sum.
+    through = (u > 0 and v > 0 and w > 0) or (u < 0 and v < 0 and w < 0)
+    return 1 if through and (a0 * n0 + a1 * n1 + a2 * n2) * (u + v + w) > 0 else 0

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from harness.errors import InputError
 from harness.geometry.angles import Array
-from harness.simulation._coincident_kernels import crossings, settle_hits, sweep
+from harness.simulation._coincident_kernels import crossings, crossings_of_all, overlapping, settle_hits
+from harness.simulation.box_tree import LEAF, box_tree
 
 Ints = NDArray[np.int32]
 
@@ -75,14 +76,7 @@ def rivals_of(
             file=scene,
         )
     pairs = np.unique(found, axis=0).astype(np.int32).reshape(-1, 2)
-    first_of_face = np.unique(face_of_triangle, return_index=True)[1]
-    sides = {
-        face: _visible_from(corners[first_of_face[face]], normals[face], inside_of_face[face])
-        for face in np.unique(pairs).tolist()
-    }
-    side_of_face = np.zeros(len(normals), dtype=np.int8)
-    side_of_face[list(sides)] = list(sides.values())
-    visible = side_of_face[pairs]
+    visible = _visible_from(np.unique(pairs), corners, face_of_triangle, normals, inside_of_face)[pairs]
     pairs.flags.writeable = False
     visible.flags.writeable = False
     return Rivals(pairs, visible, COINCIDENT * size)
@@ -96,25 +90,37 @@ def _overlapping(
     There are no more than `MOST_PAIRS` + 1.
     """
     low, high = corners.min(axis=1) - tolerance, corners.max(axis=1) + tolerance
-    # Along the axis on which the triangles are small beside the whole, fewest lie beside each other.
-    spread = np.ptp(corners.reshape(-1, 3), axis=0) / (high - low).mean(axis=0)
-    axis = int(np.argmax(spread))
-    order = np.argsort(low[:, axis], kind="stable")
+    faces = (corners, face_of_triangle, normals, offsets)
+    tree = box_tree(low, high)
     room = 1024
     while True:
         out = np.empty((room, 2), dtype=np.int64)
-        count = sweep(order, axis, low, high, corners, face_of_triangle, normals, offsets, tolerance, MOST_PAIRS, out)
+        count = overlapping(*tree, LEAF, low, high, *faces, tolerance, MOST_PAIRS, out)
         if count <= room:
             return out[:count]
         room = count
 
 
-def _visible_from(triangle: Array, normal: Array, solid: Array | None) -> int:
-    if solid is None:
-        return 0
-    middle = triangle.mean(axis=0)
-    step = 1e-5 * float(np.ptp(solid.reshape(-1, 3), axis=0).max()) * normal
-    return -1 if encloses(solid, middle + step) else 1
+def _visible_from(
+    faces: NDArray[np.integer],
+    corners: Array,
+    face_of_triangle: Ints,
+    normals: Array,
+    inside_of_face: Sequence[Array | None],
+) -> NDArray[np.int8]:
+    """`[all faces]`: for some of them the side from which they may be seen, as in `Rivals.visible_from`."""
+    sides = np.zeros(len(normals), dtype=np.int8)
+    middles = corners[np.unique(face_of_triangle, return_index=True)[1][faces]].mean(axis=1)
+    faces_of_solid: dict[int, list[int]] = {}
+    for index, face in enumerate(faces.tolist()):
+        faces_of_solid.setdefault(id(inside_of_face[face]), []).append(index)
+    for its in faces_of_solid.values():
+        solid = inside_of_face[faces[its[0]]]
+        if solid is not None:
+            step = 1e-5 * float(np.ptp(solid.reshape(-1, 3), axis=0).max())
+            inside = enclosed(solid, middles[its] + step * normals[faces[its]])
+            sides[faces[its]] = np.where(inside, -1, 1)
+    return sides
 
 
 def seen_from(rivals: Rivals, normals: Array, offsets: Array, viewpoint: Array) -> Ints:
@@ -179,3 +185,12 @@ def encloses(corners: Array, p: Array) -> bool:
     The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
     """
     return crossings(np.ascontiguousarray(corners), np.ascontiguousarray(p)) % 2 == 1
+
+
+def enclosed(corners: Array, points: Array) -> NDArray[np.bool_]:
+    """What `encloses` answers for each of many points `[n, 3]`, by a tree over the triangles."""
+    margin = 1e-9 * float(np.abs(corners).max() + np.abs(points).max(initial=0.0))
+    tree = box_tree(corners.min(axis=1) - margin, corners.max(axis=1) + margin)
+    count = np.empty(len(points), dtype=np.int64)
+    crossings_of_all(*tree, LEAF, np.ascontiguousarray(corners), np.ascontiguousarray(points), count)
+    return count % 2 == 1
