@@ -58,6 +58,7 @@ def random_sensor(seed: int, *, distorted: bool) -> Sensor:
             aspect=rng.uniform(0.8, 1.25),
             cx_px=319.5 + rng.uniform(-40, 40),
             cy_px=239.5 + rng.uniform(-40, 40),
+            skew_px=rng.uniform(-5, 5) if distorted else 0.0,
         ),
     )
 

@@ -1,17 +1,25 @@
-"""All camera models: projection, its inverse, its derivative, its domain; and one from outside, from end to end."""
+"""All camera models: projection, its inverse, its derivative, its domain; and one from outside, from end to end.
+
+Against other programs and independent evaluations: `test_model_references.py`.
+"""
 
 import math
+import re
+import tomllib
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pytest
+from cameras import AXIAL, random_sensor, seen_pixels, sensor_of
+from pydantic import ValidationError
 
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
+from harness.camera.conversions import to_unified
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.models import MODELS, CameraModel
-from harness.camera.sensor import Sensor, jacobian, parameters_of, project, unproject
-from harness.camera.unified import to_unified
+from harness.camera.models.axial import AxialModel
+from harness.camera.sensor import Sensor, jacobian, on_image, parameters_of, project, unproject
 from harness.compiled import kernel
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
@@ -19,6 +27,12 @@ from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
 from harness.simulation.scene import load_scene
 from harness.spec import dump_toml, parse
+
+PIXELS = RADIANS = 1e-9
+"""The contract of the camera: the round trip closes to a millionth of what the best matcher resolves."""
+
+HAS_LENS = {kind: MODELS[kind].has_lens for kind in AXIAL}
+UNUSED = {kind: MODELS[kind].unused for kind in AXIAL}
 
 
 class EquiangularCamera(NamedTuple):
@@ -87,14 +101,17 @@ def outside(monkeypatch):
     monkeypatch.setitem(MODELS, "equiangular", Equiangular)
 
 
-SENSORS = [
-    Sensor(),
-    Sensor(camera=Camera(aspect=1.02), lens=Lens(k1=-0.1, k2=0.02, p1=2e-3, p2=-1e-3, k3=-1e-3)),
-    Sensor(model=Equiangular(), camera=Camera(**IMAGE)),
-]
+SENSORS = {
+    "hyperboloid": Sensor(),
+    "with a lens": Sensor(
+        camera=Camera(aspect=1.02, skew_px=2.5), lens=Lens(k1=-0.1, k2=0.02, p1=2e-3, p2=-1e-3, k3=-1e-3)
+    ),
+    "equiangular": Sensor(model=Equiangular(), camera=Camera(**IMAGE)),
+    **{kind: random_sensor(kind, 0, lens=kind == "unified", skew=True) for kind in AXIAL},
+}
 
 
-@pytest.mark.parametrize("sensor", SENSORS, ids=["hyperboloid", "with a lens", "equiangular"])
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 class TestEveryModel:
     @pytest.fixture
     def directions(self, sensor, rng):
@@ -130,9 +147,92 @@ class TestEveryModel:
         assert np.abs(along).max() < 1e-9 * sensor.camera.focal_px
 
     def test_outside_the_domain_there_is_no_pixel(self, sensor):
-        assert np.isnan(project(sensor, [0.0, 0.0, 1.0])[0]).all()
-        assert np.isnan(jacobian(sensor, [0.0, 0.0, 1.0])).all()
-        assert not project(sensor, [0.0, 0.0, 1.0])[1]
+        behind = [0.0, 0.0, -1.0 if isinstance(sensor.model, AxialModel) else 1.0]
+        assert np.isnan(project(sensor, behind)[0]).all()
+        assert np.isnan(jacobian(sensor, behind)).all()
+        assert not project(sensor, behind)[1]
+
+
+VARIANTS = [
+    pytest.param(kind, lens, skew, id=f"{kind}{' lens' * lens}{' skew' * skew}")
+    for kind in AXIAL
+    for lens, skew in ((False, False), (False, True), (True, False), (True, True))
+    if not (lens and not HAS_LENS[kind]) and not (skew and "skew_px" in UNUSED[kind])
+]
+
+
+@pytest.mark.parametrize(("kind", "lens", "skew"), VARIANTS)
+class TestRandomCameras:
+    """A hundred cameras of each kind: their fields end anywhere up to one pixel inside the domain."""
+
+    def test_pixel_to_direction_to_pixel(self, kind, lens, skew):
+        for seed in range(100):
+            sensor = random_sensor(kind, seed, lens=lens, skew=skew)
+            pixels, directions = seen_pixels(sensor, seed)
+            np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1, rtol=0, atol=1e-15)
+            again, valid = project(sensor, directions)
+            assert np.abs(again - pixels).max() < PIXELS
+            assert valid.mean() > 0.999  # all but for rounding at the rim
+
+    def test_direction_to_pixel_to_direction(self, kind, lens, skew):
+        for seed in range(100):
+            sensor = random_sensor(kind, seed, lens=lens, skew=skew)
+            rng = np.random.default_rng(seed)
+            z = np.sin(np.radians(rng.uniform(sensor.field.elevation_min_deg, 90, 1000)))
+            phi = rng.uniform(-np.pi, np.pi, 1000)
+            directions = np.stack([np.sqrt(1 - z**2) * np.cos(phi), np.sqrt(1 - z**2) * np.sin(phi), z], axis=-1)
+            pixels, valid = project(sensor, directions * rng.uniform(0.1, 10, (1000, 1)))
+            assert np.isfinite(pixels).all()  # the whole field has pixels, though some lie beside the image
+            assert valid.sum() > 200
+            again, _ = unproject(sensor, pixels)
+            assert np.abs(again - directions).max() < RADIANS
+            np.testing.assert_array_equal(valid, on_image(sensor, pixels))
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("model", "largest", "why"),
+        [
+            ({"kind": "unified", "xi": 0.5}, 120.0, "nothing is projected"),
+            # arccos(-1/2) = 120 deg, where r = 1/sqrt(3) turns round with r'' = -8 sin(120 deg)/9 = -0.77: a pixel, or
+            # 0.002, inside is sqrt(2 x 0.002/0.77) = 4.1 deg less.
+            ({"kind": "unified", "xi": 2.0}, 115.8, "the image folds back on itself"),
+        ],
+    )
+    def test_a_field_beyond_the_domain_is_refused_with_what_would_fit(self, model, largest, why):
+        camera, field = {"focal_px": 500.0}, {"elevation_min_deg": -60, "elevation_max_deg": 90}
+        with pytest.raises(InputError, match=r"field\.elevation_min_deg = -60 is 150 deg off") as caught:
+            parse(Sensor, {"model": model, "camera": camera, "field": field})
+        assert f" deg {why}; use at least " in str(caught.value)
+        least = float(re.search(r"use at least (\S+)", str(caught.value)).group(1))
+        assert least == pytest.approx(90 - largest, abs=0.1)
+        parse(Sensor, {"model": model, "camera": camera, "field": field | {"elevation_min_deg": least}})
+
+    def test_a_lens_that_folds_the_field_over(self):
+        table = {"model": {"kind": "unified", "xi": 1.0}, "lens": {"k1": -1.0}, "field": {"elevation_min_deg": 0}}
+        with pytest.raises(InputError, match="the lens folds the image over"):
+            parse(Sensor, table)
+
+    def test_what_a_model_needs_is_missing(self):
+        with pytest.raises(InputError, match=r"model\.xi: this key is missing"):
+            parse(Sensor, {"model": {"kind": "unified"}})
+
+    @pytest.mark.parametrize("kind", [kind for kind in AXIAL if not HAS_LENS[kind]])
+    def test_lens_terms_of_a_model_without_a_lens(self, kind):
+        sensor = random_sensor(kind, 0)
+        with pytest.raises(ValidationError, match=r"lens\.p2 = 0\.001: the .* has no lens terms"):
+            sensor_of(sensor.model, sensor.camera, Lens(p2=1e-3), sensor.field)
+
+    @pytest.mark.parametrize(("kind", "key"), [(kind, key) for kind in AXIAL for key in UNUSED[kind]])
+    def test_camera_keys_that_a_model_has_no_use_for(self, kind, key):
+        sensor = random_sensor(kind, 0)
+        with pytest.raises(ValidationError, match=rf"camera\.{key} = 1\.5 has no meaning for the "):
+            sensor_of(sensor.model, sensor.camera.model_copy(update={key: 1.5}), field=sensor.field)
+
+    @pytest.mark.parametrize("kind", AXIAL)
+    def test_a_sensor_is_written_and_read_back(self, kind):
+        sensor = random_sensor(kind, 0)
+        assert parse(Sensor, tomllib.loads(dump_toml(sensor))) == sensor
 
 
 @pytest.mark.usefixtures("outside")
@@ -156,7 +256,7 @@ class TestModelFromOutside:
         assert Trial.model_validate(trial.model_dump(mode="json")) == trial
 
     def test_unknown_one_is_refused_by_name(self):
-        with pytest.raises(InputError, match=r"model\.kind: unknown kind 'fish'; valid: hyperboloid, equiangular"):
+        with pytest.raises(InputError, match=r"model\.kind: unknown kind 'fish'; valid: hyperboloid, .*, equiangular"):
             parse(Sensor, {"model": {"kind": "fish"}})
         with pytest.raises(InputError, match="equiangular lens has no other distortion"):
             parse(Sensor, {"model": {"kind": "equiangular"}, "lens": {"k1": 0.1}})

@@ -12,11 +12,11 @@ from pydantic import ValidationError
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from harness.camera.conversions import mirrored_frame
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor, in_field, pixel_directions, project, unproject
-from harness.camera.unified import mirrored_frame
 from harness.errors import InputError
 from harness.geometry.angles import angle_between, normalise
 from harness.geometry.epipolar import alpha_1

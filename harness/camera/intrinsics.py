@@ -20,6 +20,8 @@ class Camera(Spec):
     """Focal length along u, pixels."""
     aspect: Positive = 1.0
     """Focal length along v divided by that along u, no unit."""
+    skew_px: Finite = 0.0
+    """Skew, pixels: K[0, 1] of the camera matrix, 0 where columns are at right angles to rows."""
     cx_px: Finite = 319.5
     """Principal point along u, pixels; the centre of the first pixel is 0."""
     cy_px: Finite = 239.5

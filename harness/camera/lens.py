@@ -54,3 +54,14 @@ def fold_radius(lens: Lens) -> float:
     roots = np.roots(slope)
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
     return 1 / float(real.max()) if real.size else float("inf")
+
+
+def least_bent_radius(lens: Lens, radius: float) -> float:
+    """The distorted radius of an undistorted one, to the side where it is least: it grows up to the fold.
+
+    `r + k1 r³ + k2 r⁵ + k3 r⁷ - 3 hypot(p1, p2) r²`: the tangential part moves a point outwards by
+    `3 (p1 sin(phi) + p2 cos(phi)) r²`.
+    """
+    r2 = radius * radius
+    radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    return radius * radial - 3 * float(np.hypot(lens.p1, lens.p2)) * r2

@@ -8,8 +8,9 @@ from pydantic_core import PydanticKnownError
 
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.models.model import CameraModel
+from harness.camera.models.unified import Unified
 
-BUILT_IN: dict[str, type[CameraModel]] = {"hyperboloid": Mirror}
+BUILT_IN: dict[str, type[CameraModel]] = {"hyperboloid": Mirror, "unified": Unified}
 """The settings of every camera model of this program, by `kind`."""
 
 MODELS = dict(BUILT_IN)
@@ -42,7 +43,9 @@ if TYPE_CHECKING:
     AnyModel = CameraModel
 else:
     AnyModel = Annotated[
-        Annotated[Mirror, Tag("hyperboloid")] | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
+        Annotated[Mirror, Tag("hyperboloid")]
+        | Annotated[Unified, Tag("unified")]
+        | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
         Discriminator(_tag),
     ]
     """The settings of any camera model, told apart by `kind`."""
@@ -58,4 +61,4 @@ def knows(kind: Any, key: str) -> bool:
     return not (isinstance(kind, str) and kind in MODELS) or key in MODELS[kind].model_fields
 
 
-__all__ = ["BUILT_IN", "MODELS", "AnyModel", "CameraModel", "Mirror", "carried_over", "knows"]
+__all__ = ["BUILT_IN", "MODELS", "AnyModel", "CameraModel", "Mirror", "Unified", "carried_over", "knows"]

@@ -21,7 +21,7 @@ from pydantic import model_validator
 from harness.camera._lens_kernels import bend, move_bent, unbend
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.intrinsics import Camera, FieldOfView
-from harness.camera.lens import Lens, fold_radius
+from harness.camera.lens import Lens, fold_radius, least_bent_radius
 from harness.camera.models.model import CameraModel
 from harness.compiled import kernel
 from harness.geometry.angles import Array
@@ -36,6 +36,7 @@ class Mirror(CameraModel):
     """
 
     title: ClassVar[str] = "hyperboloid mirror"
+    has_lens: ClassVar[bool] = True
 
     kind: Literal["hyperboloid"] = "hyperboloid"
     """The camera model."""
@@ -71,11 +72,16 @@ class Mirror(CameraModel):
                 f"asin(a/e) = {asymptote:.2f} deg; lower it or use a mirror with a larger a_m / b_m"
             )
         rim, fold = rim_radius(self, field), fold_radius(lens)
-        # Two pixels more than the rim: the corners of the outermost pixels are unprojected too.
-        if rim + 2 / camera.focal_px >= fold:
+        # Some pixels more than the rim, on the image too: the corners of the outermost pixels are unprojected.
+        folds = rim + 2 / camera.focal_px >= fold
+        if math.isfinite(fold) and not folds:
+            room = least_bent_radius(lens, fold) - least_bent_radius(lens, rim)
+            folds = room * camera.focal_px * min(1.0, camera.aspect) <= 1
+        if folds:
             raise ValueError(
-                f"lens: the distortion folds the image over at radius {fold:.3f} of the undistorted image, inside "
-                f"the mirror's rim at {rim:.3f}; use weaker coefficients or a lower field.elevation_max_deg"
+                f"lens: the distortion folds the image over at radius {fold:.3f} of the undistorted image, "
+                f"{'inside' if fold < rim else 'next to'} the mirror's rim at {rim:.3f}; use weaker coefficients or "
+                "a lower field.elevation_max_deg"
             )
 
     def parameters(self, camera: Camera, lens: Lens) -> "HyperboloidCamera":
@@ -88,6 +94,7 @@ class Mirror(CameraModel):
         return HyperboloidCamera(
             fu=camera.focal_px,
             fv=camera.focal_px * camera.aspect,
+            skew=camera.skew_px,
             cu=camera.cx_px,
             cv=camera.cy_px,
             a=self.a_m,
@@ -102,6 +109,7 @@ class Mirror(CameraModel):
             xi=2 * eps / (1 + eps * eps),
             gamma_u=gamma_u,
             gamma_v=camera.focal_px * camera.aspect * scale,
+            gamma_skew=camera.skew_px * scale,
             k1_unified=lens.k1 / s**2,
             k2_unified=lens.k2 / s**4,
             p1_unified=lens.p1 / s,
@@ -146,6 +154,7 @@ class HyperboloidCamera(NamedTuple):
 
     fu: float
     fv: float
+    skew: float
     cu: float
     cv: float
     a: float
@@ -161,6 +170,7 @@ class HyperboloidCamera(NamedTuple):
     xi: float
     gamma_u: float
     gamma_v: float
+    gamma_skew: float
     k1_unified: float
     """The lens as the unified model writes it, here and below."""
     k2_unified: float
@@ -180,7 +190,7 @@ def _project(x, y, z, camera):
     x, y = scale * x / below, scale * y / below
     inside = math.sqrt(x * x + y * y) <= camera.fold
     x, y = bend(x, y, camera.k1, camera.k2, camera.p1, camera.p2, camera.k3)
-    return x * camera.fu + camera.cu, y * camera.fv + camera.cv, inside
+    return x * camera.fu + camera.skew * y + camera.cu, y * camera.fv + camera.cv, inside
 
 
 @kernel
@@ -195,8 +205,13 @@ def _move(x, y, z, dx, dy, dz, camera):
         m, n, m_d, n_d,
         camera.k1_unified, camera.k2_unified, camera.p1_unified, camera.p2_unified, camera.k3_unified,
     )  # fmt: skip
-    gamma_u, gamma_v = camera.gamma_u, camera.gamma_v
-    return gamma_u * m + camera.cu, gamma_v * n + camera.cv, gamma_u * m_d, gamma_v * n_d
+    gamma_u, gamma_v, skew = camera.gamma_u, camera.gamma_v, camera.gamma_skew
+    return (
+        gamma_u * m + skew * n + camera.cu,
+        gamma_v * n + camera.cv,
+        gamma_u * m_d + skew * n_d,
+        gamma_v * n_d,
+    )
 
 
 @kernel
@@ -206,22 +221,23 @@ def _rays(u, v, camera, x_out, y_out, z_out):
     numbers cancel when b is small beside a. With |q| = 1 + r²/(1 + |q|) nothing cancels but at the horizon:
     (x, y, (2 a e/b²) r²/(1 + |q|) - b²/(a + e)²).
     """
-    fu, fv, cu, cv = camera.fu, camera.fv, camera.cu, camera.cv
+    fu, fv, skew, cu, cv = camera.fu, camera.fv, camera.skew, camera.cu, camera.cv
     a, b, e = camera.a, camera.b, camera.e
     k1, k2, p1, p2, k3, fold = camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, camera.fold
     z_axis = -b * b / ((a + e) * (a + e))
     z_slope = 2.0 * a * e / (b * b)
     if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
         for i in range(u.size):
-            x = (u[i] - cu) / fu
             y = (v[i] - cv) / fv
+            x = (u[i] - cu - skew * y) / fu
             x_out[i] = x
             y_out[i] = y
             r2 = x * x + y * y
             z_out[i] = z_axis + z_slope * r2 / (1.0 + math.sqrt(1.0 + r2))
         return
     for i in range(u.size):
-        x, y = unbend((u[i] - cu) / fu, (v[i] - cv) / fv, k1, k2, p1, p2, k3, fold)
+        y_d = (v[i] - cv) / fv
+        x, y = unbend((u[i] - cu - skew * y_d) / fu, y_d, k1, k2, p1, p2, k3, fold)
         r2 = x * x + y * y
         x_out[i] = x
         y_out[i] = y

@@ -13,6 +13,10 @@ class CameraModel(Spec, ABC):
 
     title: ClassVar[str]
     """In captions: `hyperboloid mirror`."""
+    unused: ClassVar[tuple[str, ...]] = ()
+    """The keys of `camera` that the model has no use for."""
+    has_lens: ClassVar[bool] = False
+    """Whether the terms of `lens` bend what the model projects."""
 
     @abstractmethod
     def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:
@@ -27,3 +31,24 @@ class CameraModel(Spec, ABC):
     @abstractmethod
     def parameters(self, camera: Camera, lens: Lens) -> Any:
         """What the compiled functions are given: a named tuple of numbers, of a class of the model's own."""
+
+    def refuse_unused(self, camera: Camera, lens: Lens) -> None:
+        """Refuse what has been set and would change nothing.
+
+        A key that holds its default counts as not set: a sensor that is written out has all of them.
+
+        Raises
+        ------
+        ValueError
+            Names the key.
+        """
+        for key in self.unused:
+            value = getattr(camera, key)
+            if value != Camera.model_fields[key].default:
+                raise ValueError(f"camera.{key} = {value:g} has no meaning for the {self.title}; leave it out")
+        given = [key for key in Lens.model_fields if getattr(lens, key)]
+        if given and not self.has_lens:
+            raise ValueError(
+                f"lens.{given[0]} = {getattr(lens, given[0]):g}: the {self.title} has no lens terms beside its own; "
+                "leave it out"
+            )

@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.camera.conversions import mirrored_frame
 from harness.camera.fill import without_gaps
 from harness.camera.sensor import pixel_directions
-from harness.camera.unified import mirrored_frame
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1

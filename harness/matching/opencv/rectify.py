@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.camera.conversions import mirrored_frame, to_unified, unified_lens
 from harness.camera.fill import without_gaps
 from harness.camera.sensor import Sensor, in_field, on_image, pixel_directions
-from harness.camera.unified import mirrored_frame, to_unified, unified_lens
 from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
 from harness.matching.interface import MatcherSettings
@@ -69,7 +69,7 @@ class Rectangle:
         Parameters
         ----------
         R_rect_from_v1
-            `[3, 3]`, between frames as OpenCV has them (see `camera.unified`).
+            `[3, 3]`, between frames as OpenCV has them (see `camera.conversions`).
         """
         x, y, z = np.moveaxis(mirrored_frame(directions) @ R_rect_from_v1.T, -1, 0)
         theta, h = np.arctan2(np.hypot(y, z), -x), np.arctan2(z, -y) % (2 * np.pi)
@@ -143,7 +143,9 @@ def mei(sensor: Sensor) -> tuple[Array, Array, Array]:
     if sensor.lens.k3:
         raise InputError(f"OpenCV's omnidir has no k3; it must be 0, found {sensor.lens.k3:g}", key="sensor.lens.k3")
     unified, lens = to_unified(sensor), unified_lens(sensor)
-    K = np.array([[unified.gamma_u_px, 0, unified.cx_px], [0, unified.gamma_v_px, unified.cy_px], [0, 0, 1.0]])
+    K = np.array(
+        [[unified.gamma_u_px, unified.skew_px, unified.cx_px], [0, unified.gamma_v_px, unified.cy_px], [0, 0, 1.0]]
+    )
     return K, np.array([[lens.k1, lens.k2, lens.p1, lens.p2]]), np.array([[unified.xi]])
 
 

@@ -1,28 +1,27 @@
-"""The unified model: against the mirror it stands for, against OpenCV, and its frames."""
+"""A mirror written in the unified model: against that model, against OpenCV, and the frames."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.camera.conversions import (
+    UnifiedParameters,
+    from_unified,
+    mirrored_frame,
+    to_unified,
+    unified_lens,
+)
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens, distort
 from harness.camera.models.hyperboloid import Mirror
-from harness.camera.sensor import Sensor, pixel_directions, project
-from harness.camera.unified import (
-    Unified,
-    from_unified,
-    mirrored_frame,
-    project_unified,
-    to_unified,
-    unified_lens,
-    unproject_unified,
-)
+from harness.camera.models.unified import Unified
+from harness.camera.sensor import Sensor, pixel_directions, project, unproject
 from harness.geometry.angles import normalise
 from harness.geometry.pose import Pose, relative_motion
 
 models = st.builds(
-    Unified,
+    UnifiedParameters,
     xi=st.floats(0.05, 2),
     gamma_u_px=st.floats(50, 2000),
     gamma_v_px=st.floats(50, 2000),
@@ -31,7 +30,7 @@ models = st.builds(
 )
 
 # From cv2.omnidir.projectPoints of OpenCV 5.0.0 (contrib): a point (X, Y, Z) in its frame, then the pixel (u, v).
-OPENCV = Unified(xi=0.93, gamma_u_px=150.0, gamma_v_px=163.5, cx_px=322.25, cy_px=236.75)
+OPENCV = UnifiedParameters(xi=0.93, gamma_u_px=150.0, gamma_v_px=163.5, cx_px=322.25, cy_px=236.75)
 OPENCV_LENS = Lens(k1=-0.05, k2=0.012, p1=0.002, p2=-0.0015)
 OPENCV_TABLE = np.array(
     [
@@ -51,11 +50,36 @@ def random_sensor(rng: np.random.Generator, lens: Lens | None = None) -> Sensor:
     return Sensor(
         model=Mirror(a_m=rng.uniform(0.01, 0.05), b_m=rng.uniform(0.01, 0.05)),
         camera=Camera(
-            focal_px=rng.uniform(300, 900), aspect=rng.uniform(0.8, 1.25), cx_px=rng.uniform(280, 360), cy_px=250.0
+            focal_px=rng.uniform(300, 900),
+            aspect=rng.uniform(0.8, 1.25),
+            skew_px=rng.uniform(-20, 20),
+            cx_px=rng.uniform(280, 360),
+            cy_px=250.0,
         ),
         lens=lens or Lens(),
         field=FieldOfView(elevation_max_deg=5.0),
     )
+
+
+def project_unified(unified: UnifiedParameters, directions, lens: Lens | None = None) -> np.ndarray:
+    return project(unified_sensor(unified, lens), mirrored_frame(directions))[0]
+
+
+def unproject_unified(unified: UnifiedParameters, pixels) -> np.ndarray:
+    return mirrored_frame(unproject(unified_sensor(unified), pixels)[0])
+
+
+def unified_sensor(unified: UnifiedParameters, lens: Lens | None = None) -> Sensor:
+    """A sensor of the unified model, which sees along +z; a small field, as any model has it, for the pixels alone."""
+    camera = Camera(
+        focal_px=unified.gamma_u_px,
+        aspect=unified.gamma_v_px / unified.gamma_u_px,
+        skew_px=unified.skew_px,
+        cx_px=unified.cx_px,
+        cy_px=unified.cy_px,
+    )
+    field = FieldOfView(elevation_min_deg=80, elevation_max_deg=90)
+    return Sensor(model=Unified(xi=unified.xi), camera=camera, lens=lens or Lens(), field=field)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -79,7 +103,7 @@ def test_opencv_projects_the_same() -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_lens_as_the_unified_model_writes_it(seed: int) -> None:
-    """Mei's formula written out, sphere, plane and lens, against the mirror with its own lens."""
+    """Mei's formula written out, sphere, plane and lens, and the model, against the mirror with its own lens."""
     rng = np.random.default_rng(seed)
     k = rng.uniform(-0.05, 0.05, 5)
     sensor = random_sensor(rng, Lens(k1=k[0], k2=k[1], p1=k[2] / 10, p2=k[3] / 10, k3=k[4] / 10))
@@ -88,8 +112,11 @@ def test_lens_as_the_unified_model_writes_it(seed: int) -> None:
     unified = to_unified(sensor)
     sphere = mirrored_frame(directions[valid])
     plane = distort(unified_lens(sensor), sphere[:, :2] / (sphere[:, 2:] + unified.xi))
-    expected = plane * [unified.gamma_u_px, unified.gamma_v_px] + [unified.cx_px, unified.cy_px]
+    K = [[unified.gamma_u_px, unified.skew_px], [0, unified.gamma_v_px]]
+    expected = plane @ np.transpose(K) + [unified.cx_px, unified.cy_px]
     np.testing.assert_allclose(pixels, expected, rtol=0, atol=1e-9)
+    same = project_unified(unified, directions[valid], unified_lens(sensor))
+    np.testing.assert_allclose(pixels, same, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -118,7 +145,7 @@ def test_size_of_the_mirror_is_not_in_the_image() -> None:
 
 
 @given(models, st.integers(0, 2**32 - 1))
-def test_unified_round_trip(unified: Unified, seed: int) -> None:
+def test_unified_round_trip(unified: UnifiedParameters, seed: int) -> None:
     directions = normalise(np.random.default_rng(seed).normal(size=(100, 3)))
     # Up to 1 % from the last direction seen, beyond which rho grows, or its slope falls, without bound.
     directions = directions[directions[:, 2] < min(unified.xi, 1 / unified.xi) - 0.01]

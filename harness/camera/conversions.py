@@ -1,4 +1,5 @@
-"""The unified (Mei) camera model: to cross over to and from OpenCV's `ccalib.omnidir` and Kalibr.
+"""A hyperboloid mirror written in the unified (Mei) model, and back: to cross over to and from OpenCV's
+`ccalib.omnidir` and Kalibr. The model itself is `harness.camera.models.unified`.
 
 A direction on the unit sphere is seen by a pinhole at distance `xi` from the sphere's centre. A hyperboloid mirror
 is exactly this with `eps = e/a`: `xi = 2 eps/(1 + eps²)` and focal length `gamma = f (eps² - 1)/(1 + eps²)`.
@@ -24,7 +25,7 @@ from harness.geometry.angles import Array
 from harness.spec import Finite, Positive, Spec
 
 
-class Unified(Spec):
+class UnifiedParameters(Spec):
     """Parameters of the unified model."""
 
     xi: Positive
@@ -33,13 +34,15 @@ class Unified(Spec):
     """Generalised focal length along u, pixels: OpenCV's K[0, 0]."""
     gamma_v_px: Positive
     """Generalised focal length along v, pixels: OpenCV's K[1, 1]."""
+    skew_px: Finite = 0.0
+    """OpenCV's K[0, 1], pixels."""
     cx_px: Finite
     """Principal point along u, pixels."""
     cy_px: Finite
     """Principal point along v, pixels."""
 
 
-def to_unified(sensor: Sensor) -> Unified:
+def to_unified(sensor: Sensor) -> UnifiedParameters:
     """The unified model that projects as the mirror does; its lens is written otherwise: see `unified_lens`.
 
     Raises
@@ -48,7 +51,14 @@ def to_unified(sensor: Sensor) -> Unified:
         When the sensor's camera model is another one.
     """
     camera = _hyperboloid(sensor)
-    return Unified(xi=camera.xi, gamma_u_px=camera.gamma_u, gamma_v_px=camera.gamma_v, cx_px=camera.cu, cy_px=camera.cv)
+    return UnifiedParameters(
+        xi=camera.xi,
+        gamma_u_px=camera.gamma_u,
+        gamma_v_px=camera.gamma_v,
+        skew_px=camera.gamma_skew,
+        cx_px=camera.cu,
+        cy_px=camera.cv,
+    )
 
 
 def unified_lens(sensor: Sensor) -> Lens:
@@ -76,7 +86,7 @@ def _hyperboloid(sensor: Sensor) -> HyperboloidCamera:
 
 
 def from_unified(
-    unified: Unified,
+    unified: UnifiedParameters,
     width_px: int,
     height_px: int,
     *,
@@ -110,6 +120,7 @@ def from_unified(
             height_px=height_px,
             focal_px=unified.gamma_u_px * s,
             aspect=unified.gamma_v_px / unified.gamma_u_px,
+            skew_px=unified.skew_px * s,
             cx_px=unified.cx_px,
             cy_px=unified.cy_px,
         ),
@@ -121,31 +132,3 @@ def from_unified(
 def mirrored_frame(vectors: ArrayLike) -> Array:
     """Vectors `[..., 3]` of our frame in OpenCV's, or the other way: `(x, y, -z)`."""
     return np.asarray(vectors, dtype=np.float64) * [1.0, 1.0, -1.0]
-
-
-def project_unified(unified: Unified, directions: ArrayLike) -> Array:
-    """Pixels `[..., 2]` of directions `[..., 3]` of our frame, no lens.
-
-    `rho = gamma sin(theta)/(cos(theta) + xi)`, theta measured from -z. NaN where two directions would share a pixel, or
-    none would have it: `cos(theta) <= -min(xi, 1/xi)`.
-    """
-    d = np.asarray(directions, dtype=np.float64)
-    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
-    seen = d[..., 2:] < min(unified.xi, 1 / unified.xi)
-    m = d[..., :2] / np.where(seen, unified.xi - d[..., 2:], np.nan)
-    return m * [unified.gamma_u_px, unified.gamma_v_px] + [unified.cx_px, unified.cy_px]
-
-
-def unproject_unified(unified: Unified, pixels: ArrayLike) -> Array:
-    """Unit directions `[..., 3]` in our frame of pixels `[..., 2]`, no lens: d = (k x, k y, xi - k).
-
-    `k = (xi + sqrt(1 + (1 - xi²) r²))/(r² + 1)`; NaN where xi > 1 leaves a pixel without a direction.
-    """
-    m = (np.asarray(pixels, dtype=np.float64) - [unified.cx_px, unified.cy_px]) / [
-        unified.gamma_u_px,
-        unified.gamma_v_px,
-    ]
-    r2 = np.sum(m * m, axis=-1)
-    with np.errstate(invalid="ignore"):
-        k = (unified.xi + np.sqrt(1 + (1 - unified.xi**2) * r2)) / (r2 + 1)
-    return np.concatenate([k[..., None] * m, (unified.xi - k)[..., None]], axis=-1)

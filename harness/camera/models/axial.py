@@ -1,0 +1,71 @@
+"""What models of lenses share: the optical axis is +Z, and the radius in the image depends on the angle to it alone.
+
+They are written in the frame of their literature: X right (u), Y down (v), Z along the optical axis, into the scene.
+The sensor's frame is that one, so that such a camera looks straight up, and the angle off its axis is 90° less the
+elevation.
+"""
+
+import math
+from abc import abstractmethod
+from typing import NamedTuple
+
+from scipy.optimize import brentq
+
+from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.lens import Lens
+from harness.camera.models.model import CameraModel
+
+_MARGIN_PX = 1.0
+"""How far the field stays inside the domain: the corners of the outermost pixels, 0.71 from their centres, are
+unprojected too."""
+_MARGIN_RAD = math.radians(0.01)
+"""The same where the image has no end."""
+
+
+class Domain(NamedTuple):
+    """Where a model ends."""
+
+    angle_rad: float
+    """Angle off the optical axis."""
+    radius: float
+    """The radius there, in the model's own unit; infinite for an angle that no image reaches."""
+    why: str
+    """What happens beyond it, for messages: `the image folds back on itself`."""
+
+
+class AxialModel(CameraModel):
+    """Base of the models of lenses."""
+
+    @abstractmethod
+    def radius(self, angle_rad: float, lens: Lens) -> float:
+        """Radius in the image of directions at this angle off the axis, in the model's own unit.
+
+        It grows with the angle throughout the domain. To the side where it grows least, if a lens makes sides differ.
+        """
+
+    @abstractmethod
+    def domain(self, camera: Camera, lens: Lens) -> Domain:
+        """Where the model ends."""
+
+    def unit_px(self, camera: Camera) -> float:
+        """Pixels, at least, to the unit of `radius`: the smaller focal length, but for models in pixels."""
+        return camera.focal_px * min(1.0, camera.aspect)
+
+    def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:
+        """The angle off the optical axis to which a field may reach: one pixel inside the domain."""
+        end = self.domain(camera, lens)
+        if math.isinf(end.radius):
+            return end.angle_rad - _MARGIN_RAD
+        last = end.radius - _MARGIN_PX / self.unit_px(camera)
+        return float(brentq(lambda angle: self.radius(angle, lens) - last, 0.0, end.angle_rad)) if last > 0 else 0.0
+
+    def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:
+        """Refuse keys that the model has no use for, and a field that reaches beyond its domain."""
+        self.refuse_unused(camera, lens)
+        largest = math.degrees(self.largest_angle_rad(camera, lens))
+        if 90 - field.elevation_min_deg > largest:
+            raise ValueError(
+                f"field.elevation_min_deg = {field.elevation_min_deg:g} is {90 - field.elevation_min_deg:g} deg off "
+                f"the optical axis; beyond {largest:.2f} deg {self.domain(camera, lens).why}; "
+                f"use at least {math.ceil((90 - largest) * 100) / 100:g}"
+            )
