@@ -279,6 +279,20 @@ class TestSensorFile:
             load_sensor(path)
         assert str(caught.value).startswith(f"{path}: {message}")
 
+    def test_lens_may_fold_a_pixel_beyond_the_rim_and_no_nearer(self) -> None:
+        """The corners of the rim's pixels need rays, and r + k1 r³ hardly grows before its fold, 1/sqrt(-3 k1).
+
+        There 3 pixels of the undistorted image are 0.04 of the distorted one, and 25 are 2.5: (3/614)²/0.39 x 614.
+        """
+        rim = rim_radius(Mirror(), FieldOfView())
+        near, far = (Lens(k1=-1 / (3 * (rim + pixels / 614.12) ** 2)) for pixels in (3, 25))
+        sensor = Sensor(lens=far)
+        _, valid = pixel_directions(sensor)
+        v, u = np.nonzero(valid)
+        assert np.isfinite(rays_of(sensor, u + 0.5, v + 0.5)).all()
+        with pytest.raises(ValidationError, match=r"folds the image over at radius 0\.392 .* next to the mirror's rim"):
+            Sensor(lens=near)
+
     def test_field_up_to_the_asymptote_and_no_further(self) -> None:
         asymptote = math.degrees(Mirror().asymptote_rad)
         Sensor(field=FieldOfView(elevation_max_deg=asymptote - 0.02))
