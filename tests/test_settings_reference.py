@@ -8,6 +8,7 @@ from typing import get_args, get_origin
 import pytest
 from pydantic import BaseModel
 
+from harness.camera.models import BUILT_IN as MODELS
 from harness.cli import main
 from harness.matching.registry import BUILT_IN
 from harness.pipeline.specification import Trial
@@ -82,6 +83,10 @@ def test_defaults_are_those_of_the_specifications() -> None:
         if first == "matching":
             for kind in (kind for kind in each.kinds if kind in BUILT_IN and kind != "program"):
                 assert json.loads(each.default) == BUILT_IN[kind]().model_dump(mode="json")[rest[0]]
+            continue
+        if each.key.startswith("sensor.model.") and "hyperboloid" not in each.kinds:
+            for kind in each.kinds:
+                assert json.loads(each.default) == MODELS[kind].model_fields[rest[-1]].default
             continue
         value = base
         for part in (first, *rest):
