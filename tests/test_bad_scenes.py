@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from sweeps import write_small
 
 import harness
 from harness.camera.sensor import Sensor
+from harness.cli import main
 from harness.errors import InputError
 from harness.geometry.pose import Pose
 from harness.simulation.render import render
@@ -233,3 +235,39 @@ def test_escaped_rays_are_counted():
             directions,
             np.ones((1, 4), dtype=bool),
         )
+
+
+PILLAR = BOX.replace("1, 1, 1", "1, 1, 3") + 'name = "pillar"\n' + GREY_TOML
+
+
+@pytest.mark.parametrize("scene", ["trial", "--set", "--axis", "changed"])
+def test_a_run_names_the_file_of_a_scene_in_which_a_view_cannot_be(tmp_path, capsys, scene):
+    """The experiment's file, the key, the scene and its own file."""
+    path, file = tmp_path / "scene.toml", tmp_path / "e.toml"
+    path.write_text('name = "inside"\nclosed = false\n' + PILLAR)
+    base = f'scene = "{path.name if scene in ("trial", "changed") else "box"}"\n'
+    write_small(file)
+    file.write_text(file.read_text().replace('scene = "box"\n', base))
+    options = {"changed": ["--set", "scene.objects.0.texture.value=9"], "trial": []}.get(
+        scene, [scene, f"scene={path}"]
+    )
+    assert main(["run", str(file), "--out", str(tmp_path / "o"), "--workers", "1", *options]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(
+        f"omnirange: {file}: trial.view_1.position_m: scene inside ({path}): the view at (0, 0, 1) m"
+    )
+
+
+def test_a_run_names_the_file_of_a_scene_that_cannot_be_built(tmp_path, capsys):
+    """A size that is lost in the rounding of its position."""
+    path, file = tmp_path / "scene.toml", write_small(tmp_path / "e.toml")
+    path.write_text(
+        'name = "far"\nclosed = false\n'
+        + BOX.replace("1, 1, 1", "1e-9, 1, 1")
+        + GREY_TOML
+        + "position_m = [1e9, 0, 0]\n"
+    )
+    assert main(["run", str(file), "--out", str(tmp_path / "o"), "--workers", "1", "--set", f"scene={path}"]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(f"omnirange: {file}: trial.scene: scene far ({path}): ")
+    assert "without an area" in said

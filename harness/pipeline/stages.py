@@ -119,6 +119,8 @@ class Work:
         Called with the name of each stage as it begins.
     threads
         How many may be used; all available CPUs when None. No result depends on it.
+    scene_file
+        Where the scene was read from, for messages.
     """
 
     def __init__(
@@ -127,8 +129,10 @@ class Work:
         cache: StageCache,
         observe: Observer = lambda _: None,
         threads: int | None = None,
+        scene_file: str = "",
     ) -> None:
         self.trial = trial
+        self.scene_name = f"scene {trial.scene.name}" + (f" ({scene_file})" if scene_file else "")
         self.setup = setup_of(trial)
         self.keys = StageKeys(self.setup)
         self.threads = threads

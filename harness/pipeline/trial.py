@@ -29,7 +29,6 @@ from harness.simulation.exposure import with_exposure
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator, with_noise, words_of
 from harness.simulation.render import render
-from harness.simulation.scene import Scene
 from harness.simulation.scene_geometry import check_viewpoint, geometry_near
 from harness.simulation.truth import Truth, truth
 
@@ -110,16 +109,14 @@ class Outcome(OneLine):
 def _render(work: Work, view: int) -> Image:
     trial, pose = work.trial, work.setup.poses[view]
     image = render(trial.scene, trial.sensor, pose, trial.render.samples, work.threads)
-    _refuse_changed_scene(work.setup)
+    _refuse_changed_scene(work)
     return image
 
 
-def _refuse_changed_scene(setup: Setup) -> None:
+def _refuse_changed_scene(work: Work) -> None:
     """What is made of a scene's files is kept under the fingerprint that they had when the trial began."""
-    if fingerprint(setup.trial.scene) != setup.scene:
-        raise InputError(
-            "a file of the scene was changed while the trial ran; run it again", file=setup.trial.scene.name
-        )
+    if fingerprint(work.trial.scene) != work.setup.scene:
+        raise InputError("a file of the scene was changed while the trial ran; run it again", file=work.scene_name)
 
 
 RENDER = Stage(
@@ -134,7 +131,7 @@ RENDER = Stage(
 def _expose(work: Work, view: int) -> Image:
     image, exposure = work(RENDER, view), work.trial.exposure_2
     exposed = with_exposure(image, work.trial.sensor, exposure.gain, exposure.offset_grey) if view else image
-    return _finite(exposed, work.trial.scene, "trial.exposure_2")
+    return _finite(exposed, work, "trial.exposure_2")
 
 
 EXPOSURE = Stage(
@@ -147,7 +144,7 @@ def _add_noise(work: Work, view: int) -> Image:
     trial, setup = work.trial, work.setup
     draws = generator(trial.seed, "noise", setup.scene, words_of(trial.sensor), f"view {view + 1}")
     noisy = with_noise(work(EXPOSURE, view), trial.sensor, trial.noise.sigma_grey, draws)
-    return _finite(noisy, trial.scene, "trial.noise")
+    return _finite(noisy, work, "trial.noise")
 
 
 def _noise_settings(setup: Setup, view: int) -> Hashable:
@@ -171,7 +168,7 @@ def _truth(work: Work, _view: int) -> Truth:
         sensor_2=trial.sensor,
         threads=work.threads,
     )
-    _refuse_changed_scene(setup)
+    _refuse_changed_scene(work)
     return seen
 
 
@@ -312,6 +309,7 @@ def run_trial(
     *,
     threads: int | None = None,
     answer: Matches | None = None,
+    scene_file: str = "",
 ) -> Outcome:
     """Run the whole pipeline with one set of settings.
 
@@ -325,15 +323,17 @@ def run_trial(
         Of one trial; all available CPUs when None. No figure depends on it.
     answer
         What the matcher answered to these settings before; it is not run then.
+    scene_file
+        Where the scene was read from, for messages.
 
     Raises
     ------
     InputError
         When the scene cannot be seen from where the views stand, or nothing can be matched.
     """
-    work = Work(trial, cache or StageCache(), observe, threads)
+    work = Work(trial, cache or StageCache(), observe, threads, scene_file)
     for pose, key in zip(work.setup.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
-        _check_view(trial.scene, pose, key)
+        _check_view(work, pose, key)
     check_sight(trial, work.setup.assumed.motion)
     if answer is not None:
         work.give(MATCH, answer)
@@ -359,18 +359,24 @@ def run_trial(
     )
 
 
-def _finite(image: Image, scene: Scene, key: str) -> Image:
+def _finite(image: Image, work: Work, key: str) -> Image:
     """The image, refused where a grey level is not a finite number: a matcher would take it for a surface."""
     if not np.isfinite(image).all():
         count = np.count_nonzero(~np.isfinite(image))
-        raise InputError(f"scene {scene.name}: {count} pixels have a grey level that is not a finite number", key=key)
+        raise InputError(f"{work.scene_name}: {count} pixels have a grey level that is not a finite number", key=key)
     return image
 
 
-def _check_view(scene: Scene, pose: Pose, key: str) -> None:
-    """Refuse a view that stands where there is nothing to see, and say which one it is."""
-    geometry = geometry_near(scene, pose.position_m)
+def _check_view(work: Work, pose: Pose, key: str) -> None:
+    """Refuse a scene that cannot be built, and a view that stands where there is nothing to see; say which it is."""
+    scene = work.trial.scene
+    try:
+        geometry = geometry_near(scene, pose.position_m)
+    except InputError as error:
+        if error.file != scene.name:  # that of a mesh or an image
+            raise
+        raise InputError(f"{work.scene_name}: {error.problem}", key="trial.scene") from error
     try:
         check_viewpoint(geometry, pose.position_m - geometry.centre)
     except InputError as error:
-        raise InputError(f"scene {scene.name}: {error.problem}", key=key) from error
+        raise InputError(f"{work.scene_name}: {error.problem}", key=key) from error

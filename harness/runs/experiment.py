@@ -5,9 +5,10 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, PrivateAttr, field_validator
 
 from harness.display import shortened
 from harness.errors import InputError
@@ -34,6 +35,8 @@ class Planned:
     trial: Trial
     method: MethodName
     """What its method is called in this experiment."""
+    scene_file: str = ""
+    """Where its scene was read from, for messages; empty for a shipped scene and for a table."""
 
 
 class Experiment(Spec):
@@ -51,6 +54,8 @@ class Experiment(Spec):
     """Dotted keys of a trial, and the values that each takes: all combinations are run."""
     cases: Annotated[list[Annotated[Settings, Field(min_length=1)]], DottedKeys(Trial)] = Field(default_factory=list)
     """Explicit settings, instead of or beside axes; without any, one case that changes nothing."""
+
+    _scene_file: str = PrivateAttr(default="")
 
     def __repr__(self) -> str:
         """The name, how many trials there are, and what varies."""
@@ -104,7 +109,20 @@ class Experiment(Spec):
                 )
             trials[key] = place, trial
         names = method_names(trial.matching for _, trial in trials.values())
-        return tuple(Planned(key, *each, names[method_id(each[1].matching)]) for key, each in trials.items())
+        return tuple(
+            Planned(key, place, trial, names[method_id(trial.matching)], self._scene_file_at(place))
+            for key, (place, trial) in trials.items()
+        )
+
+    def with_scene_file(self, file: str) -> Self:
+        """The same experiment, with the file that its base trial's scene was read from for messages."""
+        copy = self.model_copy()
+        copy._scene_file = file  # noqa: SLF001 - of its own class
+        return copy
+
+    def _scene_file_at(self, place: Settings) -> str:
+        named = place.get("scene", self._scene_file)
+        return named if isinstance(named, str) and Path(named).is_absolute() else ""
 
     def _with_validated(self, table: Settings, base: Settings) -> Settings:
         """A trial's table with the base trial's own parts for those that are unchanged: they need no second check."""

@@ -91,10 +91,13 @@ def _read_experiment(source: Source) -> tuple[Experiment, Path | None]:
     else:
         file = shipped.find("experiments", str(source))
         table, folder = read_toml(file), file.parent
+    scene = None
     if isinstance(table.get("trial"), dict):
+        scene = table["trial"].get("scene")
         trial = read_in(table["trial"], folder, file, "trial")
         table["trial"] = {key: of_matcher(key, value, folder) for key, value in trial.items()}
-    return _with_absolute_paths(parse(Experiment, table, file=file), folder, file or ""), file
+    experiment = _with_absolute_paths(parse(Experiment, table, file=file), folder, file or "")
+    return experiment.with_scene_file(absolute("scene", scene, folder, "") if isinstance(scene, str) else ""), file
 
 
 def _with_absolute_paths(experiment: Experiment, folder: Path, file: str | Path) -> Experiment:

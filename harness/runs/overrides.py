@@ -111,7 +111,9 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
     # What another matcher, or another camera model, does not know cannot be varied.
     axes = {key: values for key, values in axes.items() if all(_is_known(key, *each) for each in settings.items())}
-    return experiment.model_copy(update={"trial": trial, "axes": axes})
+    changed_experiment = experiment.model_copy(update={"trial": trial, "axes": axes})
+    scene = settings.get("scene")
+    return changed_experiment.with_scene_file(scene if isinstance(scene, str) else "") if scene else changed_experiment
 
 
 def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: str) -> Experiment:

@@ -37,6 +37,8 @@ class Batch:
     """`code_hash` of who asks."""
     trials: tuple[tuple[str, str, dict[str, Any]], ...]
     """The key of each trial, its scene's fingerprint and its table."""
+    scene_files: tuple[str, ...]
+    """Where the scene of each trial was read from, for messages."""
     threads: int | None = 1
     """The threads of one trial; all available CPUs when None. No row depends on it."""
     maps: str | None = None
@@ -65,6 +67,7 @@ def pack(
     return Batch(
         code=code_hash(),
         trials=tuple((each.key, fingerprint(each.trial.scene), as_table(each.trial)) for each in trials),
+        scene_files=tuple(each.scene_file for each in trials),
         threads=threads,
         maps=None if maps is None else str(maps),
         files={str(path): read_regular(path, LARGEST_ASSET_BYTES) for path in read},
@@ -83,14 +86,19 @@ def work(batch: Batch) -> list[Finished]:
         raise InputError("a worker has another version of omnirange or of its libraries; install the same everywhere")
     here = {path: str(_laid_down(path, content)) for path, content in batch.files.items()}
     maps = None if batch.maps is None else Path(batch.maps)
-    return [_finish(key, scene, _replaced(table, here), batch.threads, maps) for key, scene, table in batch.trials]
+    return [
+        _finish(key, scene, _replaced(table, here), scene_file, batch.threads, maps)
+        for (key, scene, table), scene_file in zip(batch.trials, batch.scene_files, strict=True)
+    ]
 
 
-def run_here(trial: Trial, *, threads: int | None = None, answer: Matches | None = None) -> Outcome:
+def run_here(
+    trial: Trial, *, threads: int | None = None, answer: Matches | None = None, scene_file: str = ""
+) -> Outcome:
     """Run a trial with all that this thread has kept from those before; see `trial.run_trial`."""
     if not hasattr(_local, "cache"):
         _local.cache = StageCache(backing={"render": RenderCache()})
-    return run_trial(trial, _local.cache, threads=threads, answer=answer)
+    return run_trial(trial, _local.cache, threads=threads, answer=answer, scene_file=scene_file)
 
 
 def forget() -> None:
@@ -101,9 +109,11 @@ def forget() -> None:
 _local = threading.local()
 
 
-def _finish(key: str, scene: str, table: dict[str, Any], threads: int | None, maps: Path | None) -> Finished:
+def _finish(
+    key: str, scene: str, table: dict[str, Any], scene_file: str, threads: int | None, maps: Path | None
+) -> Finished:
     try:
-        outcome = run_here(_asked_for(key, table), threads=threads)
+        outcome = run_here(_asked_for(key, table), threads=threads, scene_file=scene_file)
         payload = json.dumps(row_of(outcome), allow_nan=False)
         if maps is not None:  # before the row: a trial that is done has its maps
             write_maps(maps_of(outcome), maps)
