@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from harness.camera.intrinsics import Camera
+from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor, in_field, pixel_directions, project, unproject
 from harness.evaluation.bound import cramer_rao, least_std
 from harness.geometry.angles import normalise
@@ -21,6 +22,10 @@ from harness.simulation.truth import ranges, truth
 # Off the middle, so that no pixel's centre lies on a border of two of the panorama's columns.
 SENSOR = Sensor(camera=Camera(width_px=320, height_px=240, focal_px=306, cx_px=159.2, cy_px=119.65))
 GRID = Grid(width_px=360, height_px=90, z_max=0.28, z_min=-1.30)
+OTHER = Sensor(
+    camera=Camera(width_px=400, height_px=360, focal_px=430, aspect=1.05, cx_px=210.3, cy_px=171.8), lens=Lens(k1=-0.1)
+)
+"""What view 2 may have in place of the first sensor: pixels of half the area."""
 WINDOW = 15
 VIEWS = (
     Pose(position_m=(0, 0, 1), yaw_deg=20, pitch_deg=4, roll_deg=-3),
@@ -69,9 +74,9 @@ def textured(seen):
     return ~ndimage.maximum_filter(seen.textureless, size=WINDOW, mode=("nearest", "wrap"))
 
 
-def bound_of(images, seen, **changes):
+def bound_of(images, seen, sensor_2=SENSOR, **changes):
     settings = {"R_world_from_v1": VIEWS[0].R_world_from_view, "window_px": WINDOW, "sigma_grey": 1.0} | changes
-    return cramer_rao(images, (SENSOR, SENSOR), MOTION, GRID, seen, **settings)
+    return cramer_rao(images, (SENSOR, sensor_2), MOTION, GRID, seen, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -152,9 +157,13 @@ def world(points_v1):
 
 @pytest.fixture(scope="module")
 def solid_images():
+    return solid_images_of(SENSOR)
+
+
+def solid_images_of(sensor_2):
     found = []
-    for view in VIEWS:
-        x, valid = pixel_directions(SENSOR)
+    for view, sensor in zip(VIEWS, (SENSOR, sensor_2), strict=True):
+        x, valid = pixel_directions(sensor)
         points = ranges(ROOM, view, x, valid)[..., None] * x @ view.R_world_from_view.T + view.position_m
         found.append(np.where(valid, solid(np.nan_to_num(points)), 0.0))
     return tuple(found)
@@ -207,16 +216,16 @@ def raw_pixels_1():
     return x[valid]
 
 
-def raw_pixels_2(m):
+def raw_pixels_2(m, sensor_2=SENSOR):
     """Rays of image 2's pixels in v1's orientation, and the directions from viewpoint 1 of where they meet plane m."""
-    x, valid = pixel_directions(SENSOR)
+    x, valid = pixel_directions(sensor_2)
     rays = x[valid] @ MOTION.R_v2_from_v1
     scale = (1 - m @ MOTION.t_v1) / (rays @ m)
     rays, scale = rays[scale > 0], scale[scale > 0]
     return rays, normalise(MOTION.t_v1 + scale[:, None] * rays)
 
 
-def quarters_1(members, m):
+def quarters_1(members, m, sensor_2=SENSOR):
     """Directions of four points in each of some pixels of image 1, and what area of image 2 each pixel covers."""
     _, valid = pixel_directions(SENSOR)
     place = np.argwhere(valid)[members][:, ::-1]
@@ -225,19 +234,22 @@ def quarters_1(members, m):
     def in_image_2(offset):
         x, _ = unproject(SENSOR, place + offset)
         moved = x - (x @ m)[:, None] * MOTION.t_v1
-        return project(SENSOR, moved @ MOTION.R_v2_from_v1.T)[0]
+        return project(sensor_2, moved @ MOTION.R_v2_from_v1.T)[0]
 
     jacobian = np.stack([in_image_2(e) - in_image_2(-e) for e in 0.01 * np.eye(2)], axis=-1) / 0.02
     return unproject(SENSOR, points)[0].reshape(-1, 3), np.repeat(np.abs(np.linalg.det(jacobian)), 4)
 
 
 @pytest.mark.slow
-def test_equals_the_sum_over_raw_pixels(solid_images, seen):
+@pytest.mark.parametrize("sensor_2", [SENSOR, OTHER], ids=["two equal sensors", "two sensors"])
+def test_equals_the_sum_over_raw_pixels(sensor_2):
     """Against the plain formula, with derivatives of a texture that is known as a function.
 
     First with the same points, which tests all but the sampling; then with nothing but the raw pixels of both images.
     """
-    bounds = {model: bound_of(solid_images, seen, model=model) for model in ("slanted", "frontal")}
+    images = solid_images_of(sensor_2)
+    seen = truth(ROOM, VIEWS[0], X, in_field(SENSOR, X), pose_2=VIEWS[1], sensor_2=sensor_2)
+    bounds = {model: bound_of(images, seen, sensor_2, model=model) for model in ("slanted", "frontal")}
     first = raw_pixels_1()
     on_panorama = rows_and_columns(first)
     same_points, raw_pixels, count_2 = [], [], []
@@ -246,12 +258,12 @@ def test_equals_the_sum_over_raw_pixels(solid_images, seen):
     for row, column, rows, columns in windows(away, 100, seed=2):
         m, towards = plane_of(seen, rows, columns), X[row, column]
         members = inside(on_panorama, row, column)
-        rays, met = raw_pixels_2(m)
+        rays, met = raw_pixels_2(m, sensor_2)
         s_2 = derivatives(rays[inside(rows_and_columns(met), row, column)], m)
         s_1 = derivatives(first[members] / (first[members] @ m)[:, None] - MOTION.t_v1, m)
         assert bounds["slanted"].count_1[row, column] == len(s_1)
         count_2.append(bounds["slanted"].count_2[row, column] / len(s_2))
-        points, kappa = quarters_1(members, m)
+        points, kappa = quarters_1(members, m, sensor_2)
         both = derivatives(points / (points @ m)[:, None] - MOTION.t_v1, m) / 2
 
         def ratios(s_1, s_2, row=row, column=column, towards=towards):

@@ -140,6 +140,7 @@ BAD = {
         "if pair.motion.R_v2_from_v1[0, 0] < 1:\n    alpha_2 = np.pi - alpha_2",
         "it looks like the angle to -t",
     ),
+    "sensors": ("pair.sensor", "the views have different sensors"),
 }
 
 

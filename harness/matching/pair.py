@@ -44,7 +44,13 @@ def sharing() -> Share:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pair(OneLine):
-    """Two views of one scene; all arrays are read-only."""
+    """Two views of one scene; all arrays are read-only.
+
+    Raises
+    ------
+    ValueError
+        When an image does not have its sensor's size.
+    """
 
     images: tuple[NDArray[np.float32], NDArray[np.float32]]
     """The mirror images `[sensor height, sensor width]`, grey levels of 0 .. 255, 0 where the sensor sees nothing."""
@@ -66,6 +72,10 @@ class Pair(OneLine):
     """The third-party matcher that calls `shared`, if any: two of them may use the same words for their settings."""
 
     def __post_init__(self) -> None:
+        for view, (image, sensor) in enumerate(zip(self.images, self.sensors, strict=True), 1):
+            size = (sensor.camera.height_px, sensor.camera.width_px)
+            if image.shape != size:
+                raise ValueError(f"image {view} is {image.shape}, its sensor {size} (rows, columns)")
         first, second = self.images
         motion = Motion(_locked(self.motion.R_v2_from_v1), _locked(self.motion.t_v1))
         object.__setattr__(self, "images", (_locked(first), _locked(second)))

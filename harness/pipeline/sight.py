@@ -8,6 +8,7 @@ import numpy as np
 from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor, in_field, pixel_directions, project
 from harness.errors import InputError, Notice
+from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, cylinder
 from harness.geometry.pose import Motion
 from harness.pipeline.specification import Trial
@@ -30,15 +31,16 @@ def check_sight(trial: Trial, motion: Motion) -> None:
     Raises
     ------
     InputError
-        When no pixel of the sensor sees anything, no pixel of the panorama is seen, or the matcher's samples cannot
+        When no pixel of a sensor sees anything, no pixel of the panorama is seen, or the matcher's samples cannot
         follow the epipolar curves. `error.key` is the key that helps.
     """
-    on_sensor, on_panorama = _shares(trial.sensor, trial.panorama)
-    if on_sensor == 0 or (on_panorama == 0 and _share_in_field(trial.sensor, trial.panorama)):
-        raise _blind(trial.sensor, trial.panorama, "trial.")
+    sensor, grid = trial.sensor, trial.panorama
+    on_sensor, on_panorama = _shares(sensor, grid)
+    if on_sensor == 0 or (on_panorama == 0 and _share_in_field(sensor, grid)):
+        raise _blind(sensor, grid, "trial.sensor")
     if on_panorama == 0:
         raise InputError(
-            f"the sensor sees no row of the panorama: it sees z from {_z(trial.sensor)}; change z_min and z_max",
+            f"the sensor sees no row of the panorama: it sees z from {_z(sensor)}; change z_min and z_max",
             key="trial.panorama.z_max",
         )
     sampling, _ = trial.matching.sampled(motion.t_v1)
@@ -48,16 +50,24 @@ def check_sight(trial: Trial, motion: Motion) -> None:
             'use matching.kind = "window" with sampling = "alpha", or "sgm"',
             key="trial.matching.sampling",
         )
-    _say_little(trial.sensor, trial.panorama, "trial.")
+    _say_little(sensor, grid, "trial.sensor")
+    if trial.sensors[1] != sensor:
+        check_sensor(trial.sensors[1], grid, key="trial.sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
 
 
-def check_sensor(sensor: Sensor, grid: Grid) -> None:
+def check_sensor(
+    sensor: Sensor, grid: Grid, *, key: str = "sensor", R_sensor_from_panorama: Array | None = None
+) -> None:
     """Refuse a sensor that sees nothing, and give notice where it sees next to nothing of its image or of a panorama.
 
     Parameters
     ----------
     grid
         The panorama.
+    key
+        The user's key for the sensor, for messages.
+    R_sensor_from_panorama
+        `[3, 3]`; turns a direction of the panorama's frame into the sensor's.
 
     Raises
     ------
@@ -65,28 +75,31 @@ def check_sensor(sensor: Sensor, grid: Grid) -> None:
         When no pixel of the image sees anything. `error.key` is the key that helps.
     """
     if _shares(sensor, grid)[0] == 0:
-        raise _blind(sensor, grid, "")
-    _say_little(sensor, grid, "")
+        raise _blind(sensor, grid, key)
+    _say_little(sensor, grid, key, R_sensor_from_panorama)
 
 
-def _say_little(sensor: Sensor, grid: Grid, stem: str) -> None:
-    """Give notice where next to nothing of the image or of the panorama is seen; `stem` precedes the user's keys."""
-    on_sensor, on_panorama = _shares(sensor, grid)
+def _say_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Array | None = None) -> None:
+    """Give notice where next to nothing of the image or of the panorama is seen."""
+    rotation = _IDENTITY if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, np.float64).tobytes()
+    on_sensor, on_panorama = _shares(sensor, grid, rotation)
     if on_sensor < LITTLE:
-        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see {stem}sensor.{_CIRCLE}")
+        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see {key}.{_CIRCLE}")
     if on_panorama < LITTLE:
-        if _share_in_field(sensor, grid) >= LITTLE:
-            _notice(f"only {on_panorama:.1%} of the panorama is on the image; see {stem}sensor.{_CIRCLE}")
+        if _share_in_field(sensor, grid, rotation) >= LITTLE:
+            _notice(f"only {on_panorama:.1%} of the panorama is on the image; see {key}.{_CIRCLE}")
         else:
+            stem, dot, _ = key.rpartition(".")
             _notice(
                 f"only {on_panorama:.1%} of the panorama is seen: z from {_z(sensor)}; "
-                f"see {stem}panorama.z_min and z_max"
+                f"see {stem}{dot}panorama.z_min and z_max"
             )
 
 
-def _blind(sensor: Sensor, grid: Grid, stem: str) -> InputError:
-    remedy = _remedy(sensor, grid) or f"change sensor.{_CIRCLE}, or sensor.field"
-    return InputError(f"no pixel of the image sees what the panorama shows; {remedy}", key=f"{stem}sensor")
+def _blind(sensor: Sensor, grid: Grid, key: str) -> InputError:
+    name = key.rpartition(".")[2]
+    remedy = _remedy(sensor, grid, name) or f"change {name}.{_CIRCLE}, or {name}.field"
+    return InputError(f"no pixel of the image sees what the panorama shows; {remedy}", key=key)
 
 
 def _z(sensor: Sensor) -> str:
@@ -98,9 +111,17 @@ def _z(sensor: Sensor) -> str:
     )
 
 
-def _share_in_field(sensor: Sensor, grid: Grid) -> float:
+_IDENTITY = np.eye(3).tobytes()
+
+
+def _directions(grid: Grid, rotation: bytes) -> Array:
+    """Where the panorama's pixels lie in the sensor's frame, `[height, width, 3]`."""
+    return cylinder(grid) if rotation == _IDENTITY else cylinder(grid) @ np.frombuffer(rotation).reshape(3, 3).T
+
+
+def _share_in_field(sensor: Sensor, grid: Grid, rotation: bytes = _IDENTITY) -> float:
     """The share of the panorama's pixels in the cone that the sensor would see on an image without borders."""
-    return float(in_field(sensor, cylinder(grid)).mean())
+    return float(in_field(sensor, _directions(grid, rotation)).mean())
 
 
 def _notice(text: str) -> None:
@@ -108,17 +129,17 @@ def _notice(text: str) -> None:
 
 
 @lru_cache(maxsize=8)
-def _shares(sensor: Sensor, grid: Grid) -> tuple[float, float]:
+def _shares(sensor: Sensor, grid: Grid, rotation: bytes = _IDENTITY) -> tuple[float, float]:
     """The shares of the image's pixels, and of the panorama's, that see something."""
-    return float(pixel_directions(sensor)[1].mean()), float(project(sensor, cylinder(grid))[1].mean())
+    return float(pixel_directions(sensor)[1].mean()), float(project(sensor, _directions(grid, rotation))[1].mean())
 
 
-def _remedy(sensor: Sensor, grid: Grid) -> str:
+def _remedy(sensor: Sensor, grid: Grid, name: str) -> str:
     """The key to blame: the first one without which something would be seen; empty when there is none."""
     plain = sensor.model_copy(update={"lens": Lens()})
     if plain != sensor and _shares(plain, grid)[1] > LITTLE:
-        return "its lens bends the picture away; use weaker coefficients in sensor.lens"
+        return f"its lens bends the picture away; use weaker coefficients in {name}.lens"
     square = plain.model_copy(update={"camera": plain.camera.model_copy(update={"aspect": 1.0})})
     if square != plain and _shares(square, grid)[1] > LITTLE:
-        return f"sensor.camera.aspect = {sensor.camera.aspect:g} stretches the picture off the image; it is about 1"
+        return f"{name}.camera.aspect = {sensor.camera.aspect:g} stretches the picture off the image; it is about 1"
     return ""

@@ -129,7 +129,9 @@ class Trial(Spec):
     scene: Scene
     """The world: a table, a shipped scene's name, or the path of a TOML file."""
     sensor: Sensor = Sensor()
-    """The sensor of both views: a table, or the path of a TOML file."""
+    """The sensor of both views, or of the first if the second has its own: a table, or the path of a TOML file."""
+    sensor_2: Sensor | None = None
+    """The sensor of the second view, where it is not the first one's: a table, or the path of a TOML file."""
     view_1: Pose = Pose(position_m=(0.0, 0.0, 1.0))
     """The first view's pose in the world; 1 m above the origin when there is no such table."""
     view_2: SecondView = SecondView()
@@ -166,6 +168,8 @@ class Trial(Spec):
             When such a matcher cannot be found.
         """
         settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
+        if self.sensors[0] == self.sensors[1]:
+            del settings["sensor_2"]  # the same trial, whether or not it is given
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
@@ -185,6 +189,11 @@ class Trial(Spec):
             for view in (self.view_1, view_2)
         )
         return first, second
+
+    @property
+    def sensors(self) -> tuple[Sensor, Sensor]:
+        """The sensor of each view."""
+        return self.sensor, self.sensor if self.sensor_2 is None else self.sensor_2
 
     @property
     def motion(self) -> Motion:

@@ -49,7 +49,7 @@ def setup_of(trial: Trial) -> Setup:
     """The setup of a trial. The matcher assumes the true calibration and the true motion."""
     poses = trial.poses
     motion = relative_motion(*poses)
-    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed((trial.sensor, trial.sensor), motion))
+    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(trial.sensors, motion))
 
 
 def _none(_setup: Setup, _view: int) -> Hashable:

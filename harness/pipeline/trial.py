@@ -108,7 +108,7 @@ class Outcome(OneLine):
 
 def _render(work: Work, view: int) -> Image:
     trial, pose = work.trial, work.setup.poses[view]
-    image = render(trial.scene, trial.sensor, pose, trial.render.samples, work.threads)
+    image = render(trial.scene, trial.sensors[view], pose, trial.render.samples, work.threads)
     _refuse_changed_scene(work)
     return image
 
@@ -122,7 +122,7 @@ def _refuse_changed_scene(work: Work) -> None:
 RENDER = Stage(
     "render",
     _render,
-    lambda setup, view: (setup.scene, setup.trial.sensor, setup.poses[view], setup.trial.render),
+    lambda setup, view: (setup.scene, setup.trial.sensors[view], setup.poses[view], setup.trial.render),
     per_view=True,
 )
 """The mirror image of a view."""
@@ -130,7 +130,7 @@ RENDER = Stage(
 
 def _expose(work: Work, view: int) -> Image:
     image, exposure = work(RENDER, view), work.trial.exposure_2
-    exposed = with_exposure(image, work.trial.sensor, exposure.gain, exposure.offset_grey) if view else image
+    exposed = with_exposure(image, work.trial.sensors[view], exposure.gain, exposure.offset_grey) if view else image
     return _finite(exposed, work, "trial.exposure_2")
 
 
@@ -142,8 +142,9 @@ EXPOSURE = Stage(
 
 def _add_noise(work: Work, view: int) -> Image:
     trial, setup = work.trial, work.setup
-    draws = generator(trial.seed, "noise", setup.scene, words_of(trial.sensor), f"view {view + 1}")
-    noisy = with_noise(work(EXPOSURE, view), trial.sensor, trial.noise.sigma_grey, draws)
+    sensor = trial.sensors[view]
+    draws = generator(trial.seed, "noise", setup.scene, words_of(sensor), f"view {view + 1}")
+    noisy = with_noise(work(EXPOSURE, view), sensor, trial.noise.sigma_grey, draws)
     return _finite(noisy, work, "trial.noise")
 
 
@@ -165,7 +166,7 @@ def _truth(work: Work, _view: int) -> Truth:
         looking,
         in_field(trial.sensor, looking),
         pose_2=setup.poses[1],
-        sensor_2=trial.sensor,
+        sensor_2=trial.sensors[1],
         threads=work.threads,
     )
     _refuse_changed_scene(work)
@@ -173,7 +174,7 @@ def _truth(work: Work, _view: int) -> Truth:
 
 
 TRUTH = Stage(
-    "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.sensor, setup.poses, setup.trial.panorama)
+    "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.sensors, setup.poses, setup.trial.panorama)
 )
 """What is to be seen along every direction of view 1's panorama."""
 
@@ -257,7 +258,7 @@ def _bound(work: Work, _view: int) -> Array | None:
     clean = work.both(EXPOSURE)
     return cramer_rao(
         clean,
-        (trial.sensor, trial.sensor),
+        trial.sensors,
         setup.motion,
         trial.panorama,
         work(TRUTH),

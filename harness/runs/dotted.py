@@ -7,25 +7,33 @@ from typing import Any
 from harness.camera import models
 from harness.errors import InputError
 from harness.matching import registry
-from harness.runs.named_files import read_in
+from harness.runs.named_files import SENSORS, read_in
 from harness.runs.values import Settings, text_of
 
 KIND = "matching.kind"
 """The key that says which matcher: with another one, the matcher's table has other keys."""
 
-MODEL_KINDS = ("sensor.model.kind",)
+MODEL_KINDS = ("sensor.model.kind", "sensor_2.model.kind")
 """The same of camera models."""
+
+_OF_SENSOR_2 = "sensor_2."
 
 
 def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
     """A trial's table with some of its places changed, those further in last; scene and sensor files are read in.
+
+    A key of `sensor_2`, where there is none, changes the first view's sensor for the second view.
 
     Raises
     ------
     InputError
         When a key leads through a value that has no keys, or past the end of a list.
     """
-    for place in sorted(settings, key=lambda each: (each.count("."), not each.endswith(".kind"))):
+    for place in sorted(
+        settings, key=lambda each: (each.startswith(_OF_SENSOR_2), each.count("."), not each.endswith(".kind"))
+    ):
+        if place.startswith(_OF_SENSOR_2) and table.get("sensor_2") is None:
+            table = {**table, "sensor_2": table.get("sensor")}
         where = f"{key}.{place}" if key else place
         if place == KIND and isinstance(table.get("matching"), Mapping):
             # Before what else is said of the matcher: another kind has other keys.
@@ -36,7 +44,7 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
                 other = models.carried_over(value_at(table, f"{sensor}.{model}"), settings[place])
                 table = {**table, sensor: {**table[sensor], model: other}}
         table = _with(table, place.split("."), settings[place], file, where)
-        if place in {"scene", "sensor"}:
+        if place == "scene" or place in SENSORS:
             table = read_in(table, Path(), file, key)
     return table
 

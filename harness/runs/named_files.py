@@ -14,6 +14,9 @@ from harness.matching.source_files import State, state_of
 from harness.simulation.scene import load_scene
 from harness.spec import as_table
 
+SENSORS = ("sensor", "sensor_2")
+"""The keys of a trial that may name a sensor's file."""
+
 
 def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
     """A value that names a file by a relative path, with its absolute path; any other as it is."""
@@ -30,7 +33,7 @@ def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | 
     if key == "scene":
         path = _scene_file(value, folder, file, where or key)
         return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
-    if key == "sensor" or last == "file" or last.endswith("_file"):
+    if key in SENSORS or last == "file" or last.endswith("_file"):
         return str(path_of(value, folder, file=file, key=where or key or None).resolve())
     return value
 
@@ -51,14 +54,16 @@ def read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, key
     """The table of a trial with the scene and sensor files that it names read in."""
     resolved = dict(trial)
     where = f"{key}." if key else ""
-    scene, sensor = resolved.get("scene"), resolved.get("sensor")
+    scene = resolved.get("scene")
     if isinstance(scene, str):
         path = _scene_file(scene, folder, file or "", f"{where}scene")
         resolved["scene"] = _scene_table(path.resolve())
     elif isinstance(scene, dict):
         resolved["scene"] = absolute("", scene, folder, file or "")
-    if isinstance(sensor, str):
-        resolved["sensor"] = as_table(load_sensor(path_of(sensor, folder, file=file, key=f"{where}sensor")))
+    for name in SENSORS:
+        sensor = resolved.get(name)
+        if isinstance(sensor, str):
+            resolved[name] = as_table(load_sensor(path_of(sensor, folder, file=file, key=f"{where}{name}")))
     return resolved
 
 

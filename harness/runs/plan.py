@@ -73,8 +73,7 @@ def plan(trials: Sequence[Planned]) -> Plan:
 
 def _seconds(trial: Trial, new: Iterable[str]) -> float:
     """A guess at a trial's time, given the stages that it does not share with the one before: one thread of 2024."""
-    camera = trial.sensor.camera
-    image = 2 * camera.width_px * camera.height_px / 1e6
+    image = sum(each.camera.width_px * each.camera.height_px for each in trial.sensors) / 1e6
     panorama = trial.panorama.width_px * trial.panorama.height_px / 1e6
     samples_a_curve = trial.panorama.width_px / 720 / trial.matching.sampled(trial.motion.t_v1)[1]
     stages = {

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from harness import shipped
 from harness.camera.intrinsics import Camera
+from harness.camera.lens import Lens
+from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor, pixel_directions
 from harness.errors import InputError
 from harness.geometry.angles import Array
@@ -172,19 +174,32 @@ class Scenery:
 
 
 TURNED = SecondView(yaw_deg=40.0, pitch_deg=4.0, roll_deg=-3.0)
+SENSOR = Sensor(
+    camera=Camera(
+        width_px=ROWS, height_px=ROWS, focal_px=614.12 * ROWS / 480, cx_px=(ROWS - 1) / 2, cy_px=(ROWS - 1) / 2
+    )
+)
+OTHER_SENSOR = Sensor(
+    model=Mirror(a_m=0.030, b_m=0.0234),
+    camera=Camera(width_px=224, height_px=208, focal_px=230.0, aspect=1.03, cx_px=104.4, cy_px=108.7),
+    lens=Lens(k1=-0.1, p1=0.002),
+)
+"""Another mirror, focal length, lens, size of image and centre, and somewhat more pixels to the radian."""
 
 
 @lru_cache(maxsize=8)
-def scenery(view_2: SecondView = SecondView(), grid: Grid = GRID) -> Scenery:  # noqa: B008 - frozen
+def scenery(
+    view_2: SecondView = SecondView(),  # noqa: B008 - frozen
+    grid: Grid = GRID,
+    sensor_2: Sensor | None = None,
+) -> Scenery:
     """The paper's box, without noise."""
-    focal_px = 614.12 * ROWS / 480
-    middle = (ROWS - 1) / 2
-    camera = Camera(width_px=ROWS, height_px=ROWS, focal_px=focal_px, cx_px=middle, cy_px=middle)
     scene = load_scene(str(shipped.find("scenes", "box")))
     # The reference is asked for without a matcher's answer; samples in alpha are defined for every baseline.
     trial = Trial(
         scene=scene,
-        sensor=Sensor(camera=camera),
+        sensor=SENSOR,
+        sensor_2=sensor_2,
         panorama=grid,
         view_2=view_2,
         matching=WindowMatcher(sampling="alpha"),
@@ -226,6 +241,7 @@ PAIRS: dict[str, Callable[[], Pair]] = {
     "slanted": lambda: scenery(SecondView(azimuth_deg=130.0, elevation_deg=25.0)).pair,
     "grid 1": lambda: scenery(grid=OTHER_GRIDS[0]).pair,
     "grid 2": lambda: scenery(grid=OTHER_GRIDS[1]).pair,
+    "sensors": lambda: scenery(TURNED, sensor_2=OTHER_SENSOR).pair,
     "quarter": lambda: quarter_turn(scenery().pair),
     "blank": _blank,
 }
@@ -426,6 +442,10 @@ def _turned_view(subject: Subject) -> str:
     return _better_than_a_guess(subject, "turned", scenery(TURNED))
 
 
+def _two_sensors(subject: Subject) -> str:
+    return _better_than_a_guess(subject, "sensors", scenery(TURNED, sensor_2=OTHER_SENSOR))
+
+
 def _better_than_a_guess(subject: Subject, name: str, there: Scenery) -> str:
     pair, alpha_2 = there.pair, subject.matches(name).alpha_2
     scored = there.domain & ~np.isnan(alpha_2)
@@ -475,5 +495,6 @@ CHECKS: tuple[Check, ...] = (
     Check("blank", "images without texture: nothing is claimed", _blank_images),
     Check("easy", "an easy scene: better than one guess for all", _easy_scene),
     Check("turned", "the second view turned: still better", _turned_view),
+    Check("sensors", "and by another sensor than the first: still better", _two_sensors),
 )
 """In the order in which they are carried out."""
