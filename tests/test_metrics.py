@@ -12,11 +12,11 @@ from harness.evaluation.groups import (
     ascending,
     bins,
     grouped,
+    indices_of,
     mean_of_middles,
     medians,
-    medians_of_seen,
+    medians_of_scored,
     members,
-    places,
     sorted_parts,
 )
 from harness.evaluation.metric_table import METRICS, Metric, is_metric, metric
@@ -263,7 +263,7 @@ def test_medians_of_seen_parts():
     values, part, seen = rng.random(3000), rng.integers(-1, 7, 3000), rng.random(3000) < 0.5
     seen[part == 3] = False
     count = np.bincount(part[seen & (part >= 0)], minlength=7)
-    found = medians_of_seen(sorted_parts(part, 7, values), seen, count)
+    found = medians_of_scored(sorted_parts(part, 7, values), seen, count)
     expected = [np.median(values[seen & (part == i)]) if i != 3 else np.nan for i in range(7)]
     np.testing.assert_array_equal(found, expected)
 
@@ -272,7 +272,7 @@ def test_ascending_is_argsort_to_single_precision():
     rng = np.random.default_rng(19)
     values, seen = 10 ** rng.uniform(-60, 60, 20_000), rng.random(20_000) < 0.8
     values[:5] = 0.0
-    order = places(ascending(seen, values))
+    order = indices_of(ascending(seen, values))
     assert set(order) == set(np.flatnonzero(seen))
     with np.errstate(over="ignore"):
         single = values[order].astype(np.float32)

@@ -42,9 +42,9 @@ def geometry(t, grid=GRID, *, d_min_m=1.0, d_max_m=np.inf, pitch_px=1.0):
     )
 
 
-def any_views(places, seed, seen=0.95):
+def any_views(baseline_grid, seed, seen=0.95):
     draws = np.random.default_rng(seed)
-    shape = (places.rows, places.columns)
+    shape = (baseline_grid.rows, baseline_grid.columns)
     return tuple(
         View(draws.integers(0, 256 * 16, shape).astype(np.int32), draws.uniform(size=shape) < seen) for _ in range(2)
     )
@@ -78,17 +78,17 @@ def sums_by_definition(costs, p1, p2, steps):
         for i in range(height)[:: -1 if down < 0 else 1]:
             for _ in range(kernels.MAX_LAPS if down == 0 else 1):
                 for j in -np.arange(width) % width if right < 0 else np.arange(width):
-                    place = (i - down, (j - right) % width)
+                    pixel = (i - down, (j - right) % width)
                     own = costs[i, j].astype(int)
-                    if place in known:
-                        before = known[place]
+                    if pixel in known:
+                        before = known[pixel]
                         padded = np.pad(before, 1, constant_values=10**6)
-                        jump = before.min() + jump_between(p2, (i, j), place)
+                        jump = before.min() + jump_between(p2, (i, j), pixel)
                         choices = [before, padded[:-2] + p1, padded[2:] + p1, np.full(labels, jump)]
                         own = own + np.min(choices, axis=0) - before.min()
                     known[i, j] = own
-        for place, path in known.items():
-            total[place] += path
+        for pixel, path in known.items():
+            total[pixel] += path
     return total
 
 
@@ -157,8 +157,8 @@ def test_without_penalties_every_pixel_is_on_its_own():
     sums = np.zeros(costs.shape, np.uint16)
     best, _, _ = aggregate(costs, 0, first, last, jumps(None, costs.shape[:2], matcher), matcher, 1, sums)
     np.testing.assert_array_equal(sums, 4 * costs.astype(int))
-    for place in np.argwhere(best >= 0):
-        i, j = place
+    for pixel in np.argwhere(best >= 0):
+        i, j = pixel
         assert best[i, j] == first[i, j] + np.argmin(costs[i, j, first[i, j] : last[i, j] + 1])
 
 
@@ -168,9 +168,9 @@ def test_jumps_are_cheaper_across_edges():
     p2 = jumps(grey, grey.shape, SemiGlobal(p1_bits=10, p2_bits=40, edge_grey=10))
     # 80/(1 + 30/10) = 20 halves of a bit, which is P1 as well.
     expected = np.full((4, 3, 4), 80)
-    for kind, places in enumerate([[(1, 2), (1, 3)], [(1, 2), (2, 2)], [(1, 2), (2, 3)], [(1, 2), (2, 1)]]):
-        for place in places:
-            expected[kind][place] = 20
+    for kind, baseline_grid in enumerate([[(1, 2), (1, 3)], [(1, 2), (2, 2)], [(1, 2), (2, 3)], [(1, 2), (2, 1)]]):
+        for pixel in baseline_grid:
+            expected[kind][pixel] = 20
     np.testing.assert_array_equal(p2[0], expected[0])
     np.testing.assert_array_equal(p2[1:, 1:], expected[1:, 1:])
     assert jumps(grey, grey.shape, SemiGlobal(p1_bits=15, p2_bits=40, edge_grey=10))[0, 1, 2] == 30
@@ -198,7 +198,7 @@ def codes_by_definition(view, blur):
     codes = {}
     for b, a in np.ndindex(rows, columns):
         square = smooth[b : b + 5, a : a + 5]
-        codes[b, a] = (square < square[2, 2]).ravel() if view.seen[b, a] else None
+        codes[b, a] = (square < square[2, 2]).ravel() if view.valid[b, a] else None
     return codes
 
 
@@ -207,13 +207,13 @@ def codes_by_definition(view, blur):
 def test_matching_costs_are_those_of_the_definition(blur, box_px):
     grid = Grid(width_px=24, height_px=5, z_max=0.4, z_min=-0.8)
     g = geometry((0.3, 0.2, -0.1), grid, d_min_m=0.45, d_max_m=9.0)
-    first, second = views = any_views(g.places, 5)
+    first, second = views = any_views(g.baseline_grid, 5)
     codes = [codes_by_definition(view, blur) for view in views]
     margin = g.labels + abs(g.k_0)
-    made = [np.zeros((g.places.rows, g.places.columns + 2 * margin), np.uint32) for _ in views]
+    made = [np.zeros((g.baseline_grid.rows, g.baseline_grid.columns + 2 * margin), np.uint32) for _ in views]
     for view, out in zip(views, made, strict=True):
-        for rows in ((0, 7), (7, g.places.rows)):
-            kernels.census(view.values, view.seen, blur, margin, *rows, np.zeros_like(view.values), out)
+        for rows in ((0, 7), (7, g.baseline_grid.rows)):
+            kernels.census(view.values, view.valid, blur, margin, *rows, np.zeros_like(view.values), out)
     costs = np.zeros((*grid.shape, g.labels), np.uint8)
     multiplier = round(PER_BIT * 2**16 / box_px**2)
     for rows in ((0, 2), (2, 5)):
@@ -223,17 +223,17 @@ def test_matching_costs_are_those_of_the_definition(blur, box_px):
         i, j = min(max(i, 0), grid.height_px - 1), j % grid.width_px
         b, a = g.around[i, j], g.along[i, j]
         one, other = codes[0][b, a], codes[1].get((b, a + k))
-        return int(kernels.BITS_APART) if one is None or other is None else np.count_nonzero(one != other)
+        return int(kernels.UNRELATED_BITS) if one is None or other is None else np.count_nonzero(one != other)
 
     half = box_px // 2
     for i, j, label in np.ndindex(grid.height_px, grid.width_px, 16):
         box = [bits(i + y, j + x, label + g.k_0) for y in range(-half, half + 1) for x in range(-half, half + 1)]
         # A mean with the weight rounded to 2^-16: on the edge of two whole numbers it may fall to either side.
         assert abs(costs[i, j, label] - PER_BIT * np.mean(box)) <= 0.5 + 0.01
-    assert not first.seen.all()
-    assert not second.seen.all()
+    assert not first.valid.all()
+    assert not second.valid.all()
     # Beyond -t there is nothing to be seen by anybody.
-    assert np.all(costs[..., -1] == PER_BIT * kernels.BITS_APART)
+    assert np.all(costs[..., -1] == PER_BIT * kernels.UNRELATED_BITS)
 
 
 # -- Geometry ----------------------------------------------------------------------------------------------------------
@@ -244,16 +244,16 @@ def test_matching_costs_are_those_of_the_definition(blur, box_px):
 def test_samples_lie_on_the_epipolar_curve(t, pitch_px):
     """The pixel itself may be off by half a step along and half a row around: less than a whole step together."""
     g = geometry(t, d_min_m=0.8, pitch_px=pitch_px)
-    places = g.places.directions
+    baseline_grid = g.baseline_grid.directions
     step = pitch_px * GRID.phi_pitch
-    np.testing.assert_allclose(np.linalg.norm(places, axis=-1), 1, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(baseline_grid, axis=-1), 1, atol=1e-12)
     asked = 0
     for k in (0, 3, 8):
         inside = (g.curves.k_first <= k) & (k <= g.curves.k_last)
-        found = places[g.around[inside], g.along[inside] + k]
+        found = baseline_grid[g.around[inside], g.along[inside] + k]
         phi, z = point_at(g.curves, np.full(inside.sum(), k), (inside,))
         assert angle_between(found, cylinder_point(phi, z)).max(initial=0) < 0.75 * step
-        # Along the curve no sample is farther from the place than half a step, and k steps lie between both views'.
+        # Along the curve no sample is farther from it than half a step, and k steps lie between both views'.
         to_t = angle_between(found, np.array(t))
         assert np.abs(to_t - g.curves.alpha_1[inside] - k * step).max(initial=0) <= step / 2 + 1e-9
         asked += inside.sum()
@@ -268,7 +268,7 @@ def test_samples_lie_on_the_epipolar_curve(t, pitch_px):
 @pytest.mark.parametrize("threads", [2, 5])
 def test_threads_change_nothing(threads, paths):
     g = geometry((0.3, 0.3, 0.1), d_min_m=0.8)
-    views = any_views(g.places, 6)
+    views = any_views(g.baseline_grid, 6)
     alone, together = (search(views, g, SemiGlobal(paths=paths), n) for n in (1, threads))
     for field in dataclasses.fields(alone):
         np.testing.assert_array_equal(getattr(alone, field.name), getattr(together, field.name))
@@ -281,7 +281,7 @@ def test_the_seam_is_no_border(columns):
     t = np.array([0.5, 0.1, 0.02])
     turned_t = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]) @ t
     straight, turned = geometry(t, d_min_m=0.8), geometry(turned_t, d_min_m=0.8)
-    views = any_views(straight.places, 7)  # about the baseline nothing turns
+    views = any_views(straight.baseline_grid, 7)  # about the baseline nothing turns
     matcher = SemiGlobal(edge_grey=20)
     a, b = (search(views, g, matcher, 2) for g in (straight, turned))
     for field in dataclasses.fields(a):
@@ -312,8 +312,8 @@ def test_a_sphere_is_found_in_any_direction_of_t(t, subpixel, typical_px):
     """Whole samples are off by 0.25 px in the median, being off by up to 0.5 evenly; a sub-pixel step halves that."""
     grid, t = Grid(width_px=180, height_px=50), np.array(t)
     g = geometry(t, grid)
-    seen = np.ones((g.places.rows, g.places.columns), bool)
-    greys = sphere(g.places.directions, g.places.directions, t, 8)
+    seen = np.ones((g.baseline_grid.rows, g.baseline_grid.columns), bool)
+    greys = sphere(g.baseline_grid.directions, g.baseline_grid.directions, t, 8)
     first, second = (View(np.rint(16 * grey).astype(np.int32), seen) for grey in greys)
     matcher = SemiGlobal(subpixel=subpixel)
     found = match(search((first, second), g, matcher, 2), g, matcher)
@@ -328,7 +328,7 @@ def test_a_sphere_is_found_in_any_direction_of_t(t, subpixel, typical_px):
 @pytest.mark.parametrize("t", DIRECTIONS)
 def test_one_image_as_both_views_has_no_parallax(t):
     g = geometry(t)
-    view, _ = any_views(g.places, 9, seen=1.0)
+    view, _ = any_views(g.baseline_grid, 9, seen=1.0)
     matcher = SemiGlobal(subpixel="none")
     found = search((view, view), g, matcher, 2)
     matches = match(found, g, matcher)
@@ -349,7 +349,7 @@ def test_limits_are_kept(direction, limits, subpixel):
     t = 0.5 * np.array(direction) / np.linalg.norm(direction)
     g = geometry(t, d_min_m=limits[0], d_max_m=limits[1])
     matcher = SemiGlobal(d_min_m=limits[0], d_max_m=limits[1], subpixel=subpixel)
-    found = match(search(any_views(g.places, 10), g, matcher, 1), g, matcher)
+    found = match(search(any_views(g.baseline_grid, 10), g, matcher, 1), g, matcher)
     matched = found.reason == Reason.MATCHED
     assert matched.any()
     np.testing.assert_array_equal(matched, np.isfinite(found.alpha_2))
@@ -365,7 +365,7 @@ def test_limits_are_kept(direction, limits, subpixel):
 
 def test_nothing_to_go_by_is_no_match():
     g = geometry((0.5, 0, 0), Grid(width_px=360, height_px=12), d_min_m=2.0)
-    shape = (g.places.rows, g.places.columns)
+    shape = (g.baseline_grid.rows, g.baseline_grid.columns)
     blank = View(np.full(shape, 1600, np.int32), np.ones(shape, bool))
     found = match(search((blank, blank), g, SemiGlobal(), 2), g, SemiGlobal())
     # At -t there is no label but 0, and paths bring that along: to be far is all that may be claimed.
@@ -377,14 +377,14 @@ def test_nothing_to_go_by_is_no_match():
 
 def test_what_a_view_does_not_see_is_said():
     g = geometry((0.5, 0, 0))
-    first, second = any_views(g.places, 11, seen=1.0)
-    seen_1, seen_2 = np.ones_like(first.seen), np.ones_like(second.seen)
-    seen_1[:, ::7] = False
-    seen_2[:, 30:] = False  # all but 30 columns of 36 towards -t are lost
-    views = View(first.values, seen_1), View(second.values, seen_2)
+    first, second = any_views(g.baseline_grid, 11, seen=1.0)
+    valid_1, valid_2 = np.ones_like(first.valid), np.ones_like(second.valid)
+    valid_1[:, ::7] = False
+    valid_2[:, 30:] = False  # all but 30 columns of 36 towards -t are lost
+    views = View(first.values, valid_1), View(second.values, valid_2)
     matcher = SemiGlobal(consistency_px=0)
     found = match(search(views, g, matcher, 1), g, matcher)
-    np.testing.assert_array_equal(found.reason == Reason.WINDOW_LEAVES_IMAGE, ~seen_1[g.around, g.along])
+    np.testing.assert_array_equal(found.reason == Reason.WINDOW_LEAVES_IMAGE, ~valid_1[g.around, g.along])
     lost = g.along >= 30
     assert not np.any(lost & (found.reason == Reason.MATCHED))
     assert np.any(lost & (found.reason == Reason.CURVE_LEAVES_IMAGE))
@@ -397,22 +397,22 @@ def test_what_a_view_does_not_see_is_said():
 
 @given(seed=st.integers(0, 10**6), tolerance=st.integers(0, 4))
 @settings(max_examples=20, deadline=None)
-def test_the_better_of_two_pixels_keeps_a_place(seed, tolerance):
+def test_the_better_of_two_pixels_keeps_a_match(seed, tolerance):
     draws = np.random.default_rng(seed)
     shape, rows, columns = (6, 8), 3, 20
     around, along = (draws.integers(0, n, shape).astype(np.int32) for n in (rows, columns - 9))
     samples = draws.integers(-1, 9, shape).astype(np.int32)
     cost = draws.integers(0, 5, shape).astype(np.uint16)
-    keeps = np.ones(shape, bool)
-    kernels.consistent(around, along, samples, cost, tolerance, rows, columns, keeps)
-    for place in np.ndindex(shape):
-        k = samples[place]
+    is_best = np.ones(shape, bool)
+    kernels.consistent(around, along, samples, cost, tolerance, rows, columns, is_best)
+    for pixel in np.ndindex(shape):
+        k = samples[pixel]
         if k < 0:
-            assert keeps[place]
+            assert is_best[pixel]
             continue
-        there = (around == around[place]) & (along + samples == along[place] + k) & (samples >= 0)
+        there = (around == around[pixel]) & (along + samples == along[pixel] + k) & (samples >= 0)
         best = min(zip(cost[there].tolist(), (-samples[there]).tolist(), strict=True))
-        assert keeps[place] == (abs(-best[1] - k) <= tolerance)
+        assert is_best[pixel] == (abs(-best[1] - k) <= tolerance)
 
 
 # -- The whole matcher -------------------------------------------------------------------------------------------------

@@ -125,7 +125,7 @@ def test_settings_prints_type_unit_default_meaning_and_kinds(capsys: pytest.Capt
     said = capsys.readouterr().out
     assert "    kind     sgm\n    type     number, at least 0\n    unit     px\n    default  2.0\n" in said
     assert "    kind     slanted\n" in said
-    assert "meaning  How far view 2's own answer may lead elsewhere, panorama pixels." in said
+    assert "meaning  Largest difference from view 2's own match, panorama pixels." in said
     assert main(["settings"]) == 0
     assert capsys.readouterr().out.count("    meaning") == len(settings_reference())
 

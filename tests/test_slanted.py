@@ -16,7 +16,7 @@ from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.matching.slanted.refine import Slanted, _centre_of_spline, _smoothed, _way, refine_slanted
+from harness.matching.slanted.refine import Slanted, _centre_of_spline, _smoothed, _warp, refine_slanted
 
 SENSOR = Sensor(
     camera=Camera(width_px=220, height_px=220, focal_px=560.0, cx_px=109.5, cy_px=109.5),
@@ -122,12 +122,24 @@ def test_holes_in_the_start_are_filled():
 
 
 def warped(sensor, there, image, w):
-    way = _way(sensor, sensor, there, pixel_directions(sensor)[1])
+    warp = _warp(sensor, sensor, there, pixel_directions(sensor)[1])
     coefficients = ndimage.spline_filter(image, 3, output=np.float64, mode="mirror")
     known = np.zeros(w.shape, bool)
     value, slope, moved = np.zeros((3, *w.shape))
     _kernels.warp_rows(
-        0, len(w), way.seen, way.x, w, way.R, way.s, way.camera, coefficients, known, value, slope, moved
+        0,
+        len(w),
+        warp.valid,
+        warp.x,
+        w,
+        warp.R,
+        warp.s,
+        warp.camera,
+        coefficients,
+        known,
+        value,
+        slope,
+        moved,
     )
     return known, value, slope, moved
 
@@ -178,10 +190,10 @@ def test_slope_is_the_derivative(lens):
 def test_a_window_is_the_least_squares_solution(far):
     """Against numpy's solver, sample by sample, on random fields with holes."""
     draws = np.random.default_rng(5)
-    way = _way(SENSOR, SENSOR, motion(), pixel_directions(SENSOR)[1])
-    shape, half = way.seen.shape, 5
+    warp = _warp(SENSOR, SENSOR, motion(), pixel_directions(SENSOR)[1])
+    shape, half = warp.valid.shape, 5
     w = draws.uniform(0.4, 0.8, shape)
-    known = way.seen & (draws.random(shape) < 0.8)
+    known = warp.valid & (draws.random(shape) < 0.8)
     value = draws.normal(100, 20, shape).astype(np.float32)
     first = (value + draws.normal(0, 15, shape)).astype(np.float32)
     slope = draws.normal(0, 30, shape).astype(np.float32)
@@ -189,16 +201,16 @@ def test_a_window_is_the_least_squares_solution(far):
     plane, covariance = np.zeros((*shape, 3)), np.zeros((*shape, 6))
     residual, gain, offset, share = np.zeros((4, *shape))
     _kernels.fit_rows(
-        30, 190, half, 20.0, 0.0, far, way.seen, way.x, w, first, known, value, slope, moved,
+        30, 190, half, 20.0, 0.0, far, warp.valid, warp.x, w, first, known, value, slope, moved,
         plane, covariance, residual, gain, offset, share,
     )  # fmt: skip
     checked = 0
     for i, j in draws.integers(40, 180, (60, 2)):
-        if not way.seen[i, j]:
+        if not warp.valid[i, j]:
             continue
         box = np.s_[i - half : i + half + 1, j - half : j + half + 1]
         k = known[box]
-        I_1, I_2, g, x = (a[box][k].astype(np.float64) for a in (first, value, slope, way.x))
+        I_1, I_2, g, x = (a[box][k].astype(np.float64) for a in (first, value, slope, warp.x))
         a = I_1.std() / I_2.std()
         columns = np.column_stack([a * g[:, None] * x, np.ones(len(g))])
         right = I_1 - a * (I_2 - g * w[box][k])
@@ -211,7 +223,7 @@ def test_a_window_is_the_least_squares_solution(far):
         np.testing.assert_allclose(plane[i, j], solution[:3], rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose([gain[i, j], offset[i, j]], [a, solution[3]], rtol=1e-5, atol=1e-4)
         np.testing.assert_allclose(residual[i, j], squares[0] / (len(g) - 5), rtol=1e-6)
-        c = way.x[i, j]
+        c = warp.x[i, j]
         at_centre = c @ np.linalg.inv(columns.T @ columns)[:3, :3] @ c
         np.testing.assert_allclose(covariance[i, j, 0], at_centre, rtol=1e-5)
         checked += 1
@@ -271,12 +283,12 @@ def test_texture_beside_a_blank_place_is_no_answer_for_it():
             at = viewpoint + directions_v1 * ((-HEIGHT_M - viewpoint[2]) / directions_v1[..., 2:])
         return np.clip((np.hypot(at[..., 0] + 1, at[..., 1]) - 0.6) / 0.15, 0, 1)
 
-    ways = (x_1, np.zeros(3)), (x_1 @ there.R_v2_from_v1, there.t_v1)
-    images = [128 + (image - 128) * contrast(*way) for image, way in zip(pair(), ways, strict=True)]
+    rays_of_both = (x_1, np.zeros(3)), (x_1 @ there.R_v2_from_v1, there.t_v1)
+    images = [128 + (image - 128) * contrast(*warp) for image, warp in zip(pair(), rays_of_both, strict=True)]
     matches = refine(tuple(np.where(seen, image, 0).astype(np.float32) for image in images), there)
     pixels, _ = project(SENSOR, x)
     row, column = np.moveaxis(np.rint(pixels[..., ::-1]).astype(int), -1, 0)
-    depth = ndimage.distance_transform_edt((contrast(*ways[0]) == 0) & seen)[row, column]
+    depth = ndimage.distance_transform_edt((contrast(*rays_of_both[0]) == 0) & seen)[row, column]
     # Surroundings of 9 pixels reach 4, corners 5.7; windows of 13 pixels moved by 6 reach 12, so there are planes.
     inside = (depth > 6.5) & (depth < 12)
     assert inside.sum() > 100

@@ -17,7 +17,7 @@ differ by a window's half angle (0.01 rad or more), keep twelve digits."""
 
 @kernel
 def add_raw_pixels(
-    spline_1, spline_2, pixel, cell, omega, omega_u, omega_v, plane, R, t, place, ray, ray_u, ray_v, cells_1, cells_2
+    spline_1, spline_2, pixel, cell, omega, omega_u, omega_v, plane, R, t, pixel_2, ray, ray_u, ray_v, cells_1, cells_2
 ):
     """Add the products of each raw pixel's derivatives (slope x, slope y, slope z, grey, 1) to its cell, both images.
 
@@ -26,19 +26,19 @@ def add_raw_pixels(
     what is finer than three pixels.
 
     pixel : `[n, 2]`, (row, column) in image 1. cell : `[n]`, index into the cells. omega, omega_u, omega_v : `[n, 3]`,
-    the pixel's unit direction and that direction's derivatives by u and v. plane : `[n, 3]`, m. place : `[n, 2]`, (u,
-    v) in image 2, NaN for a pixel that is left out; ray, ray_u, ray_v : `[3, n]`, the ray of that place, of any length,
-    and its derivatives. cells_1, cells_2 : added to, `[cells, 15]`, lower triangles row by row.
+    the pixel's unit direction and that direction's derivatives by u and v. plane : `[n, 3]`, m. pixel_2 : `[n, 2]`,
+    (u, v) in image 2, NaN for a pixel that is left out; ray, ray_u, ray_v : `[3, n]`, its ray, of any length, and the
+    ray's derivatives. cells_1, cells_2 : added to, `[cells, 15]`, lower triangles row by row.
     """
     shift = np.empty(3)
     by_u = np.empty(3)
     by_v = np.empty(3)
     weights = np.empty((4, QUINTIC_TAPS))
-    found = np.empty(3)
+    sampled = np.empty(3)
     towards = np.empty(3)
     room = np.empty(3)
     for i in range(pixel.shape[0]):
-        if math.isnan(place[i, 0]):
+        if math.isnan(pixel_2[i, 0]):
             continue
         xi = m_u = m_v = 0.0
         for c in range(3):
@@ -80,10 +80,10 @@ def add_raw_pixels(
             v = 0.25 if part // 2 else -0.25
             for c in range(3):
                 towards[c] = omega[i, c] + omega_u[i, c] * u + omega_v[i, c] * v
-            _spline_at(spline_1, pixel[i, 1] + u, pixel[i, 0] + v, weights, found)
-            _add_products(cells_1[cell[i]], quarter_1, found[1] * u_1 + found[2] * v_1, found[0], towards, room)
-            _spline_at(spline_2, place[i, 0] + u_u * u + u_v * v, place[i, 1] + v_u * u + v_v * v, weights, found)
-            _add_products(cells_2[cell[i]], quarter_2, found[1] * u_2 + found[2] * v_2, found[0], towards, room)
+            _spline_at(spline_1, pixel[i, 1] + u, pixel[i, 0] + v, weights, sampled)
+            _add_products(cells_1[cell[i]], quarter_1, sampled[1] * u_1 + sampled[2] * v_1, sampled[0], towards, room)
+            _spline_at(spline_2, pixel_2[i, 0] + u_u * u + u_v * v, pixel_2[i, 1] + v_u * u + v_v * v, weights, sampled)
+            _add_products(cells_2[cell[i]], quarter_2, sampled[1] * u_2 + sampled[2] * v_2, sampled[0], towards, room)
 
 
 @kernel
@@ -105,12 +105,12 @@ def _add_products(products, weight, slope, grey, omega, s):
 
 
 @kernel
-def _spline_at(spline, u, v, weights, found):
-    """Value of a quintic B-spline and its derivatives by u and v, written to `found`; weights : room to work."""
+def _spline_at(spline, u, v, weights, sampled):
+    """Value of a quintic B-spline and its derivatives by u and v, written to `sampled`; weights : room to work."""
     column, row = math.floor(u), math.floor(v)
     quintic_weights(u - column, weights[0], weights[1])
     quintic_weights(v - row, weights[2], weights[3])
-    found[:] = 0.0
+    sampled[:] = 0.0
     inside = 2 <= row < spline.shape[0] - 3 and 2 <= column < spline.shape[1] - 3
     for j in range(QUINTIC_TAPS):
         line = along = 0.0
@@ -125,9 +125,9 @@ def _spline_at(spline, u, v, weights, found):
                 coefficient = spline[r, _mirrored(column + i - 2, spline.shape[1])]
                 line += weights[0, i] * coefficient
                 along += weights[1, i] * coefficient
-        found[0] += weights[2, j] * line
-        found[1] += weights[2, j] * along
-        found[2] += weights[3, j] * line
+        sampled[0] += weights[2, j] * line
+        sampled[1] += weights[2, j] * along
+        sampled[2] += weights[3, j] * line
 
 
 @kernel

@@ -13,14 +13,14 @@ COUNT, NEGATIVE, SQUARE_PX, GROSS, OFF_M, SQUARE_M, BIAS_M = range(7)
 KINDS = 8
 
 BLOCK = 2048
-"""Places of an order that are counted together before it is asked whether a middle lies among them."""
+"""Entries of an order that are counted together before looking whether a middle lies among them."""
 
 
 @kernel
 def true_angles(
     range_m, directions, alpha_1, step, n_z, baseline, phi_sampled, least_sine, sideways, alpha_2, law, half_step
 ):
-    """Write what `errors.Reference` says of these, `[n]`; NaN where range is.
+    """Write the fields of `pixel_errors.Reference`, `[n]`; NaN where the range is.
 
     directions : `[n, 3]`, unit vectors; baseline : `[3]`, t.
     phi_sampled : whether `step` is one of phi.
@@ -51,22 +51,22 @@ def bins(values, edges, out):
     last = edges.size - 1
     for i in range(values.size):
         value = values[i]
-        found = -1
+        number = -1
         if edges[0] <= value < edges[last]:
-            found = 0
-            while value >= edges[found + 1]:
-                found += 1
-        out[i] = found
+            number = 0
+            while value >= edges[number + 1]:
+                number += 1
+        out[i] = number
 
 
 @kernel
-def gather_members(labels, place, out):
-    """Write the places of each label from 0 on, one label after the other. place : where each begins; is moved on."""
+def gather_members(labels, position, out):
+    """Write the indices of each label from 0 on, label after label. position : where each begins; is advanced."""
     for i in range(labels.size):
         label = labels[i]
         if label >= 0:
-            out[place[label]] = i
-            place[label] += 1
+            out[position[label]] = i
+            position[label] += 1
 
 
 @kernel
@@ -92,20 +92,21 @@ def classes(labels, groups, out):
 @kernel
 def add_errors(
     pixels, classes, surface, weight, range_m, disparity, distance, valid, limits_px, limits_ratio,
-    seen, strata, absolute_px, off_m, logarithm, sums, domain, weighted, above, within,
+    scored, strata, absolute_px, off_m, logarithm, sums, domain, weighted, above, within,
 ):  # fmt: skip
-    """All sums of errors, in one walk over the pixels.
+    """All sums of errors, in one pass over the pixels.
 
     pixels, classes, surface, weight, range_m : of the grouped pixels, `[n]`; see `groups.Groups` and `regions.Layout`.
     disparity, distance, valid : of the whole picture, flat.
     limits_px, limits_ratio : ascending.
-    seen, absolute_px, off_m : written, `[n]`; absolute errors, infinite where not seen.
+    scored, absolute_px, off_m : written, `[n]`; whether the pixel has an error, which takes an estimate and a truth;
+        and absolute errors, infinite where there is none.
     strata : written, `[n]`: twice the class, and one more where the disparity's error is negative.
-    logarithm : written, `[n]`; the first of them, of the domain's seen pixels.
+    logarithm : written, `[n]`; its first entries, for the domain's scored pixels.
     sums : written, `[classes, KINDS]`.
-    domain : written: seen pixels; sums of absolute disparity errors and of absolute relative errors.
-    weighted : written, as sums, with each of the domain's pixels counted by its weight; COUNT is that of the seen ones,
-        NEGATIVE that of all.
+    domain : written: scored pixels; sums of absolute disparity errors and of absolute relative errors.
+    weighted : written, as sums, with each of the domain's pixels counted by its weight; COUNT is that of the scored
+        ones, NEGATIVE that of all.
     above : written, absolute disparity errors of the domain above each of `limits_px`.
     within : written, logarithms of the domain nearer to zero than each of `limits_ratio`.
     """
@@ -116,23 +117,23 @@ def add_errors(
         if inside:
             weighted[NEGATIVE] += weight[i]
         d, r = disparity[pixel], distance[pixel]
-        seen[i] = valid[pixel] and math.isfinite(d)
-        if not seen[i]:
+        scored[i] = valid[pixel] and math.isfinite(d)
+        if not scored[i]:
             absolute_px[i], off_m[i] = math.inf, math.inf
             continue
         absolute, off = abs(d), abs(r)
         absolute_px[i], off_m[i] = absolute, off
         negative, gross = 1 if d < 0.0 else 0, 1.0 if absolute > 1.0 else 0.0
         square_px, square_m = d * d, r * r
-        own = classes[i]
-        strata[i] = 2 * own + negative
-        sums[own, COUNT] += 1.0
-        sums[own, NEGATIVE] += negative
-        sums[own, SQUARE_PX] += square_px
-        sums[own, GROSS] += gross
-        sums[own, OFF_M] += off
-        sums[own, SQUARE_M] += square_m
-        sums[own, BIAS_M] += r
+        class_number = classes[i]
+        strata[i] = 2 * class_number + negative
+        sums[class_number, COUNT] += 1.0
+        sums[class_number, NEGATIVE] += negative
+        sums[class_number, SQUARE_PX] += square_px
+        sums[class_number, GROSS] += gross
+        sums[class_number, OFF_M] += off
+        sums[class_number, SQUARE_M] += square_m
+        sums[class_number, BIAS_M] += r
         if inside:
             w = weight[i]
             weighted[COUNT] += w
@@ -159,17 +160,17 @@ def add_errors(
 
 
 @kernel
-def ascending(bits, seen, number, order, other):
-    """Write the seen ones of the 32-bit keys in ascending order, `number` of them, each above its place: key << 32 | i.
+def ascending(bits, scored, number, order, other):
+    """Sort the scored ones of the 32-bit keys, `number` of them, each in the bits above its index: key << 32 | index.
 
-    Three passes of eleven bits over keys and places side by side, each of them stable; the sign bit is not looked at.
+    A radix sort: three passes of eleven bits, each of them stable; the sign bit is ignored.
     order, other : `[number]`; the result is what is returned, one of the two.
     """
     digits = np.zeros((3, DIGITS), dtype=np.int64)
     mask = np.uint64(DIGITS - 1)
     last = 0
     for i in range(bits.size):
-        if seen[i]:
+        if scored[i]:
             key = np.uint64(bits[i])
             other[last] = key << np.uint64(32) | np.uint64(i)
             last += 1
@@ -177,48 +178,48 @@ def ascending(bits, seen, number, order, other):
             digits[1, (key >> np.uint64(11)) & mask] += 1
             digits[2, (key >> np.uint64(22)) & mask] += 1
     for turn in range(3):
-        place = digits[turn]
+        position = digits[turn]
         before = 0
         for digit in range(DIGITS):
-            here = place[digit]
-            place[digit] = before
-            before += here
+            count = position[digit]
+            position[digit] = before
+            before += count
         shift = np.uint64(32 + 11 * turn)
         for i in range(number):
             digit = (other[i] >> shift) & mask
-            order[place[digit]] = other[i]
-            place[digit] += 1
+            order[position[digit]] = other[i]
+            position[digit] += 1
         order, other = other, order
     return other
 
 
 @kernel
 def add_classes(labels, of_class, of_group):
-    """Add up what is known of classes to what is known of groups.
+    """Add up sums of classes to sums of groups.
 
     labels : `[classes, layers]`; of_class, of_group : `[classes, kinds]` and, written, `[groups, kinds]`.
     """
-    for own in range(labels.shape[0]):
+    for class_number in range(labels.shape[0]):
         for layer in range(labels.shape[1]):
-            group = np.intp(labels[own, layer])
+            group = np.intp(labels[class_number, layer])
             if group >= 0:
                 for kind in range(of_class.shape[1]):
-                    of_group[group, kind] += of_class[own, kind]
+                    of_group[group, kind] += of_class[class_number, kind]
 
 
 @kernel
-def find_ranks(order, strata, labels, layer_of_group, ranks, found):
-    """The places of some ranks in each group's own order.
+def find_ranks(order, strata, labels, layer_of_group, ranks, index):
+    """The indices of the values with some ranks in each group.
 
     Blocks of the order are counted by class, which is one step a pixel whatever the number of layers. Only a block in
-    which a rank must lie is looked through.
+    which a rank must lie is searched.
 
     order : as from `ascending`.
-    strata : `[n]`, twice the class of each place, plus its sign, 0 or 1.
+    strata : `[n]`, twice the class of each pixel, plus its sign, 0 or 1.
     labels : `[classes, layers]`, a class's group in each layer, or -1.
     layer_of_group : `[groups]`.
-    ranks : `[groups, 6]`: two among all places of the group, two among those of sign 0, two of sign 1; -1 for none.
-    found : written, `[groups, 6]`, places.
+    ranks : `[groups, 6]`: two among all pixels of the group, two among those of sign 0, two of sign 1; -1 for none.
+    index : written, `[groups, 6]`.
     """
     groups = ranks.shape[0]
     passed, here = np.zeros((groups, 2), dtype=np.int64), np.zeros((groups, 2), dtype=np.int64)
@@ -231,13 +232,13 @@ def find_ranks(order, strata, labels, layer_of_group, ranks, found):
         for j in range(start, stop):
             stratum = strata[order[j] & low]
             counts[stratum >> 1, stratum & 1] += 1
-        for own in range(labels.shape[0]):
-            if counts[own, 0] + counts[own, 1] > 0:
+        for class_number in range(labels.shape[0]):
+            if counts[class_number, 0] + counts[class_number, 1] > 0:
                 for layer in range(labels.shape[1]):
-                    member_of = np.intp(labels[own, layer])
+                    member_of = np.intp(labels[class_number, layer])
                     if member_of >= 0:
-                        here[member_of, 0] += counts[own, 0]
-                        here[member_of, 1] += counts[own, 1]
+                        here[member_of, 0] += counts[class_number, 0]
+                        here[member_of, 1] += counts[class_number, 1]
         for group in range(groups):
             wanted = False
             for query in range(6):
@@ -258,9 +259,9 @@ def find_ranks(order, strata, labels, layer_of_group, ranks, found):
                     among = ones if sign else zeros
                     for query in range(2):
                         if ranks[group, query] == zeros + ones:
-                            found[group, query] = i
+                            index[group, query] = i
                         if ranks[group, 2 + 2 * sign + query] == among:
-                            found[group, 2 + 2 * sign + query] = i
+                            index[group, 2 + 2 * sign + query] = i
                     ones += sign
                     zeros += 1 - sign
             passed[group, 0] += here[group, 0]
@@ -269,13 +270,13 @@ def find_ranks(order, strata, labels, layer_of_group, ranks, found):
 
 @kernel
 def distribution(order, absolute, surface, weight, half, edges, edge_bits, ranks, histogram, quantiles):
-    """Histograms of either surface, and quantiles of the domain, from one walk in ascending order.
+    """Histograms of either surface, and quantiles of the domain, from one pass in ascending order.
 
     order : as from `ascending`.
     absolute : `[n]`, what it is the order of.
-    half : half of the weight of all seen pixels of the domain.
+    half : half of the weight of all scored pixels of the domain.
     edges, edge_bits : of the histogram's bins, and the bits of the same in single precision.
-    ranks : ascending, places in the domain's order.
+    ranks : ascending, in the domain's order.
     histogram : written, `[2, bins]`, the last of which holds all that is above.
     quantiles : written: the value up to which half of the weight lies, and those with the ranks.
     """
@@ -315,20 +316,20 @@ def weighted_middle(order, absolute, surface, weight, half):
 
 
 @kernel
-def deal(order, parts, place, out):
-    """Write the places of `order`, as from `ascending`, part by part. parts : `[n]`, -1 for none; place : starts."""
+def split_order(order, parts, position, out):
+    """Write the indices of `order`, as from `ascending`, by part. parts : `[n]`, -1 for none; position : starts."""
     for j in range(order.size):
         i = order[j] & np.uint64(0xFFFFFFFF)
         if parts[i] >= 0:
-            out[place[parts[i]]] = i
-            place[parts[i]] += 1
+            out[position[parts[i]]] = i
+            position[parts[i]] += 1
 
 
 @kernel
-def middles_of_parts(places, starts, seen, count, values, out):
-    """The median of the seen ones of each part, which lie one after the other in ascending order.
+def medians_of_parts(indices, starts, scored, count, values, out):
+    """The median of the scored ones of each part; parts lie one after the other, in ascending order.
 
-    starts : `[parts + 1]`; count : seen ones of each part; out : written, `[parts]`, not where there are none.
+    starts : `[parts + 1]`; count : scored ones of each part; out : written, `[parts]`, not where there are none.
     """
     for part in range(count.size):
         passed = 0
@@ -336,8 +337,8 @@ def middles_of_parts(places, starts, seen, count, values, out):
             continue
         low = 0.0
         for j in range(starts[part], starts[part + 1]):
-            i = places[j]
-            if seen[i]:
+            i = indices[j]
+            if scored[i]:
                 if passed == (count[part] - 1) // 2:
                     low = values[i]
                 if passed == count[part] // 2:
@@ -347,20 +348,20 @@ def middles_of_parts(places, starts, seen, count, values, out):
 
 
 @kernel
-def add_fractions(pixels, surface, seen, k, histogram):
+def add_fractions(pixels, surface, scored, k, histogram):
     """Count positions between two samples of either surface. histogram : written, `[2, bins]`."""
     bins = histogram.shape[1]
     for i in range(pixels.size):
         position = k[pixels[i]] * bins + 0.5
-        if seen[i] and surface[i] >= 0 and math.isfinite(position):
+        if scored[i] and surface[i] >= 0 and math.isfinite(position):
             histogram[surface[i], math.floor(position) % bins] += 1
 
 
 @kernel
-def count_flags(pixels, surface, seen, flags):
-    """How many of the domain's seen pixels have a flag."""
+def count_flags(pixels, surface, scored, flags):
+    """How many of the domain's scored pixels have a flag."""
     number = 0
     for i in range(pixels.size):
-        if seen[i] and surface[i] >= 0 and flags[pixels[i]]:
+        if scored[i] and surface[i] >= 0 and flags[pixels[i]]:
             number += 1
     return number

@@ -127,16 +127,16 @@ def cramer_rao(
 
     x = directions(grid)
     planes = _planes(truth, x, np.asarray(R_world_from_v1, dtype=np.float64))
-    seen = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
+    visible = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
     raw = _raw_pixels(sensors[0], grid)
     if frame == "panorama":
         towards, cell = x, raw.cell
     else:
-        # Raw pixels take the place of the panorama's, with the plane of the panorama's pixel that each falls on.
+        # Raw pixels stand for the panorama's, with the plane of the panorama's pixel that each falls on.
         towards, _ = pixel_directions(sensors[0])
         cell = np.ravel_multi_index((raw.pixel[:, 0], raw.pixel[:, 1]), towards.shape[:2])
-        planes, seen = (_scattered(each, raw, cell, towards.shape[:2]) for each in (planes, seen))
-    pixels = _on_one_plane(seen, planes, window_px, goes_round=frame == "panorama")
+        planes, visible = (_scattered(each, raw, cell, towards.shape[:2]) for each in (planes, visible))
+    pixels = _on_one_plane(visible, planes, window_px, goes_round=frame == "panorama")
     cells = _cells(images, sensors, motion, raw, cell, planes)
     informations, counts = np.zeros((2, *pixels.shape)), np.full((2, *pixels.shape), np.nan)
     for view in range(2):
@@ -144,9 +144,9 @@ def cramer_rao(
             cells[view], pixels, window_px // 2, towards, model == "slanted", informations[view], counts[view]
         )
     if frame == "mirror":
-        place, there = project(sensors[0], x)
-        column, row = np.moveaxis(np.rint(np.where(there[..., None], place, 0)).astype(np.intp), -1, 0)
-        pixels = pixels[row, column] & there
+        nearest, valid_1 = project(sensors[0], x)
+        column, row = np.moveaxis(np.rint(np.where(valid_1[..., None], nearest, 0)).astype(np.intp), -1, 0)
+        pixels = pixels[row, column] & valid_1
         informations, counts = informations[:, row, column], np.where(pixels, counts[:, row, column], np.nan)
     with np.errstate(divide="ignore"):
         std_xi = np.where(pixels, sigma_grey * np.sqrt(1 / informations[0] + 1 / informations[1]), np.nan)
@@ -192,23 +192,23 @@ def _planes(truth: Truth, x: Array, R_world_from_v1: Array) -> Array:
 def _scattered(
     values: NDArray[Any], raw: "_RawPixels", cell: NDArray[np.int64], shape: tuple[int, int]
 ) -> NDArray[Any]:
-    """What belongs to the panorama's pixels on the mirror image; NaN or False where none falls on the panorama."""
+    """Values of the panorama's pixels on the mirror image; NaN or False where none falls on the panorama."""
     nothing = False if values.dtype == bool else np.nan
-    found = np.full((shape[0] * shape[1], *values.shape[2:]), nothing, dtype=values.dtype)
-    found[cell] = values.reshape(-1, *values.shape[2:])[raw.cell]
-    return found.reshape(*shape, *values.shape[2:])
+    scattered = np.full((shape[0] * shape[1], *values.shape[2:]), nothing, dtype=values.dtype)
+    scattered[cell] = values.reshape(-1, *values.shape[2:])[raw.cell]
+    return scattered.reshape(*shape, *values.shape[2:])
 
 
-def _on_one_plane(seen: Mask, planes: Array, window_px: int, *, goes_round: bool) -> Mask:
+def _on_one_plane(visible: Mask, planes: Array, window_px: int, *, goes_round: bool) -> Mask:
     """Pixels whose window is whole, sees one plane, no discontinuity, and is seen by view 2."""
-    good = _smallest(seen.astype(np.float64), window_px) > 0
+    good = _smallest(visible.astype(np.float64), window_px) > 0
     half = window_px // 2
     good[:half] = good[good.shape[0] - half :] = False
     if not goes_round:
         good[:, :half] = good[:, good.shape[1] - half :] = False
     size = np.linalg.norm(planes, axis=-1)
     for component in np.moveaxis(planes, -1, 0):
-        finite = np.where(seen, component, 0.0)
+        finite = np.where(visible, component, 0.0)
         spread = -_smallest(-finite, window_px) - _smallest(finite, window_px)
         with np.errstate(invalid="ignore"):
             good &= spread <= PLANE_TOLERANCE * size
@@ -237,14 +237,14 @@ def _cells(
     R, t = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.R_v2_from_v1, motion.t_v1))
     xi = np.sum(plane * omega, axis=-1)
     first, second = sensors
-    place, _ = project(second, (omega - xi[:, None] * t) @ R.T)
+    pixel_2, _ = project(second, (omega - xi[:, None] * t) @ R.T)
     # Behind a plane that a neighbour of another face has been given, or off image 2: in no window that counts.
     camera = second.camera
     with np.errstate(invalid="ignore"):
-        usable = (xi > 0) & np.all(np.abs(place + 0.5) < np.array([camera.width_px, camera.height_px]) + 1, axis=-1)
-        usable &= np.all(place > -1.5, axis=-1)
-    place[~usable] = np.nan
-    u, v = np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1])
+        usable = (xi > 0) & np.all(np.abs(pixel_2 + 0.5) < np.array([camera.width_px, camera.height_px]) + 1, axis=-1)
+        usable &= np.all(pixel_2 > -1.5, axis=-1)
+    pixel_2[~usable] = np.nan
+    u, v = np.ascontiguousarray(pixel_2[:, 0]), np.ascontiguousarray(pixel_2[:, 1])
     cells = np.zeros((2, planes.shape[0] * planes.shape[1], _bound_kernels.PRODUCTS))
     _bound_kernels.add_raw_pixels(
         _spline(images[0], first),
@@ -257,7 +257,7 @@ def _cells(
         plane,
         R,
         t,
-        place,
+        pixel_2,
         rays_of(second, u, v),
         (rays_of(second, u + _STEP_PX, v) - rays_of(second, u - _STEP_PX, v)) / (2 * _STEP_PX),
         (rays_of(second, u, v + _STEP_PX) - rays_of(second, u, v - _STEP_PX)) / (2 * _STEP_PX),
@@ -292,10 +292,10 @@ def _raw_pixels(sensor: Sensor, grid: Grid) -> _RawPixels:
     row, column, inside = pixel_that_holds(grid, chosen)
     panorama_pixel = row[inside].astype(np.int64) * grid.width_px + column[inside]
     pixel, chosen = pixel[inside], chosen[inside]
-    place = pixel[:, ::-1].astype(np.float64)
+    uv = pixel[:, ::-1].astype(np.float64)
     steps = np.array([[_STEP_PX, 0.0], [0.0, _STEP_PX]])
     omega_u, omega_v = (
-        (unproject(sensor, place + step)[0] - unproject(sensor, place - step)[0]) / (2 * _STEP_PX) for step in steps
+        (unproject(sensor, uv + step)[0] - unproject(sensor, uv - step)[0]) / (2 * _STEP_PX) for step in steps
     )
     raw = _RawPixels(pixel, panorama_pixel, chosen, omega_u, omega_v)
     for array in vars(raw).values():
@@ -304,17 +304,17 @@ def _raw_pixels(sensor: Sensor, grid: Grid) -> _RawPixels:
 
 
 def _spline(image: Image, sensor: Sensor) -> Array:
-    """Coefficients of the quintic B-spline through an image, of which what the sensor does not see is filled.
+    """Coefficients of the quintic B-spline through an image; pixels that the sensor does not see are filled in.
 
     Black beyond the rim would ring into the picture.
     """
     shape = (sensor.camera.height_px, sensor.camera.width_px)
     if image.shape != shape:
         raise ValueError(f"the image is {image.shape}, the sensor {shape} (rows, columns)")
-    filled = np.asarray(image, dtype=np.float64)[_nearest_seen(sensor)]
+    filled = np.asarray(image, dtype=np.float64)[_nearest_valid(sensor)]
     return np.asarray(ndimage.spline_filter(filled, order=5, mode="mirror"))
 
 
 @lru_cache(maxsize=4)
-def _nearest_seen(sensor: Sensor) -> Indices:
+def _nearest_valid(sensor: Sensor) -> Indices:
     return nearest_known(pixel_directions(sensor)[1])

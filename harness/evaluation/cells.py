@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from harness.evaluation._grouping_kernels import GROSS
-from harness.evaluation.groups import medians_of_seen
+from harness.evaluation.groups import medians_of_scored
 from harness.evaluation.tally import Tally
 from harness.geometry.triangulation import paper_law
 
@@ -52,21 +52,21 @@ def cells(errors: Tally, baseline_m: float, pixel_rad: float) -> list[dict[str, 
     pixel_rad : one pixel of disparity in radians.
     """
     layout = errors.layout
-    own = slice(len(layout.regions), None)
-    count = errors.count[own]
-    range_m = medians_of_seen(layout.by_range, errors.seen, count)
-    law = medians_of_seen(layout.by_law, errors.seen, count)
+    of_cells = slice(len(layout.regions), None)
+    count = errors.count[of_cells]
+    range_m = medians_of_scored(layout.by_range, errors.scored, count)
+    law = medians_of_scored(layout.by_law, errors.scored, count)
     with np.errstate(invalid="ignore"):
-        gross = errors.sums[own, GROSS] / count
+        gross = errors.sums[of_cells, GROSS] / count
     columns = {
         "pixels": count,
         "range_m": range_m,
-        "spread_m": NORMAL * errors.median_abs_m[own],
-        "sigma_alpha": NORMAL * errors.median_abs_px[own] * pixel_rad,
+        "spread_m": NORMAL * errors.median_abs_m[of_cells],
+        "sigma_alpha": NORMAL * errors.median_abs_px[of_cells] * pixel_rad,
         "law_exact": law,
         # The median of d²/|t| is that of d, squared, but for the mean of two middle values.
         "law_paper": paper_law(range_m, baseline_m),
-        "disparity_bias_px": errors.median_px[own],
+        "disparity_bias_px": errors.median_px[of_cells],
         "missing": 1 - count / np.array([part.pixels.size for part in layout.cells]),
         "gross": gross,
     }

@@ -17,7 +17,7 @@ from harness.geometry.angles import Array
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 Order = NDArray[np.uint64]
-"""Places in ascending order of some values, each beneath its value: its bits in single precision << 32 | place."""
+"""Indices in ascending order of some values: the value's bits in single precision << 32 | its index."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Groups:
 
 
 def grouped(layers: Sequence[NDArray[np.int16]], groups: int) -> Groups:
-    """Lay out groups, numbered from 0, that are given as layers of labels `[size]`: a pixel's group, -1 for none."""
+    """Groups, numbered from 0, made of layers of labels `[size]`: a pixel's group, -1 for none."""
     size = layers[0].size if layers else 0
     pixels = np.flatnonzero(np.max(layers, axis=0) >= 0) if layers else np.empty(0, dtype=np.intp)
     whole = pixels.size == size
@@ -49,9 +49,9 @@ def grouped(layers: Sequence[NDArray[np.int16]], groups: int) -> Groups:
     of_classes, in_class = labels[one_of_each], np.bincount(classes, minlength=count)
     layer_of_group, sizes = np.zeros((2, groups), dtype=np.int64)
     for i, column in enumerate(of_classes.T):
-        there = column >= 0
-        layer_of_group[column[there]] = i
-        np.add.at(sizes, column[there], in_class[there])
+        labelled = column >= 0
+        layer_of_group[column[labelled]] = i
+        np.add.at(sizes, column[labelled], in_class[labelled])
     return Groups(pixels, classes, of_classes, layer_of_group, sizes)
 
 
@@ -71,37 +71,37 @@ def bins(values: Array, edges: Sequence[float]) -> NDArray[np.int16]:
     return out
 
 
-def ascending(seen: Mask, values: Array, number: int | None = None) -> Order:
-    """The seen places by ascending value, to single precision; no value is negative.
+def ascending(chosen: Mask, values: Array, number: int | None = None) -> Order:
+    """The indices of chosen values by ascending value, to single precision; no value is negative.
 
     The bits of floats that are not negative are in the order of the floats. Values that are one in single precision
-    keep the order of their places, so that a median may be its neighbour within 6e-8 of it.
+    keep the order of their indices, so that a median may be its neighbour within 6e-8 of it.
 
     Parameters
     ----------
-    seen, values
+    chosen, values
         `[n]`.
     number
-        Of those seen, if it is known.
+        How many are chosen, if that is known.
     """
-    number = int(np.count_nonzero(seen)) if number is None else number
+    number = int(np.count_nonzero(chosen)) if number is None else number
     with np.errstate(over="ignore"):
         bits = values.astype(np.float32).view(np.uint32)
     order, other = np.empty((2, number), dtype=np.uint64)
-    return np.asarray(_kernels.ascending(bits, seen, number, order, other))
+    return np.asarray(_kernels.ascending(bits, chosen, number, order, other))
 
 
-def places(order: Order) -> Indices:
-    """The places of an order alone."""
+def indices_of(order: Order) -> Indices:
+    """The indices of an order, without the values."""
     return (order & np.uint64(0xFFFFFFFF)).astype(np.intp)
 
 
 def medians(
     groups: Groups, strata: NDArray[np.int32], count: NDArray[np.int64], negative: NDArray[np.int64], order: Order
 ) -> tuple[Indices, Indices]:
-    """Where the middles of each group's absolute values are, and those of its signed ones.
+    """The indices of the middles of each group's absolute values, and of its signed ones.
 
-    In ascending order come the negative values, from the largest absolute one down, and then all others: which place
+    In ascending order come the negative values, from the largest absolute one down, and then all others: which one
     has a rank among signed values follows from the order of the absolute ones.
 
     Parameters
@@ -109,42 +109,42 @@ def medians(
     strata
         `[n]`: twice the class, and one more where the value is negative.
     count, negative
-        `[groups]`: places of each group that are in the order, and how many of them have a negative value.
+        `[groups]`: pixels of each group that are in the order, and how many of them have a negative value.
     order
         Of the absolute values.
 
     Returns
     -------
     absolute, signed
-        `[groups, 2]`: places of both middles (twice the same, where the count is odd); -1 for an empty group.
+        `[groups, 2]`: indices of both middles (twice the same, where the count is odd); -1 for an empty group.
     """
     middle = np.stack([(count - 1) // 2, count // 2], axis=1)
     below, above = negative[:, None] - 1 - middle, middle - negative[:, None]
     empty = (count == 0)[:, None]
     ranks = np.where(np.tile(empty, 6), -1, np.concatenate([middle, above, below], axis=1))
-    found = np.full(ranks.shape, -1, dtype=np.intp)
-    _kernels.find_ranks(order, strata, groups.labels, groups.layers, ranks, found)
-    signed = np.where(below >= 0, found[:, 4:], found[:, 2:4])
-    return found[:, :2], np.where(empty, -1, signed)
+    index = np.full(ranks.shape, -1, dtype=np.intp)
+    _kernels.find_ranks(order, strata, groups.labels, groups.layers, ranks, index)
+    signed = np.where(below >= 0, index[:, 4:], index[:, 2:4])
+    return index[:, :2], np.where(empty, -1, signed)
 
 
-def mean_of_middles(places_of: Indices, values: Array) -> Array:
-    """Medians `[groups]` from the places of both middles; NaN for an empty group. values : `[n]`."""
+def mean_of_middles(middles: Indices, values: Array) -> Array:
+    """Medians `[groups]` from the indices of both middles; NaN for an empty group. values : `[n]`."""
     if not values.size:
-        return np.full(len(places_of), np.nan)
-    return np.where(places_of[:, 0] < 0, np.nan, values[places_of].mean(axis=1))
+        return np.full(len(middles), np.nan)
+    return np.where(middles[:, 0] < 0, np.nan, values[middles].mean(axis=1))
 
 
 @dataclass(frozen=True)
 class Sorted:
-    """Values of parts that do not overlap, sorted within each, for medians over whatever is seen of them."""
+    """Values of parts that do not overlap, sorted within each, for medians over any choice of them."""
 
     values: Array
     """`[n]`."""
-    places: Indices
+    indices: Indices
     """Part by part, in ascending order of value."""
     starts: NDArray[np.int64]
-    """`[parts + 1]`, into `places`."""
+    """`[parts + 1]`, into `indices`."""
 
 
 def sorted_parts(parts: NDArray[np.int64], number: int, values: Array) -> Sorted:
@@ -163,12 +163,12 @@ def sorted_parts(parts: NDArray[np.int64], number: int, values: Array) -> Sorted
     sizes = np.bincount(parts[parts >= 0], minlength=number)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     out = np.empty(order.size, dtype=np.intp)
-    _kernels.deal(order, parts, starts[:-1].copy(), out)
+    _kernels.split_order(order, parts, starts[:-1].copy(), out)
     return Sorted(values, out, starts)
 
 
-def medians_of_seen(parts: Sorted, seen: Mask, count: NDArray[np.int64]) -> Array:
-    """Median of the seen values of each part `[parts]`, of which there are `count`; NaN for none."""
+def medians_of_scored(parts: Sorted, scored: Mask, count: NDArray[np.int64]) -> Array:
+    """Median of the scored values of each part `[parts]`, of which there are `count`; NaN for none."""
     out = np.full(count.size, np.nan)
-    _kernels.middles_of_parts(parts.places, parts.starts, seen, count, parts.values, out)
+    _kernels.medians_of_parts(parts.indices, parts.starts, scored, count, parts.values, out)
     return out

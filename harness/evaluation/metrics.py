@@ -133,14 +133,14 @@ def fraction_histograms(errors: Tally, k: Array) -> dict[str, list[int]]:
         `[height, width]`, positions of the estimates in samples.
     """
     histogram = np.zeros((len(SURFACES), FRACTION_BINS), dtype=np.int64)
-    _kernels.add_fractions(errors.layout.groups.pixels, errors.layout.surface, errors.seen, k.ravel(), histogram)
+    _kernels.add_fractions(errors.layout.groups.pixels, errors.layout.surface, errors.scored, k.ravel(), histogram)
     return dict(zip(SURFACES, histogram.tolist(), strict=True))
 
 
 def share_of_estimates(errors: Tally, flags: Mask) -> float | None:
     """Share of the domain's estimates that have a flag `[height, width]`; None where there are none."""
     layout, number = errors.layout, errors.logarithm.size
-    found = _kernels.count_flags(layout.groups.pixels, layout.surface, errors.seen, flags.ravel())
+    found = _kernels.count_flags(layout.groups.pixels, layout.surface, errors.scored, flags.ravel())
     return float(found / number) if number else None
 
 

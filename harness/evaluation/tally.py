@@ -29,23 +29,23 @@ class Tally:
     """A trial's errors, added up and sorted once for all figures. Arrays `[n]` are of `layout.groups.pixels`."""
 
     layout: Layout
-    seen: Mask
-    """`[n]`: with an estimate."""
+    scored: Mask
+    """`[n]`: with an error, which takes an estimate and a truth."""
     count: NDArray[np.int64]
-    """`[groups]`: seen pixels of each."""
+    """`[groups]`: scored pixels of each."""
     sums: Array
     """`[groups, kinds]`, of their errors; kinds are columns of `_kernels`."""
     median_abs_px: Array
     median_abs_m: Array
     median_px: Array
-    """`[groups]`; the last one of signed errors. NaN where nothing is seen."""
+    """`[groups]`; the last one of signed errors. NaN where nothing is scored."""
     mean_abs_px: float
     abs_rel: float
     logarithm: Array
-    """`[seen pixels of the domain]`: log(estimate/truth)."""
+    """`[scored pixels of the domain]`: log(estimate/truth)."""
     above: NDArray[np.int64]
     within: NDArray[np.int64]
-    """Seen pixels of the domain with an error above each of three limits, and with a ratio below each of three."""
+    """Scored pixels of the domain with an error above each of three limits, and with a ratio below each of three."""
     weighted: Array
     """`[kinds]`: the sums over the domain, weighted by solid angle; see `_kernels.add_errors`."""
     quantiles_px: Array
@@ -60,7 +60,7 @@ class Tally:
         return self.logarithm.size
 
 
-def tally(layout: Layout, valid: Mask, found: Errors) -> Tally:
+def tally(layout: Layout, valid: Mask, errors: Errors) -> Tally:
     """Add up and sort a trial's errors.
 
     Parameters
@@ -69,21 +69,21 @@ def tally(layout: Layout, valid: Mask, found: Errors) -> Tally:
         `[height, width]`: pixels with an estimate; one without a true point is left out.
     """
     groups, surface, weight = layout.groups, layout.surface, layout.solid_angle
-    disparity, distance = found.disparity_px.ravel(), found.range_m.ravel()
+    disparity, distance = errors.disparity_px.ravel(), errors.range_m.ravel()
     size = groups.pixels.size
-    seen, strata = np.empty(size, dtype=bool), np.empty(size, dtype=np.int32)
+    scored, strata = np.empty(size, dtype=bool), np.empty(size, dtype=np.int32)
     absolute_px, off_m, logarithm = np.empty((3, size))
     of_class, sums = (np.zeros((len(each), _kernels.KINDS)) for each in (groups.labels, groups.sizes))
     weighted, domain, (above, within) = np.zeros(_kernels.KINDS), np.zeros(3), np.zeros((2, 3), dtype=np.int64)
     _kernels.add_errors(
         groups.pixels, groups.classes, surface, weight, layout.range_m, disparity, distance, valid.ravel(),
         _LIMITS_PX, _LIMITS_RATIO,
-        seen, strata, absolute_px, off_m, logarithm, of_class, domain, weighted, above, within,
+        scored, strata, absolute_px, off_m, logarithm, of_class, domain, weighted, above, within,
     )  # fmt: skip
     _kernels.add_classes(groups.labels, of_class, sums)
     count, negative = sums[:, [_kernels.COUNT, _kernels.NEGATIVE]].astype(np.int64).T
     number = int(domain[0])
-    by_px, by_m = ascending(seen, absolute_px), ascending(seen, off_m)
+    by_px, by_m = ascending(scored, absolute_px), ascending(scored, off_m)
     middles_px, middles_signed = medians(groups, strata, count, negative, by_px)
     middles_m, _ = medians(groups, strata, count, negative, by_m)
     ranks = np.minimum((_QUANTILES * number).astype(np.int64), number - 1)
@@ -96,7 +96,7 @@ def tally(layout: Layout, valid: Mask, found: Errors) -> Tally:
         mean_abs_px, abs_rel = domain[1:] / number
     return Tally(
         layout=layout,
-        seen=seen,
+        scored=scored,
         count=count,
         sums=sums,
         median_abs_px=mean_of_middles(middles_px, absolute_px),

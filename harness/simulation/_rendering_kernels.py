@@ -183,7 +183,7 @@ def classify_pixels(corner_face, valid, marks, out):
 
 @kernel
 def sampling_levels(
-    pixels, width, face_of_pixel, per_side, corner_index, corner_rays, H, texture_of_face, texture_place, level
+    pixels, width, face_of_pixel, per_side, corner_index, corner_rays, H, texture_of_face, texture_layout, level
 ):
     """Write how often the samples of pixels that one face fills each must be doubled either way: 0, 1 or 2.
 
@@ -191,7 +191,7 @@ def sampling_levels(
     it.
 
     corner_index : `[height + 1, width + 1]`, flat: the column of `corner_rays [3, n]` that holds a pixel corner's ray.
-    H, texture_of_face, texture_place : see `shade`.
+    H, texture_of_face, texture_layout : see `shade`.
     """
     last, last_face = -2, -1
     u_b, v_b, w_b, u_d, v_d, w_d = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -211,7 +211,7 @@ def sampling_levels(
         u_d, v_d, w_d = _on_tile(H[face], corner_rays, corner_index[corner + width + 2])
         last, last_face = pixel, face
         texture = texture_of_face[face]
-        rows, columns = float(texture_place[texture, 1]), float(texture_place[texture, 2])
+        rows, columns = float(texture_layout[texture, 1]), float(texture_layout[texture, 2])
         top = ((u_b - u_a) * columns) ** 2 + ((v_b - v_a) * rows) ** 2
         bottom = ((u_d - u_c) * columns) ** 2 + ((v_d - v_c) * rows) ** 2
         left = ((u_c - u_a) * columns) ** 2 + ((v_c - v_a) * rows) ** 2
@@ -267,13 +267,13 @@ def sample_positions(pixels, width, offsets, u, v):
 
 
 @kernel
-def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_place, background, pixels, image):
+def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_layout, background, pixels, image):
     """Write the mean grey of each pixel's samples into the flat `image`.
 
     `rays [3, pixels * samples]` are in the sensor's frame. `face_of_sample` has an entry for each ray, or one
     for each pixel. `H [faces, 3, 3]` maps a ray to (u w, v w, w), with u and v in repetitions from the first
     texel's centre and v down. `texels` are all textures laid end to end, each with its first two rows and
-    columns repeated after the last so that a bilinear lookup needs no wrapping; `texture_place [textures, 3]` is
+    columns repeated after the last so that a bilinear lookup needs no wrapping; `texture_layout [textures, 3]` is
     the start, height and width of each.
 
     Runs of samples on one face go through three loops without branches, which the compiler makes vector instructions
@@ -299,7 +299,7 @@ def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_pla
             v_x, v_y, v_z = H[face, 1, 0], H[face, 1, 1], H[face, 1, 2]
             w_x, w_y, w_z = H[face, 2, 0], H[face, 2, 1], H[face, 2, 2]
             texture = texture_of_face[face]
-            start, height, width = texture_place[texture, 0], texture_place[texture, 1], texture_place[texture, 2]
+            start, height, width = texture_layout[texture, 0], texture_layout[texture, 1], texture_layout[texture, 2]
             stride = np.int32(width + 2)
             tile = texels[start : start + (height + 2) * (width + 2)]
             rows, columns = float(height), float(width)
@@ -351,16 +351,27 @@ def face_ranges(face_of_pixel, directions, w_rows, distances, out):
 
 @kernel
 def describe_surfaces(
-    place, rays, range_of_ray, face_of_ray, normals, textureless_of_face, range_m, face, normal, world, textureless
+    pixel_of_ray,
+    rays,
+    range_of_ray,
+    face_of_ray,
+    normals,
+    textureless_of_face,
+    range_m,
+    face,
+    normal,
+    world,
+    textureless,
 ):
-    """Write what rays meet to where they belong in a picture; leave the others.
+    """Write what rays hit to the pixels of a picture; leave the others.
 
-    place, rays, range_of_ray, face_of_ray : of each ray, `[n]`; a flat index into the picture, world direction, hit.
+    pixel_of_ray, rays, range_of_ray, face_of_ray : of each ray, `[n]`: a flat index into the picture, its world
+        direction, and its hit.
     range_m, face, normal, world, textureless : written, flat. The normal is turned towards the viewpoint; world is the
         ray itself.
     """
-    for i in range(place.size):
-        pixel, f = place[i], face_of_ray[i]
+    for i in range(pixel_of_ray.size):
+        pixel, f = pixel_of_ray[i], face_of_ray[i]
         x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
         world[pixel, 0], world[pixel, 1], world[pixel, 2] = x, y, z
         if f < 0:

@@ -114,7 +114,7 @@ def render_every_sample(
 
 @dataclass(frozen=True)
 class _View:
-    """A geometry seen from a place."""
+    """A geometry seen from a viewpoint."""
 
     geometry: Geometry
     origin: Array
@@ -138,12 +138,12 @@ def _view(scene: Scene, pose: Pose) -> _View:
 
 @dataclass(frozen=True)
 class _Tiles:
-    """The textures of a scene as the shading loop wants them."""
+    """The textures of a scene in the form of the shading loop."""
 
     texels: NDArray[np.float32]
     """All textures end to end, each padded by its first two rows and columns. One of either serves the bilinear lookup;
     the second serves coordinates that round up to the tile's size."""
-    place: NDArray[np.int64]
+    layout: NDArray[np.int64]
     """`[textures, 3]`: start, height and width of each, without the padding."""
 
 
@@ -151,19 +151,19 @@ class _Tiles:
 def _tiles_of(scene: Scene) -> _Tiles:
     geometry = geometry_of(scene)
     padded: list[NDArray[np.float32]] = []
-    place, starts, start = [], {}, 0
+    layout, starts, start = [], {}, 0
     for texels in geometry.textures:
-        if id(texels) not in starts:  # one array on many faces is laid down once
+        if id(texels) not in starts:  # one array on many faces is stored once
             starts[id(texels)] = start
             padded.append(np.pad(texels, ((0, 2), (0, 2)), mode="wrap").ravel())
             start += padded[-1].size
-        place.append((starts[id(texels)], *texels.shape))
-    return _Tiles(np.concatenate(padded), np.array(place, dtype=np.int64))
+        layout.append((starts[id(texels)], *texels.shape))
+    return _Tiles(np.concatenate(padded), np.array(layout, dtype=np.int64))
 
 
 def _maps_of_tiles(geometry: Geometry, tiles: _Tiles) -> Array:
     """The faces' texture maps `[faces, 2, 4]`, with v down, and both from the first texel's centre."""
-    size = tiles.place[geometry.texture_of_face]
+    size = tiles.layout[geometry.texture_of_face]
     maps = geometry.uv_maps * np.array([1.0, -1.0])[:, None]
     maps[:, 0, 3] -= 0.5 / size[:, 2]
     maps[:, 1, 3] += 1 - 0.5 / size[:, 1]
@@ -174,7 +174,7 @@ def _maps_of_tiles(geometry: Geometry, tiles: _Tiles) -> Array:
 class _Corners:
     """The corners of a sensor's valid pixels."""
 
-    place: NDArray[np.int64]
+    corner: NDArray[np.int64]
     """`[n]`: index into the grid of (height + 1) x (width + 1) corners."""
     index: NDArray[np.int32]
     """Where each corner of the grid, flat, is among the n; -1 for those that no valid pixel has."""
@@ -195,11 +195,11 @@ def _corners_of(sensor: Sensor) -> _Corners:
     unit = np.full((*needed.shape, 3), np.nan)
     unit[needed] = (rays / np.linalg.norm(rays, axis=0)).T
     spans = [np.linalg.norm(np.diff(unit, axis=axis), axis=-1) for axis in (0, 1)]
-    place = np.flatnonzero(needed)
+    corner = np.flatnonzero(needed)
     index = np.full(needed.size, -1, dtype=np.int32)
-    index[place] = np.arange(place.size)
+    index[corner] = np.arange(corner.size)
     return _Corners(
-        place=place,
+        corner=corner,
         index=index,
         rays=rays,
         finest_rad=float(min(np.nanmin(span) for span in spans)),
@@ -245,16 +245,16 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     face = np.full(needed.size, TRACE, dtype=np.int32)
 
     def trace(start: int) -> None:
-        place, rays = corners.place[start : start + _RAYS], corners.rays[:, start : start + _RAYS]
-        some = needed[place]
+        corner, rays = corners.corner[start : start + _RAYS], corners.rays[:, start : start + _RAYS]
+        some = needed[corner]
         if not some.all():
-            place, rays = place[some], rays[:, some]
-        directions = np.empty((place.size, 3), dtype=np.float32)
+            corner, rays = corner[some], rays[:, some]
+        directions = np.empty((corner.size, 3), dtype=np.float32)
         rotate_rays(rays, view.rotation, directions)
         triangle = nearest_triangles(view.geometry, view.origin, directions)
-        face[place] = view.geometry.face_of_triangle[triangle]
+        face[corner] = view.geometry.face_of_triangle[triangle]
 
-    in_threads(trace, range(0, corners.place.size, _RAYS), threads)
+    in_threads(trace, range(0, corners.corner.size, _RAYS), threads)
     out = np.empty(valid.shape, dtype=np.int32)
     classify_pixels(face.reshape(valid.shape[0] + 1, -1), valid, marks, out)
     if view.geometry.closed:
@@ -326,7 +326,7 @@ class _Shading:
             self.corners.rays,
             self.view.H,
             self.view.geometry.texture_of_face,
-            self.view.tiles.place,
+            self.view.tiles.layout,
             level,
         )
         return level
@@ -347,7 +347,7 @@ class _Shading:
             self.view.H,
             geometry.texture_of_face,
             tiles.texels,
-            tiles.place,
+            tiles.layout,
             geometry.background_grey,
             pixels,
             self.image,

@@ -84,8 +84,8 @@ def truth(
     valid = np.asarray(valid, dtype=bool)
     directions = np.asarray(directions_v1, dtype=np.float64)
     geometry = geometry_near(scene, pose_1.position_m)
-    place = np.flatnonzero(valid)
-    rays = rotated(directions.reshape(-1, 3)[place], pose_1.R_world_from_view)
+    pixel = np.flatnonzero(valid)
+    rays = rotated(directions.reshape(-1, 3)[pixel], pose_1.R_world_from_view)
     range_hit, face_hit = _seen(geometry, pose_1, rays, threads)
 
     range_m = np.full(valid.shape, np.nan)
@@ -93,7 +93,7 @@ def truth(
     normal, world = np.full((2, *directions.shape), np.nan)
     textureless = np.zeros(valid.shape, dtype=bool)
     describe_surfaces(
-        place,
+        pixel,
         rays,
         range_hit,
         face_hit,
@@ -110,12 +110,12 @@ def truth(
     if pose_2 is not None:
         met = face_hit >= 0
         if not met.all():
-            place, rays, range_hit, face_hit = place[met], rays[met], range_hit[met], face_hit[met]
-        towards, distance = np.empty((place.size, 3)), np.empty(place.size)
+            pixel, rays, range_hit, face_hit = pixel[met], rays[met], range_hit[met], face_hit[met]
+        towards, distance = np.empty((pixel.size, 3)), np.empty(pixel.size)
         look_from(_from_centre(geometry, pose_1), _from_centre(geometry, pose_2), rays, range_hit, towards, distance)
-        unoccluded.reshape(-1)[place] = _unoccluded(geometry, pose_2, towards, distance, face_hit, threads)
+        unoccluded.reshape(-1)[pixel] = _unoccluded(geometry, pose_2, towards, distance, face_hit, threads)
         if sensor_2 is not None:
-            in_field_2.reshape(-1)[place] = on_sensor(sensor_2, pose_2, towards)
+            in_field_2.reshape(-1)[pixel] = on_sensor(sensor_2, pose_2, towards)
     result = Truth(
         range_m=range_m,
         normal=normal,

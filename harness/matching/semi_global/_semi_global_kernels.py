@@ -1,4 +1,4 @@
-"""Compiled loops of semi-global matching. `semi_global` lays out their arguments.
+"""Compiled loops of semi-global matching. `match` prepares their arguments.
 
 Everything is a whole number, so that sums come out the same in any order. Labels run along memory, in whole blocks of
 `BLOCK`: the innermost loops then have a length that the compiler knows, and become a few instructions each. Path costs
@@ -17,9 +17,9 @@ BLOCK = 32
 REACH = 2
 """A census looks at neighbours up to so many pixels away: 5 x 5, less the middle one."""
 ABSENT = np.uint32(1 << 31)
-"""Bit of a census code: there is no pixel."""
-BITS_APART = np.uint8(12)
-"""What a pixel that is not there differs by: as much as chance."""
+"""Bit of a census code: the pixel is missing."""
+UNRELATED_BITS = np.uint8(12)
+"""How many bits a missing pixel differs by: as many as chance gives."""
 MAX_LAPS = 16
 
 
@@ -27,13 +27,13 @@ MAX_LAPS = 16
 
 
 @kernel
-def census(image, seen, blur, margin, first, end, blurred, codes):
+def census(image, valid, blur, margin, first, end, blurred, codes):
     """Census codes of rows first .. end of the blurred image, a bit for each neighbour that is below the pixel.
 
-    image, seen : `[around, along]`; the rows are a circle, the first and last column go on outwards.
+    image, valid : `[around, along]`; the rows are a circle, the first and last column go on outwards.
     blur : whether to take (1 2 1)/4 along rows and columns first.
     blurred : written, `[around, along]`, sixteenths of the image's unit.
-    codes : written, `[around, along + 2 margin]`; `ABSENT` where the pixel is not seen, and in the margins.
+    codes : written, `[around, along + 2 margin]`; `ABSENT` where the pixel is not valid, and in the margins.
     """
     rows, columns = np.uint64(image.shape[0]), np.uint64(image.shape[1])
     reach, one, two = np.uint64(REACH), np.uint64(1), np.uint64(2)
@@ -65,7 +65,7 @@ def census(image, seen, blur, margin, first, end, blurred, codes):
         codes[row, :] = ABSENT
         for j in range(columns):
             blurred[row, j] = near[i + reach, j + reach]
-            codes[row, j + np.uint64(margin)] = np.uint32(0) if seen[row, j] else ABSENT
+            codes[row, j + np.uint64(margin)] = np.uint32(0) if valid[row, j] else ABSENT
         bit = np.uint32(1)
         for y in range(two * reach + one):
             for x in range(two * reach + one):
@@ -82,7 +82,7 @@ def census(image, seen, blur, margin, first, end, blurred, codes):
 
 @kernel
 def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
-    """Different bits of every pixel of a row and its samples. bits : written at `slot`, `[slots, width, labels]`."""
+    """Differing bits of each pixel of a row and its samples. bits : written at `slot`, `[slots, width, labels]`."""
     labels = np.uint64(bits.shape[2])
     for column in range(np.uint64(bits.shape[1])):
         b = np.uint64(around[row, column])
@@ -92,10 +92,10 @@ def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
         for k in range(labels):
             x = np.uint32(code ^ codes_2[b, start + k])
             there = x < ABSENT
-            bits[slot, column, k] = np.uint8(bits_set(x)) if there else BITS_APART
+            bits[slot, column, k] = np.uint8(bits_set(x)) if there else UNRELATED_BITS
         if code >= ABSENT:
             for k in range(labels):
-                bits[slot, column, k] = BITS_APART
+                bits[slot, column, k] = UNRELATED_BITS
 
 
 @kernel
@@ -103,8 +103,8 @@ def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplie
     """Matching costs of rows first .. end: the mean of a box of differing bits.
 
     codes_1, codes_2 : `[around, along + 2 margin]`, from `census`.
-    around, along : `[height, width]`, the pixel's place in the codes.
-    k_0 : how far from there the place of the first label is.
+    around, along : `[height, width]`, the pixel's row and column in the codes.
+    k_0 : offset of the first label from that column.
     half : the box has 2 half + 1 pixels a side; around the seam, the first and last row going on outwards.
     multiplier : cost of a bit in 2^-16, over the pixels of a box.
     costs : written, `[height, width, labels]`.
@@ -121,7 +121,7 @@ def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplie
         _add_bits(columns, bits, inside % size)
     for row in range(first, end):
         if row > first:
-            _take_off_bits(columns, bits, max(row - 1 - half, 0) % size)
+            _subtract_bits(columns, bits, max(row - 1 - half, 0) % size)
             if row + half < height:
                 _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row + half, bits, (row + half) % size)
             _add_bits(columns, bits, min(row + half, height - 1) % size)
@@ -147,7 +147,7 @@ def _add_bits(columns, bits, slot):
 
 
 @kernel
-def _take_off_bits(columns, bits, slot):
+def _subtract_bits(columns, bits, slot):
     for column in range(np.uint64(columns.shape[0])):
         for k in range(np.uint64(columns.shape[1])):
             columns[column, k] = np.uint16(columns[column, k] - bits[slot, column, k])
@@ -262,7 +262,7 @@ def _add(paths, path, sums, row):
 
 
 @kernel
-def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least, kept):
+def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least, half_sums):
     """The paths that come from above, or from below, for `count` rows from `start` on.
 
     costs : `[height, width, labels]`.
@@ -270,7 +270,7 @@ def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least
     jumps : `[4, height, width]`, P2 between the pixel and the one to the left of it, above it, to the upper left
         and to the upper right.
     state, least : written, `[2, paths, width, labels + 2]` and `[2, paths, width]`; the last row's at `count` modulo 2.
-    kept : written, `[height, width, labels]`; the sums of their costs.
+    half_sums : written, `[height, width, labels]`; the sums of their costs.
     """
     for number in range(count):
         row = start + number if downwards else start - number
@@ -281,7 +281,7 @@ def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least
                 costs, row, number == 0, downwards, sideways[path], p1, jumps, before, after, old_least, new_least,
                 np.uint64(path),
             )  # fmt: skip
-        _put(after, np.uint64(row), kept)
+        _put(after, np.uint64(row), half_sums)
 
 
 @kernel
@@ -296,7 +296,7 @@ def second_half(
     jumps,
     state,
     least,
-    kept,
+    half_sums,
     laps,
     spare,
     sums,
@@ -307,10 +307,10 @@ def second_half(
     nearby,
     second,
 ):
-    """Goes on where `first_half` stopped, through the rows of the paths from the other side, and takes the best labels.
+    """Continue where `first_half` stopped, through the rows of the paths from the other side, and take the best labels.
 
-    done : how many rows the paths have behind them.
-    kept : `[height, width, labels]`, the sums of the paths from the other side.
+    done : how many rows the paths have covered.
+    half_sums : `[height, width, labels]`, the sums of the paths from the other side.
     laps, spare : to work in; `[2, width, labels + 2]` and `[1, 1, labels + 2]`, guards set as those of `state`.
     sums : written, `[height, width, labels]`, the sums of all paths; or `[1, width, labels]`, to work in.
     best, nearby, second : written, `[height, width]`, `[height, width, 3]` and `[height, width]`; the best label of the
@@ -328,45 +328,45 @@ def second_half(
             )  # fmt: skip
         for slot in range(2):
             _circle(costs, row, slot == 0, p1, jumps, laps, np.uint64(slot), spare)
-        place = np.uint64(row % sums.shape[0])
-        _put(after, place, sums)
-        _add_kept(laps, kept, np.uint64(row), sums, place)
-        _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second)
+        sums_row = np.uint64(row % sums.shape[0])
+        _put(after, sums_row, sums)
+        _add_half_sums(laps, half_sums, np.uint64(row), sums, sums_row)
+        _choose(sums, sums_row, row, k_0, k_first, k_last, best, nearby, second)
 
 
 @kernel
-def _add_kept(laps, kept, row, sums, place):
+def _add_half_sums(laps, half_sums, row, sums, slot):
     for column in range(np.uint64(sums.shape[1])):
         for k in range(np.uint64(sums.shape[2])):
             at = k + np.uint64(1)
             both = np.uint16(np.uint16(laps[0, column, at]) + np.uint16(laps[1, column, at]))
-            sums[place, column, k] = np.uint16(
-                sums[place, column, k] + np.uint16(both + np.uint16(kept[row, column, k]))
+            sums[slot, column, k] = np.uint16(
+                sums[slot, column, k] + np.uint16(both + np.uint16(half_sums[row, column, k]))
             )
 
 
 @kernel
-def _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second):
+def _choose(sums, slot, row, k_0, k_first, k_last, best, nearby, second):
     none = np.uint32(0xFFFFFFFF)
     for column in range(np.uint64(sums.shape[1])):
         first, last = np.int32(k_first[row, column] - k_0), np.int32(k_last[row, column] - k_0)
-        found = none
+        least = none
         for k in range(np.uint64(sums.shape[2])):
             number = np.int32(k)
-            key = np.uint32(np.uint32(sums[place, column, k]) << np.uint32(16)) | np.uint32(k)
+            key = np.uint32(np.uint32(sums[slot, column, k]) << np.uint32(16)) | np.uint32(k)
             key = key if (number >= first) & (number <= last) else none
-            found = min(found, key)
-        if found == none:
+            least = min(least, key)
+        if least == none:
             best[row, column] = -1
             continue
-        middle = np.int32(found & np.uint32(0xFFFF))
+        middle = np.int32(least & np.uint32(0xFFFF))
         best[row, column] = middle
         for i in range(3):
-            nearby[row, column, i] = sums[place, column, middle - 1 + i]
+            nearby[row, column, i] = sums[slot, column, middle - 1 + i]
         other = np.uint16(0xFFFF)
         for k in range(np.uint64(sums.shape[2])):
             number = np.int32(k)
-            value = sums[place, column, k]
+            value = sums[slot, column, k]
             far = (number >= first) & (number <= last) & (abs(number - middle) > 1)
             value = value if far else np.uint16(0xFFFF)
             other = min(other, value)
@@ -377,23 +377,23 @@ def _choose(sums, place, row, k_0, k_first, k_last, best, nearby, second):
 
 
 @kernel
-def seen_by_both(codes_1, codes_2, around, along, margin, samples, seen_1, seen_2):
-    """Whether view 1 sees the pixel, and view 2 the place `samples` along from it; all others `[height, width]`."""
+def valid_in_both(codes_1, codes_2, around, along, margin, samples, valid_1, valid_2):
+    """Whether view 1 sees the pixel, and view 2 the sample that many columns on; all arrays `[height, width]`."""
     for row in range(around.shape[0]):
         for column in range(around.shape[1]):
             b, a = around[row, column], along[row, column] + margin
-            seen_1[row, column] = codes_1[b, a] < ABSENT
-            seen_2[row, column] = codes_2[b, a + samples[row, column]] < ABSENT
+            valid_1[row, column] = codes_1[b, a] < ABSENT
+            valid_2[row, column] = codes_2[b, a + samples[row, column]] < ABSENT
 
 
 @kernel
-def consistent(around, along, samples, cost, tolerance, rows, columns, keeps):
-    """Whether the place of view 2 that a pixel is matched with is not a better match of another pixel.
+def consistent(around, along, samples, cost, tolerance, rows, columns, is_best):
+    """Whether a pixel's match in view 2 is not a better match of another pixel.
 
-    around, along : `[height, width]`; the pixel's place in view 1.
-    samples : `[height, width]`, how far from there along the row its match is in view 2; negative for no match.
-    cost : `[height, width]`; the better, the less. Of equals the one with more samples, which is nearer.
-    keeps : written, `[height, width]`; False where the better match is more than `tolerance` samples from the pixel's.
+    around, along : `[height, width]`; the pixel's row and column in view 1. samples : `[height, width]`, how many
+    columns further its match is in view 2; negative for no match. cost : `[height, width]`; the lower, the better.
+    Among equals the one with more samples wins: it is nearer. is_best : written, `[height, width]`; False where the
+    better match is more than `tolerance` samples from the pixel's.
     """
     height, width = around.shape
     least = np.full((rows, columns), np.int64(1) << 62)
@@ -409,4 +409,4 @@ def consistent(around, along, samples, cost, tolerance, rows, columns, keeps):
             if k >= 0:
                 key = least[around[row, column], along[row, column] + k]
                 winner = -key & 0xFFFF
-                keeps[row, column] = abs(winner - k) <= tolerance
+                is_best[row, column] = abs(winner - k) <= tolerance

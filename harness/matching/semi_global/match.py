@@ -8,15 +8,15 @@ across their azimuths, where a label that counts columns changes its sign, and a
 **Views are compared on the sphere's longitudes and latitudes about the baseline.** There all points of an epipolar
 curve lie in one row, the sample k of a pixel is k columns on, and a patch of the floor keeps its height and nearly its
 width; on the cylinder, whose rows stretch towards the nadir, it may become five times as high from one view to the
-other. The rows of view 2 that its panorama has not got, but its mirror image has, are there as well: a tenth of the
-pixels of the paper's box are seen in them. Each pixel of view 1's panorama is compared at the nearest such place, the
+other. This grid also has the rows of view 2 that its mirror image has and its panorama lacks: a tenth of the pixels of
+the paper's box are seen in them. Each pixel of view 1's panorama is compared at the nearest point of this grid, the
 same in both views, so that one image as both views has no parallax at all. What this rounding costs is the change of
 the parallax over half a step, and measured, finer steps gain nothing.
 
 **The matching cost** is the number of differing bits of census transforms (5 x 5, after a slight blur), averaged over a
 box of pixels with one label. Any growing function of the grey levels leaves it as it is.
 
-**Paths run over view 1's panorama.** Around a row they have neither beginning nor end: each is followed until it
+**Paths run over view 1's panorama.** Around a row they have no beginning and no end: each is followed until it
 repeats itself, so that every pixel has the costs of an endless path, and a turn of the panorama by whole columns turns
 the result. On the paper's box, corridor and room that takes 15 pixels beyond the first lap in the median and 86 at
 most. (Where two ways around the whole row cost exactly the same, where it began may show.) Rows end above and below.
@@ -65,24 +65,24 @@ class SemiGlobal(MatcherSettings):
     """Labels are steps of alpha_2."""
     pitch_px: Positive = 1.0
     """Distance of the labels, panorama pixels. With half of it, and half of P1, the median error on the box is 0.08
-    px instead of 0.11; but at noise 10 half as many pixels again are off by more than 1 px, and the time nearly
+    px instead of 0.11; but at noise 10, 1.5 times as many pixels are off by more than 1 px, and the time nearly
     doubles."""
     blur: bool = True
     """Whether images are smoothed by (1 2 1)/4 along rows and columns before the census. Without it, the pixels off
     by more than 1 px are 0.1 % instead of 0.3 % on the box, and 14 % instead of 10 % in the corridor at noise 10."""
     box_px: Annotated[int, Field(ge=1, le=15)] = 5
     """Side of the box over which matching costs are averaged, pixels; odd. 3 is better at the room's edges and
-    worse in noise, 7 the other way round."""
+    worse in noise; 7 is the opposite."""
     p1_bits: Annotated[float, Field(ge=0)] = 8.0
-    """Cost of a step of one label from one pixel to the next, differing bits of 24. Half as much and half as much
-    again are a little worse nearly everywhere."""
+    """Cost of a step of one label from one pixel to the next, differing bits of 24. Half of it and one and a half times
+    it are a little worse nearly everywhere."""
     p2_bits: Annotated[float, Field(ge=0)] = 64.0
     """Cost of a larger jump from one pixel to the next, differing bits of 24; at least `p1_bits`."""
     edge_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
     """P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, grey levels; Hirschmüller's idea. 0 leaves P2 as
-    it is, since it gains nothing at the room's edges, and more pixels go astray in noise."""
+    it is, since it gains nothing at the room's edges and more pixels are wrong in noise."""
     paths: Literal[4, 8] = 4
-    """Directions of the paths: 4, along rows and columns, or 8 with the diagonals, which take half as long again,
+    """Directions of the paths: 4, along rows and columns, or 8 with the diagonals, which take 1.5 times as long
     and gain less in noise than they lose in the room."""
     subpixel: Literal["none", "parabola", "v"] = "v"
     """The sub-pixel step: `v`, two lines of opposite slopes through the best sum and its neighbours; `parabola`,
@@ -128,24 +128,26 @@ class SemiGlobal(MatcherSettings):
 def match_semi_global(pair: Pair, matcher: SemiGlobal) -> Matches:
     """Match the mirror images, resampled about the baseline as `pair.interpolation` says.
 
-    A pixel is `CURVE_LEAVES_IMAGE` if its best sample is at a place that view 2 does not see, and `NO_MATCH` if a label
-    that is not beside the best one costs no more: there is nothing to tell them apart. Its confidence is by what part
+    A pixel is `CURVE_LEAVES_IMAGE` if its best sample is in a direction that view 2 does not see, and `NO_MATCH` if a
+    label that is not beside the best one costs no more: the match is ambiguous. Its confidence is the fraction by which
     the best label's costs are below those of the next one that is not beside it.
     """
     geometry = geometry_for(pair, matcher)
-    settings = ("about the baseline", geometry.places)
+    settings = ("about the baseline", geometry.baseline_grid)
     views = pair.shared("about the baseline", settings, lambda: views_about_the_baseline(pair, geometry))
     searched = matcher.search
-    found = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
-    return pair.shared("sub-pixel", matcher, lambda: match(found, geometry, matcher))
+    result = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
+    return pair.shared("sub-pixel", matcher, lambda: match(result, geometry, matcher))
 
 
-# -- Geometry: depends on the pose and the limits alone, and is kept for the next pair of images -----------------------
+# -- Geometry: depends on the pose and the limits alone, and is cached for the next pair of images ---------------------
 
 
 @dataclass(frozen=True)
-class Places:
-    """Directions about t, the same for both views: row b is a half plane through t, and column a an angle to t."""
+class BaselineGrid:
+    """Longitudes and latitudes about t, the same for both views: row b is a half plane through t, column a an angle to
+    t.
+    """
 
     t_v1: tuple[float, float, float]
     rows: int
@@ -165,13 +167,14 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Where every pixel of view 1's panorama is compared."""
+    """Where on the baseline grid every pixel of view 1's panorama is compared."""
 
     curves: Curves
-    places: Places
+    baseline_grid: BaselineGrid
     around: NDArray[np.int32]
     along: NDArray[np.int32]
-    """`[height, width]`: the row and column of `places` nearest to the pixel's direction. Sample k is k columns on."""
+    """`[height, width]`: the row and column of `baseline_grid` nearest to the pixel's direction. Sample k is k columns
+    on."""
     k_0: int
     """The first label: one before any searched one, for the sub-pixel fit."""
     labels: int
@@ -208,14 +211,14 @@ def geometry_of(curves: Curves) -> Geometry:
     x = directions(curves.grid)
     rows = max(1, round(2 * np.pi / step))
     x_, y_, z_ = (float(value) for value in curves.t)
-    places = Places((x_, y_, z_), rows, math.ceil(np.pi / step) + 1, step)
+    baseline_grid = BaselineGrid((x_, y_, z_), rows, math.ceil(np.pi / step) + 1, step)
     around = np.rint(np.arctan2(x @ e_2, x @ e_1) * (rows / (2 * np.pi))).astype(np.int32) % rows
     along = np.rint(curves.alpha_1 / step).astype(np.int32)
     searched = curves.k_last >= curves.k_first
     k_0 = int(curves.k_first[searched].min(initial=0)) - 1
     needed = int(curves.k_last[searched].max(initial=0)) + 2 - k_0
     labels = kernels.BLOCK * math.ceil(needed / kernels.BLOCK)
-    return Geometry(curves, places, around, along, k_0, labels)
+    return Geometry(curves, baseline_grid, around, along, k_0, labels)
 
 
 # -- Images ------------------------------------------------------------------------------------------------------------
@@ -223,31 +226,31 @@ def geometry_of(curves: Curves) -> Geometry:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """An image at `Places`."""
+    """An image on the `BaselineGrid`."""
 
     values: NDArray[np.int32]
-    """`[rows, columns]`, sixteenths of a grey level; 0 where not seen."""
-    seen: NDArray[np.bool_]
+    """`[rows, columns]`, sixteenths of a grey level; 0 where not valid."""
+    valid: NDArray[np.bool_]
 
 
 def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View]:
-    """Straight from the mirror images, both in v1's orientation.
+    """The mirror images on the baseline grid, both in v1's orientation.
 
-    A pixel that is not finite is not seen, and neither is any place whose census would look at it.
+    A pixel that is not finite is not valid, and neither is any whose census would use it.
     """
     order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
 
     def view(image: NDArray[np.float32], sensor: Sensor, R: Array) -> View:
-        coordinates, seen = _sampling_table(sensor, geometry.places, R.tobytes())
+        coordinates, valid = _sampling_table(sensor, geometry.baseline_grid, R.tobytes())
         on_sensor = pixel_directions(sensor)[1]
         image, known = without_gaps(image, on_sensor)
         if known is not on_sensor:
             gaps = touches(on_sensor & ~known, coordinates, order)
             reach = kernels.REACH + 1  # the blur's
-            seen = seen & ~ndimage.maximum_filter(gaps, size=2 * reach + 1, mode=("wrap", "nearest"))
+            valid = valid & ~ndimage.maximum_filter(gaps, size=2 * reach + 1, mode=("wrap", "nearest"))
         values = ndimage.map_coordinates(image, coordinates, order=order, mode="nearest", output=np.float32)
-        values = np.where(seen, np.clip(values, 0, 255), 0)
-        return View(np.rint(values * _PER_GREY).astype(np.int32), seen)
+        values = np.where(valid, np.clip(values, 0, 255), 0)
+        return View(np.rint(values * _PER_GREY).astype(np.int32), valid)
 
     rotations = np.eye(3), pair.motion.R_v2_from_v1
     first, second = map(view, pair.images, pair.sensors, rotations)
@@ -255,20 +258,20 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
 
 
 @lru_cache(maxsize=8)
-def _sampling_table(sensor: Sensor, places: Places, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
-    """Where on the mirror image each place is sampled, (rows, columns), and whether the sensor sees it."""
-    pixels, seen = project(sensor, places.directions @ np.frombuffer(rotation).reshape(3, 3).T)
+def _sampling_table(sensor: Sensor, baseline_grid: BaselineGrid, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
+    """Where on the mirror image each direction is sampled, (rows, columns), and whether the sensor sees it."""
+    pixels, valid = project(sensor, baseline_grid.directions @ np.frombuffer(rotation).reshape(3, 3).T)
     coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
     coordinates.flags.writeable = False
-    seen.flags.writeable = False
-    return coordinates, seen
+    valid.flags.writeable = False
+    return coordinates, valid
 
 
 # -- Search ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """The best label of every pixel; all `[height, width]`."""
 
     best: NDArray[np.int32]
@@ -277,24 +280,26 @@ class Found:
     """`[height, width, 3]`: sums over all paths at the best label and beside it."""
     second: NDArray[np.uint16]
     """The least sum of a searched label that is not beside the best one."""
-    seen_1: NDArray[np.bool_]
-    seen_2: NDArray[np.bool_]
+    valid_1: NDArray[np.bool_]
+    valid_2: NDArray[np.bool_]
     """Whether the views see the pixel, and its best sample."""
 
 
-def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, threads: int) -> Found:
+def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, threads: int) -> SearchResult:
     """Costs, paths, and the best label of every pixel; a tie goes to the one nearer to infinity."""
     curves, margin = geometry.curves, geometry.labels + abs(geometry.k_0)
-    shape, places = curves.grid.shape, views[0].values.shape
-    codes = [_memory(f"codes {view}", (places[0], places[1] + 2 * margin), np.uint32) for view in (1, 2)]
-    blurred = _memory("blurred", places, np.int32)
+    shape, rows_and_columns = curves.grid.shape, views[0].values.shape
+    codes = [
+        _memory(f"codes {view}", (rows_and_columns[0], rows_and_columns[1] + 2 * margin), np.uint32) for view in (1, 2)
+    ]
+    blurred = _memory("blurred", rows_and_columns, np.int32)
     costs = _memory("costs", (*shape, geometry.labels), np.uint8)
 
     def transform(first: int, end: int) -> None:
         # View 1 last: its blurred image is what stays.
         for view in (1, 0):
-            values, seen = views[view].values, views[view].seen
-            kernels.census(values, seen, matcher.blur, margin, first, end, blurred, codes[view])
+            values, valid = views[view].values, views[view].valid
+            kernels.census(values, valid, matcher.blur, margin, first, end, blurred, codes[view])
 
     def compare(first: int, end: int) -> None:
         kernels.matching_costs(
@@ -311,32 +316,32 @@ def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, th
             costs,
         )
 
-    in_bands(transform, places[0], threads, threads)
+    in_bands(transform, rows_and_columns[0], threads, threads)
     in_bands(compare, shape[0], threads, threads)
     grey = blurred[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
     p2 = jumps(grey, shape, matcher)
     best, nearby, second = aggregate(costs, geometry.k_0, curves.k_first, curves.k_last, p2, matcher, threads)
-    seen_1, seen_2 = np.empty((2, *shape), dtype=bool)
+    valid_1, valid_2 = np.empty((2, *shape), dtype=bool)
     ahead = np.maximum(best, 0) + geometry.k_0
-    kernels.seen_by_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, seen_1, seen_2)
-    return Found(best, nearby, second, seen_1, seen_2)
+    kernels.valid_in_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, valid_1, valid_2)
+    return SearchResult(best, nearby, second, valid_1, valid_2)
 
 
 class _Memory(threading.local):
-    """What a thread keeps for its next pair: fresh memory takes longer to get than to fill."""
+    """Arrays that a thread reuses for its next pair: fresh memory takes longer to get than to fill."""
 
     def __init__(self) -> None:
         self.arrays: dict[str, NDArray[Any]] = {}
 
 
-_kept = _Memory()
+_reused = _Memory()
 
 
 def _memory(name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> NDArray[Any]:
-    """An array with anything in it, until this thread asks for one of this name again."""
-    array = _kept.arrays.get(name)
+    """An uninitialised array, valid until this thread asks for one of this name again."""
+    array = _reused.arrays.get(name)
     if array is None or array.shape != shape or array.dtype != dtype:
-        array = _kept.arrays[name] = np.empty(shape, dtype)
+        array = _reused.arrays[name] = np.empty(shape, dtype)
     return array
 
 
@@ -369,7 +374,7 @@ def aggregate(
     """Follow the paths, add up their costs, and take the best label of each pixel.
 
     The paths from above and those from below are followed at the same time, each first through its own half of the
-    rows, then through the other's, where all sums are then complete: two threads are of use.
+    rows, then through the other's, where all sums become complete: two threads help.
 
     Parameters
     ----------
@@ -385,39 +390,41 @@ def aggregate(
     Returns
     -------
     best, nearby, second
-        As in `Found`.
+        As in `SearchResult`.
     """
     height, width, labels = costs.shape
     p1 = np.uint8(round(PER_BIT * matcher.p1_bits))
     guard = 255 - int(p1)
     sideways = np.array([0] if matcher.paths == 4 else [0, 1, -1])
     # A path cost fits into 8 bits, the sum of three does not.
-    kept = _memory("kept", costs.shape, np.uint8 if sideways.size == 1 else np.uint16)
+    half_sums = _memory("half sums", costs.shape, np.uint8 if sideways.size == 1 else np.uint16)
     best = np.empty((height, width), np.int32)
     nearby = np.zeros((height, width, 3), np.uint16)
     second = np.zeros((height, width), np.uint16)
     state = np.full((2, 2, sideways.size, width, labels + 2), guard, np.uint8)
     least = np.zeros((2, 2, sideways.size, width), np.uint8)
-    own = height // 2, height - height // 2
-    """Rows of the first half, from above and from below."""
+    first_rows = height // 2, height - height // 2
+    # How many rows each side covers in the first pass, from above and from below.
 
-    def first(side: int) -> None:
+    def begin_from(side: int) -> None:
         start = (0, height - 1)[side]
-        kernels.first_half(costs, start, own[side], side == 0, sideways, p1, p2, state[side], least[side], kept)
+        kernels.first_half(
+            costs, start, first_rows[side], side == 0, sideways, p1, p2, state[side], least[side], half_sums
+        )
 
-    def then(side: int) -> None:
+    def continue_from(side: int) -> None:
         kernels.second_half(
             costs,
-            (own[0], own[0] - 1)[side],
-            own[1 - side],
-            own[side],
+            (first_rows[0], first_rows[0] - 1)[side],
+            first_rows[1 - side],
+            first_rows[side],
             side == 0,
             sideways,
             p1,
             p2,
             state[side],
             least[side],
-            kept,
+            half_sums,
             np.full((2, width, labels + 2), guard, np.uint8),
             np.full((1, 1, labels + 2), guard, np.uint8),
             np.empty((1, width, labels), np.uint16) if sums is None else sums,
@@ -429,45 +436,45 @@ def aggregate(
             second,
         )
 
-    in_threads(first, (0, 1), threads)
-    in_threads(then, (0, 1), threads)
+    in_threads(begin_from, (0, 1), threads)
+    in_threads(continue_from, (0, 1), threads)
     return best, nearby, second
 
 
 # -- Answer ------------------------------------------------------------------------------------------------------------
 
 
-def match(found: Found, geometry: Geometry, matcher: SemiGlobal) -> Matches:
+def match(result: SearchResult, geometry: Geometry, matcher: SemiGlobal) -> Matches:
     """Check whether matches agree with each other, apply the sub-pixel step, and turn samples into angles."""
     curves = geometry.curves
     reason = np.full(curves.grid.shape, Reason.MATCHED, dtype=np.uint8)
-    reason[found.second == found.nearby[..., 1]] = Reason.NO_MATCH
-    reason[~found.seen_2] = Reason.CURVE_LEAVES_IMAGE
-    reason[found.best < 0] = Reason.NO_SAMPLE
+    reason[result.second == result.nearby[..., 1]] = Reason.NO_MATCH
+    reason[~result.valid_2] = Reason.CURVE_LEAVES_IMAGE
+    reason[result.best < 0] = Reason.NO_SAMPLE
     reason[~curves.defined] = Reason.NO_EPIPOLAR_PLANE
-    reason[~found.seen_1] = Reason.WINDOW_LEAVES_IMAGE
-    sample = found.best + geometry.k_0
+    reason[~result.valid_1] = Reason.WINDOW_LEAVES_IMAGE
+    sample = result.best + geometry.k_0
     if matcher.consistency_px:
-        keeps = np.ones(curves.grid.shape, dtype=bool)
+        is_best = np.ones(curves.grid.shape, dtype=bool)
         kernels.consistent(
             geometry.around,
             geometry.along,
             np.where(reason == Reason.MATCHED, sample, -1),
-            found.nearby[..., 1],
+            result.nearby[..., 1],
             math.floor(matcher.consistency_px / matcher.pitch_px + 1e-9),
-            geometry.places.rows,
-            geometry.places.columns + geometry.labels,
-            keeps,
+            geometry.baseline_grid.rows,
+            geometry.baseline_grid.columns + geometry.labels,
+            is_best,
         )
-        reason[~keeps] = Reason.INCONSISTENT
+        reason[~is_best] = Reason.INCONSISTENT
     matched = reason == Reason.MATCHED
 
-    offset, refined = refine(found.nearby.astype(np.float64), matcher.subpixel)
+    offset, refined = refine(result.nearby.astype(np.float64), matcher.subpixel)
     k = sample + offset
     # Between d_max and d_min, as the search itself: finite limits keep every range finite.
     refined &= matched & (k >= curves.k_far) & (k <= curves.k_near)
     k = np.where(matched, np.where(refined, k, sample), np.nan)
     alpha_2 = alpha_2_at(curves, k)
     # Where there is a match, the rival costs more, and so more than nothing.
-    confidence = np.where(matched, 1 - found.nearby[..., 1] / np.maximum(found.second, 1), np.nan)
+    confidence = np.where(matched, 1 - result.nearby[..., 1] / np.maximum(result.second, 1), np.nan)
     return Matches(alpha_2=alpha_2, confidence=confidence, reason=reason, refined=refined, k=k)

@@ -1,4 +1,4 @@
-"""Compiled loops over mirror pixels. `refine` lays out their arguments.
+"""Compiled loops over mirror pixels. `refine` prepares their arguments.
 
 Every loop works on rows of view 1's mirror image and writes to these rows alone. Bands of rows may run side by side, as
 long as their borders stay the same: running sums begin anew at each.
@@ -75,16 +75,17 @@ def _spline(coefficients, u, v):
 
 
 @kernel
-def warp_rows(first, end, seen, x, w, R, s, camera, coefficients, known, value, slope, motion):
+def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value, slope, motion):
     """Sample view 2 for every pixel with an inverse range.
 
-    seen : `[height, width]`. x : `[height, width, 3]`, unit. w : `[height, width]`, 1/m; NaN where it is not known.
+    valid : `[height, width]`, which pixels have a value. x : `[height, width, 3]`, unit directions.
+    w : `[height, width]`, 1/m; NaN where it is not known.
     known, value, slope, motion : written; whether there is a sample, I_2, dI_2/dw, and (du/dw)² + (dv/dw)².
     """
     for i in range(first, end):
-        for j in range(seen.shape[1]):
+        for j in range(valid.shape[1]):
             known[i, j] = False
-            if not (seen[i, j] and math.isfinite(w[i, j])):
+            if not (valid[i, j] and math.isfinite(w[i, j])):
                 continue
             u, v, u_w, v_w, inside = _in_view_2(x[i, j, 0], x[i, j, 1], x[i, j, 2], w[i, j], R, s, camera)
             if not inside:
@@ -99,7 +100,7 @@ def warp_rows(first, end, seen, x, w, R, s, camera, coefficients, known, value, 
 
 
 @kernel
-def median_rows(first, end, reach, seen, w, smooth):
+def median_rows(first, end, reach, valid, w, smooth):
     """Median of the known inverse ranges about every pixel; NaN where fewer than a third are known.
 
     A window takes its samples to be linear in the inverse range, and one that is far off weighs as the square of that.
@@ -107,13 +108,13 @@ def median_rows(first, end, reach, seen, w, smooth):
     size = (2 * reach + 1) * (2 * reach + 1)
     values = np.empty(size)
     for i in range(first, end):
-        for j in range(seen.shape[1]):
+        for j in range(valid.shape[1]):
             smooth[i, j] = math.nan
-            if not seen[i, j]:
+            if not valid[i, j]:
                 continue
             n = 0
-            for row in range(max(0, i - reach), min(seen.shape[0], i + reach + 1)):
-                for column in range(max(0, j - reach), min(seen.shape[1], j + reach + 1)):
+            for row in range(max(0, i - reach), min(valid.shape[0], i + reach + 1)):
+                for column in range(max(0, j - reach), min(valid.shape[1], j + reach + 1)):
                     value = w[row, column]
                     if math.isfinite(value):
                         k = n
@@ -233,7 +234,7 @@ def _fit(sums, x, least, slope_weight, far, plane, covariance):
     share = min(noise * VALUE_NOISE * SLOPE_NOISE * sums[23] / (sums[0] + sums[3] + sums[5]), 1.0)
     correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
     if correlation < 3.0 / math.sqrt(n):
-        share = 1.0  # as likely as not there is nothing in common
+        share = 1.0  # the two may well have nothing in common
     elif far:
         # The step from the field is least squares of I_1 - a I_2 - b alone.
         left = (sums[15] - a * sums[21]) / n
@@ -254,7 +255,7 @@ def _fit(sums, x, least, slope_weight, far, plane, covariance):
 
 @kernel
 def fit_rows(
-    first, end, half, least, slope_weight, far, seen, x, w, first_image, known, value, slope, motion,
+    first, end, half, least, slope_weight, far, valid, x, w, first_image, known, value, slope, motion,
     plane, covariance, residual, gain, offset, share,
 ):  # fmt: skip
     """Fit a plane to the window of (2 half + 1)² mirror pixels about every pixel.
@@ -265,7 +266,7 @@ def fit_rows(
     plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` and `[...]`: see
     `_fit`.
     """
-    height, width = seen.shape
+    height, width = valid.shape
     sums = np.zeros((width + 2 * half, SUMS))
     window = np.empty(SUMS)
     for i in range(max(0, first - half), min(height, first + half)):
@@ -283,7 +284,7 @@ def fit_rows(
             for k in range(SUMS):
                 window[k] += sums[j + 2 * half, k]
             residual[i, j] = math.inf
-            if seen[i, j]:
+            if valid[i, j]:
                 residual[i, j], gain[i, j], offset[i, j], share[i, j] = _fit(
                     window, x[i, j], least, slope_weight, far, plane[i, j], covariance[i, j]
                 )
@@ -295,16 +296,16 @@ def fit_rows(
 
 
 @kernel
-def _misfit(i, j, reach, m, a, b, limit, seen, x, R, s, camera, first_image, coefficients):
-    """Mean square of I_1 - a I_2 - b over a patch about (i, j), for plane m; infinite where half of it is not seen.
+def _misfit(i, j, reach, m, a, b, limit, valid, x, R, s, camera, first_image, coefficients):
+    """Mean square of I_1 - a I_2 - b over a patch about (i, j), for plane m; infinite where less than half is valid.
 
-    Given up, infinite, as soon as it is sure to be above `limit`.
+    Stops, infinite, as soon as it must be above `limit`.
     """
     size = float((2 * reach + 1) * (2 * reach + 1))
     total, n = 0.0, 0.0
-    for row in range(max(0, i - reach), min(seen.shape[0], i + reach + 1)):
-        for column in range(max(0, j - reach), min(seen.shape[1], j + reach + 1)):
-            if not seen[row, column]:
+    for row in range(max(0, i - reach), min(valid.shape[0], i + reach + 1)):
+        for column in range(max(0, j - reach), min(valid.shape[1], j + reach + 1)):
+            if not valid[row, column]:
                 continue
             x_0, x_1, x_2 = x[row, column, 0], x[row, column, 1], x[row, column, 2]
             w = m[0] * x_0 + m[1] * x_1 + m[2] * x_2
@@ -321,25 +322,25 @@ def _misfit(i, j, reach, m, a, b, limit, seen, x, R, s, camera, first_image, coe
 
 @kernel
 def choose_rows(
-    first, end, half, reach, apart, centre_bonus, residual_weight, w_far, w_near, seen, x, t, R, s, camera,
+    first, end, half, reach, apart, centre_bonus, residual_weight, w_far, w_near, valid, x, t, R, s, camera,
     first_image, coefficients, plane, residual, gain, offset, w, chosen, rival,
 ):  # fmt: skip
     """Give every pixel the plane of one of nine windows that it lies in: its own, or one moved by `half` pixels.
 
     Windows at the border of a surface see two of them; one of those moved does not. Where all nine planes agree to
-    within `apart` the own one stands. Otherwise the one that fits best does: a patch about the pixel, and its own
-    window (weight `residual_weight`). Without a patch (`reach` < 0) only windows are compared.
+    within `apart` the own one is taken. Otherwise it is the one that fits best, by a patch about the pixel and by its
+    own window (weight `residual_weight`). Without a patch (`reach` < 0) only windows are compared.
 
     apart : radians of alpha_2. centre_bonus : factor on the score of the own window.
     w, chosen, rival : written; the inverse range (NaN: none), the window's flat index (-1: none), and how much worse
     than the chosen plane the best one fits that is `apart` from it (infinite: there is none).
     """
-    height, width = seen.shape
-    place, there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
+    height, width = valid.shape
+    window, w_there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
     for i in range(first, end):
         for j in range(width):
             w[i, j], chosen[i, j], rival[i, j] = math.nan, -1, math.inf
-            if not seen[i, j]:
+            if not valid[i, j]:
                 continue
             x_0, x_1, x_2 = x[i, j, 0], x[i, j, 1], x[i, j, 2]
             n, own, lowest, highest = 0, -1, math.inf, -math.inf
@@ -350,7 +351,7 @@ def choose_rows(
                 value = plane[row, column, 0] * x_0 + plane[row, column, 1] * x_1 + plane[row, column, 2] * x_2
                 if w_far <= value <= w_near:
                     own = n if k == 4 else own
-                    place[n], there[n] = row * width + column, value
+                    window[n], w_there[n] = row * width + column, value
                     score[n] = residual_weight * residual[row, column] * (centre_bonus if k == 4 else 1.0)
                     lowest, highest = min(lowest, value), max(highest, value)
                     n += 1
@@ -375,37 +376,37 @@ def choose_rows(
                                 k = other
                         if score[k] == math.inf:
                             break
-                    row, column = place[k] // width, place[k] % width
+                    row, column = window[k] // width, window[k] % width
                     tried = score[k]
                     if reach >= 0:
                         tried += _misfit(
                             i, j, reach, plane[row, column], gain[row, column], offset[row, column],
-                            1.5 * least + 1.0, seen, x, R, s, camera, first_image, coefficients,
+                            1.5 * least + 1.0, valid, x, R, s, camera, first_image, coefficients,
                         ) * (centre_bonus if k == own else 1.0)  # fmt: skip
                     if tried < least:
                         pick, least, second = k, tried, least
                     elif tried < second:
                         second = tried
                     for other in range(n):
-                        if score[other] < math.inf and abs(there[other] - there[k]) <= same:
+                        if score[other] < math.inf and abs(w_there[other] - w_there[k]) <= same:
                             score[other] = math.inf
                             left -= 1
                 rival[i, j] = (second + 0.25) / (least + 0.25)
                 if pick < 0:
                     continue
-            w[i, j], chosen[i, j] = there[pick], place[pick]
+            w[i, j], chosen[i, j] = w_there[pick], window[pick]
 
 
 @kernel
 def judge_rows(
-    first, end, seen, x, R, s, camera, first_image, known, value, slope, plane, chosen, gain, offset, score, area
+    first, end, valid, x, R, s, camera, first_image, known, value, slope, plane, chosen, gain, offset, score, area
 ):  # fmt: skip
-    """What is needed to tell how noise adds up: each pixel's term of the normal equations, and how dense samples lie.
+    """What `_inflation` needs: each pixel's term of the normal equations, and how dense samples lie.
 
     score : written; g (I_1 - a I_2 - b), 0 where there is none.
     area : written; the area of a pixel of view 2 in pixels of view 1, on the pixel's plane; 1 where it is not known.
     """
-    height, width = seen.shape
+    height, width = valid.shape
     for i in range(first, end):
         for j in range(width):
             score[i, j], area[i, j] = 0.0, 1.0
@@ -430,19 +431,19 @@ def _on_plane(x, m, R, s, camera):
     return u, v
 
 
-# -- The other way -----------------------------------------------------------------------------------------------------
+# -- Into the other view -----------------------------------------------------------------------------------------------
 
 
 @kernel
-def carry_over(seen, x, w, residual, chosen, R, s, camera, w_2, misfit_2):
-    """Carry inverse ranges over to view 2's mirror pixels; of several the one whose window fits best.
+def transfer(valid, x, w, residual, chosen, R, s, camera, w_2, misfit_2):
+    """Transfer inverse ranges to view 2's mirror pixels; of several the one whose window fits best.
 
-    residual, chosen : of view 1's windows, and which one each pixel has taken.
+    residual, chosen : of view 1's windows, and the window that each pixel takes.
     w_2, misfit_2 : `[height, width]`, NaN and infinite at first; written where a point of view 1 falls.
     """
-    for i in range(seen.shape[0]):
-        for j in range(seen.shape[1]):
-            if not (seen[i, j] and math.isfinite(w[i, j])):
+    for i in range(valid.shape[0]):
+        for j in range(valid.shape[1]):
+            if not (valid[i, j] and math.isfinite(w[i, j])):
                 continue
             u, v, _, _, inside = _in_view_2(x[i, j, 0], x[i, j, 1], x[i, j, 2], w[i, j], R, s, camera)
             row, column = math.floor(v + 0.5), math.floor(u + 0.5)
@@ -453,6 +454,6 @@ def carry_over(seen, x, w, residual, chosen, R, s, camera, w_2, misfit_2):
             for k in range(3):
                 c = R[k, 0] * x[i, j, 0] + R[k, 1] * x[i, j, 1] + R[k, 2] * x[i, j, 2] + w[i, j] * s[k]
                 q += c * c
-            misfit = residual[chosen[i, j] // seen.shape[1], chosen[i, j] % seen.shape[1]]
+            misfit = residual[chosen[i, j] // valid.shape[1], chosen[i, j] % valid.shape[1]]
             if misfit < misfit_2[row, column]:
                 w_2[row, column], misfit_2[row, column] = w[i, j] / math.sqrt(q), misfit

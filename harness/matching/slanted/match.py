@@ -8,7 +8,7 @@ from harness.matching.slanted.settings import Slanted
 
 
 def match_slanted(pair: Pair, matcher: Slanted) -> Matches:
-    """Match the mirror images; shared by all who ask for the same."""
+    """Match the mirror images; shared with trials that need the same."""
     start = SemiGlobal(d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m)
 
     def refined() -> Matches:

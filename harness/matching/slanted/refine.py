@@ -13,9 +13,9 @@ I_2(q_i(m)) = I_2(w_i) + g_i (m·x_i - w_i) to first order, for every plane m ne
 all windows are sums of products that belong to the pixels, running sums whatever the window's size: one step for all
 windows costs a sample, 27 sums and a 3x3 system a pixel. The planes are the next field.
 
-A window across the border of two surfaces fits neither of them. So a pixel may take the plane of a window beside it,
-if that fits the pixel's own surroundings better: it keeps borders sharp, and carries planes to where the start was
-wrong or missing. At last view 2 is fitted to view 1 in the same way; where it contradicts there is no answer.
+A window across the border of two surfaces fits neither of them. So a pixel may take the plane of a window beside it, if
+that fits the pixel's own surroundings better: it keeps borders sharp, and carries planes to where the start was wrong
+or missing. At last view 2 is fitted to view 1 in the same way; where the two contradict each other, there is no match.
 
 The standard deviation is that of least squares, from the window's own residual, with three corrections; see `_sigma`.
 """
@@ -51,25 +51,25 @@ _LEAST_SHARE = 0.35
 """The least share of a window's pixels that must be there: a straight border through its middle leaves half."""
 
 _SLOPE_WEIGHT = 0.0025
-"""Slopes of inverse range are 0 ± 2 (1/m per radian) unless texture says more; at a noise of a tenth of contrast."""
+"""A weak prior: slopes of inverse range are 0 ± 2 (1/m per radian), at a noise of a tenth of the contrast."""
 
 _APART_PX = 0.3
-"""Planes closer than this are one surface, as far as the choice between windows goes."""
+"""Planes closer than this count as one surface in the choice between windows."""
 
 _CENTRE_BONUS = 0.8
-"""A moved window has to fit better by a fifth: the standard deviation of a patch's mean square is a quarter."""
+"""A moved window has to fit better by a fifth: a patch's mean square has a relative standard deviation of a quarter."""
 
 _RESIDUAL_WEIGHT = 0.5
 """Weight of a window's own residual, beside that of the patch, in the choice."""
 
 _AMBIGUOUS = 1.1
-"""A second plane that fits as well, but for a tenth, leaves the choice open: there is no texture to tell them apart."""
+"""If a second plane fits within a tenth as well, the match is ambiguous: there is no texture to decide."""
 
 _MEDIAN_REACH = 2
-"""Reach of the median over the start, pixels: it takes out single mistakes and those in pairs."""
+"""Reach of the median over the start, pixels: it removes single outliers and pairs of them."""
 
 _TEXTURED = 0.25
-"""The share of a window's texture per pixel that a pixel's surroundings need, or the texture lies elsewhere."""
+"""The least texture per pixel that a pixel's surroundings need, as a share of the window's."""
 
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
@@ -85,7 +85,7 @@ def refine_slanted(
     settings: Slanted | None = None,
     threads: int | None = None,
 ) -> Matches:
-    """Refine a start that is right to about a pixel in most places.
+    """Refine a start that is right to about a pixel over most of the panorama.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def refine_slanted(
     sensors
         The sensor of each view.
     grid
-        View 1's panorama, of the start and of the answer.
+        View 1's panorama, of the start and of the result.
     start_alpha_2
         `[height, width]`, radians; NaN where there is none.
     threads
@@ -105,12 +105,12 @@ def refine_slanted(
     matches
         With `sigma_alpha_2`, and its inverse as confidence. `Reason.NO_MATCH`: no window with texture, none of it near
         the pixel, no plane between d_min and d_max, two that fit alike, or a standard deviation above `max_sigma_px`.
-        `Reason.INCONSISTENT`: view 2 says otherwise.
+        `Reason.INCONSISTENT`: the match back from view 2 leads elsewhere.
 
     Raises
     ------
     ValueError
-        When an image has not its sensor's size, or the start not the grid's.
+        When an image does not have its sensor's size, or the start not the grid's.
     """
     settings = settings or Slanted()
     sizes = tuple((each.camera.height_px, each.camera.width_px) for each in sensors)
@@ -123,43 +123,43 @@ def refine_slanted(
         raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
     closed = [without_gaps(image, pixel_directions(each)[1]) for image, each in zip(images, sensors, strict=True)]
     first, second = (_view(image, known) for image, known in closed)
-    there = _way(sensors[0], sensors[1], motion, closed[0][1])
-    back = _way(sensors[1], sensors[0], _reversed(motion), closed[1][1])
+    forth_warp = _warp(sensors[0], sensors[1], motion, closed[0][1])
+    back_warp = _warp(sensors[1], sensors[0], _reversed(motion), closed[1][1])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
-        start = _start(start_alpha_2, there, grid)
-        forth = _fit(first, second, there, start, settings, settings.iterations, grid.phi_pitch, pool)
-        start = _carried_over(forth, there, back.seen.shape)
-        reverse = _fit(second, first, back, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
+        start = _start(start_alpha_2, forth_warp, grid)
+        forth = _fit(first, second, forth_warp, start, settings, settings.iterations, grid.phi_pitch, pool)
+        start = _transferred(forth, forth_warp, back_warp.valid.shape)
+        reverse = _fit(second, first, back_warp, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
         samples = _nothing(forth.w.shape)
-        _sampled(forth.w, second, there, samples, pool)
-        inflation = _inflation(forth, first, samples, there, pool)
-    return _answer(forth, reverse, inflation, samples, there, sensors, grid, settings)
+        _sampled(forth.w, second, forth_warp, samples, pool)
+        inflation = _inflation(forth, first, samples, forth_warp, pool)
+    return _matches(forth, reverse, inflation, samples, forth_warp, sensors, grid, settings)
 
 
 # -- Geometry and images -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Way:
-    """From one view to the other, as the kernels take it: pixels of the one, the camera of the other."""
+class _Warp:
+    """How points map from one view to the other, for the kernels: pixels of the one, the camera of the other."""
 
     t: Array
     R: Array
     s: Array
-    """-R t: where q = R x + w s of a point goes as its inverse range w grows."""
+    """-R t: the derivative of q = R x + w s by the inverse range w."""
     camera: tuple[Any, float, float]
     """Of the other view: the camera model's parameters, and the sines of its field's lowest and highest elevation."""
     x: Array
     """`[height, width, 3]`, unit directions of the first of the two views' mirror pixels."""
-    seen: Mask
-    """`[height, width]`: pixels of the first of the two that are seen, and finite."""
+    valid: Mask
+    """`[height, width]`: pixels of the first of the two that the sensor sees, and that are finite."""
 
 
-def _way(sensor: Sensor, other: Sensor, motion: Motion, known: Mask) -> _Way:
+def _warp(sensor: Sensor, other: Sensor, motion: Motion, known: Mask) -> _Warp:
     x, _ = pixel_directions(sensor)
     t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
     camera = (parameters_of(other), *sines_of_field(other))
-    return _Way(t, R, -R @ t, camera, x, known)
+    return _Warp(t, R, -R @ t, camera, x, known)
 
 
 def _reversed(motion: Motion) -> Motion:
@@ -174,21 +174,21 @@ class _View:
     """Coefficients of the interpolating cubic B-spline; NaN where the sensor sees nothing."""
 
 
-def _view(image: Image, seen: Mask) -> _View:
-    spline = ndimage.spline_filter(image[nearest_known(seen)], 3, output=np.float32, mode="mirror")
-    return _View(np.ascontiguousarray(image, dtype=np.float32), np.where(seen, spline, np.float32(np.nan)))
+def _view(image: Image, valid: Mask) -> _View:
+    spline = ndimage.spline_filter(image[nearest_known(valid)], 3, output=np.float32, mode="mirror")
+    return _View(np.ascontiguousarray(image, dtype=np.float32), np.where(valid, spline, np.float32(np.nan)))
 
 
-def _start(alpha_2: Array, way: _Way, grid: Grid) -> Array:
+def _start(alpha_2: Array, warp: _Warp, grid: Grid) -> Array:
     """Inverse range of every mirror pixel that the panorama covers; NaN elsewhere.
 
     From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1).
     """
-    row, column, inside = pixel_that_holds(grid, np.nan_to_num(way.x))
+    row, column, inside = pixel_that_holds(grid, np.nan_to_num(warp.x))
     with np.errstate(invalid="ignore", divide="ignore"):
-        w = np.sin(alpha_2 - angle_between(directions(grid), way.t)) / (np.linalg.norm(way.t) * np.sin(alpha_2))
-    covered = way.seen & inside
-    field = np.full(way.seen.shape, np.nan)
+        w = np.sin(alpha_2 - angle_between(directions(grid), warp.t)) / (np.linalg.norm(warp.t) * np.sin(alpha_2))
+    covered = warp.valid & inside
+    field = np.full(warp.valid.shape, np.nan)
     field[covered] = w[row[covered].astype(np.intp), column[covered]]
     return field
 
@@ -198,7 +198,7 @@ def _start(alpha_2: Array, way: _Way, grid: Grid) -> Array:
 
 @dataclass(frozen=True)
 class _Field:
-    """Every mirror pixel's window, and which window it has taken its plane from; all `[height, width]`."""
+    """Every mirror pixel's window, and the window that it takes its plane from; all `[height, width]`."""
 
     plane: Array
     """`[..., 3]`, m."""
@@ -215,7 +215,7 @@ class _Field:
     chosen: NDArray[np.int64]
     """Flat index of the window; -1 where there is none."""
     rival: Array
-    """How much worse the best other plane fits, as a ratio."""
+    """How much worse the next best plane fits, as a ratio."""
 
 
 @dataclass(frozen=True)
@@ -229,13 +229,13 @@ class _Samples:
 
 
 def _rows(pool: ThreadPoolExecutor, height: int, work: Callable[..., None], *arguments: object) -> None:
-    """Let a kernel work on all bands of rows."""
+    """Run a kernel on all bands of rows."""
     list(pool.map(lambda first: work(first, min(first + _BAND, height), *arguments), range(0, height, _BAND)))
 
 
-def _sampled(w: Array, second: _View, way: _Way, samples: _Samples, pool: ThreadPoolExecutor) -> None:
+def _sampled(w: Array, second: _View, warp: _Warp, samples: _Samples, pool: ThreadPoolExecutor) -> None:
     _rows(
-        pool, len(w), _kernels.warp_rows, way.seen, way.x, w, way.R, way.s, way.camera, second.coefficients,
+        pool, len(w), _kernels.warp_rows, warp.valid, warp.x, w, warp.R, warp.s, warp.camera, second.coefficients,
         samples.known, samples.value, samples.slope, samples.motion,
     )  # fmt: skip
 
@@ -247,7 +247,7 @@ def _nothing(shape: tuple[int, ...]) -> _Samples:
 def _fit(
     first: _View,
     second: _View,
-    way: _Way,
+    warp: _Warp,
     start: Array,
     settings: Slanted,
     iterations: int,
@@ -267,72 +267,72 @@ def _fit(
         chosen=np.full(shape, -1, np.int64),
         rival=np.full(shape, np.inf),
     )
-    _rows(pool, len(start), _kernels.median_rows, _MEDIAN_REACH, way.seen, start, field.w)
+    _rows(pool, len(start), _kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
     for iteration in range(iterations):
-        _sampled(field.w, second, way, samples, pool)
+        _sampled(field.w, second, warp, samples, pool)
         sharp = iteration >= iterations - settings.sharp_iterations
         _rows(
             pool, len(start), _kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT, not sharp,
-            way.seen, way.x, field.w, first.image, samples.known, samples.value, samples.slope, samples.motion,
+            warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope, samples.motion,
             field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
         )  # fmt: skip
         _rows(
             pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,
-            _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, way.seen, way.x, way.t, way.R,
-            way.s, way.camera, first.image, second.coefficients, field.plane, field.residual, field.gain, field.offset,
-            field.w, field.chosen, field.rival,
+            _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, warp.valid, warp.x, warp.t,
+            warp.R, warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
+            field.offset, field.w, field.chosen, field.rival,
         )  # fmt: skip
     return field
 
 
-def _carried_over(field: _Field, way: _Way, shape: tuple[int, ...]) -> Array:
+def _transferred(field: _Field, warp: _Warp, shape: tuple[int, ...]) -> Array:
     """The field seen from view 2, `shape` its image's; NaN where no point of view 1 falls."""
     w_2, misfit_2 = np.full(shape, np.nan), np.full(shape, np.inf)
-    _kernels.carry_over(
-        way.seen, way.x, field.w, field.residual, field.chosen, way.R, way.s, way.camera, w_2, misfit_2
+    _kernels.transfer(
+        warp.valid, warp.x, field.w, field.residual, field.chosen, warp.R, warp.s, warp.camera, w_2, misfit_2
     )  # fmt: skip
     return w_2
 
 
-# -- The answer --------------------------------------------------------------------------------------------------------
+# -- Matches -----------------------------------------------------------------------------------------------------------
 
 
-def _answer(
+def _matches(
     forth: _Field,
     reverse: _Field,
     inflation: Array,
     samples: _Samples,
-    way: _Way,
+    warp: _Warp,
     sensors: tuple[Sensor, Sensor],
     grid: Grid,
     settings: Slanted,
 ) -> Matches:
     """Evaluate the planes in the directions of the panorama's pixels."""
     x, pixel = directions(grid), grid.phi_pitch
-    place, window, w = _read(forth, x, sensors[0])
-    q = x - w[..., None] * way.t
+    index, window, w = _read(forth, x, sensors[0])
+    q = x - w[..., None] * warp.t
     length = np.linalg.norm(q, axis=-1)
-    across = np.linalg.norm(np.cross(way.t, x), axis=-1)
+    across = np.linalg.norm(np.cross(warp.t, x), axis=-1)
     # d alpha_2/dw = |t × x|/|x - w t|²
-    sigma = across / length**2 * _sigma(forth, inflation, x, window, way, settings)
+    sigma = across / length**2 * _sigma(forth, inflation, x, window, warp, settings)
 
-    # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and what view 2 says there.
-    x_2 = normalise(q @ way.R.T)
+    # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there.
+    x_2 = normalise(q @ warp.R.T)
     _, _, w_2 = _read(reverse, x_2, sensors[1])
     apart = np.abs(w_2 - w / length) * across * length
 
     with np.errstate(invalid="ignore"):
-        found = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
-        sure = (sigma <= settings.max_sigma_px * pixel) & (forth.rival.ravel()[place] >= _AMBIGUOUS)
-        sure &= (forth.share.ravel()[window] < 1) & ~_blank(forth, samples, place, window, settings.window_px)
+        in_range = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
+        certain = (sigma <= settings.max_sigma_px * pixel) & (forth.rival.ravel()[index] >= _AMBIGUOUS)
+        certain &= (forth.share.ravel()[window] < 1) & ~_blank(forth, samples, index, window, settings.window_px)
         consistent = apart <= settings.consistency_px * pixel
     reason = np.where(consistent, np.uint8(Reason.MATCHED), np.uint8(Reason.INCONSISTENT))
-    reason[~(found & sure)] = Reason.NO_MATCH
-    reason[across <= 1e-9 * np.linalg.norm(way.t)] = Reason.NO_EPIPOLAR_PLANE
+    reason[~(in_range & certain)] = Reason.NO_MATCH
+    reason[across <= 1e-9 * np.linalg.norm(warp.t)] = Reason.NO_EPIPOLAR_PLANE
     matched = reason == Reason.MATCHED
     sigma = np.where(matched, sigma, np.nan)
     return Matches(
-        alpha_2=np.where(matched, angle_between(q, way.t), np.nan),
+        alpha_2=np.where(matched, angle_between(q, warp.t), np.nan),
         confidence=1 / sigma,
         sigma_alpha_2=sigma,
         reason=reason,
@@ -340,11 +340,11 @@ def _answer(
 
 
 def _blank(
-    field: _Field, samples: _Samples, place: NDArray[np.intp], window: NDArray[np.int64], window_px: int
+    field: _Field, samples: _Samples, index: NDArray[np.intp], window: NDArray[np.int64], window_px: int
 ) -> Mask:
-    """Whether pixels lie where their windows hold less texture than `_TEXTURED` of their mean, beyond doubt.
+    """Whether pixels lie where their windows have less texture than `_TEXTURED` of their mean, significantly.
 
-    A plane that leans on texture farther off, the border of another surface as a rule, is precise and may be wrong.
+    A plane that rests on texture farther off, usually the border of another surface, is precise and may be wrong.
     Texture is the sum of g² per squared motion, over two thirds of the window's side; f of it is noise, whose mean over
     n² pixels has the relative standard deviation sqrt(2)/n.
     """
@@ -359,26 +359,28 @@ def _blank(
     f = field.share.ravel()[window]
     with np.errstate(invalid="ignore"):
         expected = f + _TEXTURED * (1 - f) - 2 * f * np.sqrt(2) / n
-        return density(n).ravel()[place] < expected * density(window_px).ravel()[window]
+        return density(n).ravel()[index] < expected * density(window_px).ravel()[window]
 
 
 def _read(field: _Field, x: Array, sensor: Sensor) -> tuple[NDArray[np.intp], NDArray[np.int64], Array]:
-    """Flat index of the mirror pixel nearest to each direction, the window that it has chosen, and that plane's inverse
-    range in the direction itself; NaN where the direction is not seen or there is no plane.
+    """Flat index of the mirror pixel nearest to each direction, the window that it takes its plane from, and that
+    plane's inverse range in the direction itself; NaN where the direction is not seen or there is no plane.
     """
     height, width = field.w.shape
-    pixels, seen = project(sensor, x)
-    column, row = np.moveaxis(np.rint(np.where(seen[..., None], pixels, 0)).astype(np.intp), -1, 0)
-    place = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
-    window = field.chosen.ravel()[place]
+    pixels, valid = project(sensor, x)
+    column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
+    index = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
+    window = field.chosen.ravel()[index]
     w = np.sum(field.plane.reshape(-1, 3)[window] * x, axis=-1)
-    return place, window, np.where(seen & (window >= 0), w, np.nan)
+    return index, window, np.where(valid & (window >= 0), w, np.nan)
 
 
 # -- The standard deviation --------------------------------------------------------------------------------------------
 
 
-def _sigma(field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], way: _Way, settings: Slanted) -> Array:
+def _sigma(
+    field: _Field, inflation: Array, x: Array, window: NDArray[np.int64], warp: _Warp, settings: Slanted
+) -> Array:
     """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
 
     - What adds up in a window is not white; see `_inflation`.
@@ -388,7 +390,7 @@ def _sigma(field: _Field, inflation: Array, x: Array, window: NDArray[np.int64],
       planes that noise alone would give, smoothed n times and less and less of each; see `_smoothed`.
     """
     # Tangents at the middle of the window, as in the kernel.
-    c = way.x.reshape(-1, 3)[window]
+    c = warp.x.reshape(-1, 3)[window]
     sideways = np.stack([-c[..., 1], c[..., 0], np.zeros_like(c[..., 0])], axis=-1)
     cosine = np.linalg.norm(sideways, axis=-1, keepdims=True)
     e = np.where(cosine > 1e-9, sideways / np.maximum(cosine, 1e-9), [0.0, 1.0, 0.0])
@@ -431,7 +433,7 @@ def _centre_of_spline(m: int) -> float:
     return total
 
 
-def _inflation(field: _Field, first: _View, samples: _Samples, way: _Way, pool: ThreadPoolExecutor) -> Array:
+def _inflation(field: _Field, first: _View, samples: _Samples, warp: _Warp, pool: ThreadPoolExecutor) -> Array:
     """How much larger the variance is of a window's sums than if residuals were white, `[height, width]`.
 
     The larger of two. Where pixels of view 2 are larger than those of view 1, by the factor A in area, neighbouring
@@ -442,11 +444,11 @@ def _inflation(field: _Field, first: _View, samples: _Samples, way: _Way, pool: 
     shape = field.w.shape
     score, area = np.zeros(shape), np.ones(shape)
     _rows(
-        pool, len(score), _kernels.judge_rows, way.seen, way.x, way.R, way.s, way.camera, first.image, samples.known,
-        samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
+        pool, len(score), _kernels.judge_rows, warp.valid, warp.x, warp.R, warp.s, warp.camera, first.image,
+        samples.known, samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
     )  # fmt: skip
-    shown = _kernels.VALUE_NOISE**2
-    shared = (1 + np.maximum(area, shown)) / (1 + shown)
+    visible = _kernels.VALUE_NOISE**2
+    shared = (1 + np.maximum(area, visible)) / (1 + visible)
     around = ndimage.uniform_filter(score, 3, mode="constant") * 9
     with np.errstate(invalid="ignore", divide="ignore"):
         measured = ndimage.uniform_filter(score * around, _CORRELATED_PX, mode="constant") / ndimage.uniform_filter(

@@ -10,7 +10,7 @@ from harness.spec import Positive
 
 
 class Slanted(MatcherSettings):
-    """Slanted windows, started from semi-global matching with its own settings but for the limits."""
+    """Slanted windows, started from semi-global matching with that matcher's defaults and these limits."""
 
     kind: Literal["slanted"] = "slanted"
     """Slanted windows fitted to the mirror images by least squares."""
@@ -23,11 +23,11 @@ class Slanted(MatcherSettings):
     """Gauss-Newton steps. Without noise nothing moves after 4; noise makes them shorter (see `_sigma`)."""
     sharp_iterations: Annotated[int, Field(ge=1, le=50)] = 2
     """How many of the last steps look at patches; those before choose by windows alone, at a fraction of the cost,
-    and go farther, so that less is left of the start."""
+    and go farther, so that less of the start remains."""
     consistency_px: Positive = 1.0
-    """How far view 2's own answer may lead elsewhere, panorama pixels."""
+    """Largest difference from view 2's own match, panorama pixels."""
     max_sigma_px: Positive = 1.0
-    """Largest predicted standard deviation that counts as an answer, panorama pixels."""
+    """Largest predicted standard deviation of a match, panorama pixels; beyond it the pixel has none."""
 
     @model_validator(mode="after")
     def _have_a_centre(self) -> "Slanted":
@@ -37,7 +37,7 @@ class Slanted(MatcherSettings):
         return self
 
     def match(self, pair: Pair) -> Matches:
-        """The matches of the mirror images; shared by all who ask for the same."""
+        """The matches of the mirror images; shared with trials that need the same."""
         from harness.matching.slanted.match import match_slanted
 
         return match_slanted(pair, self)

@@ -18,13 +18,13 @@ FRACTION_BITS = 16
 LARGEST = np.int32(4094)
 """The largest difference of two pixels; a pixel itself is within half of it."""
 ABSENT = np.int16(8191)
-"""Kept in place of a difference, or of a pixel of view 2, where there is none."""
+"""Stands for a missing difference, or a missing pixel of view 2."""
 MISSING = np.int32(-(1 << 31))
-"""In place of a pixel of view 2 that is not there."""
+"""Stands for a missing pixel of view 2."""
 ZNCC_UNIT = 1 << 24
 """1 - ZNCC is counted in parts of 2^-24, which is twice as fine as single precision near 1."""
 NO_ZNCC = 1 << 30
-"""In place of 1 - ZNCC where a window is not whole."""
+"""Stands for 1 - ZNCC where a window is not whole."""
 
 
 @kernel
@@ -48,7 +48,7 @@ def rows_of_samples(k_first, k_last, k_0, margin, first, end):
 def _gather(pairs, second, source, gain, offset, start, end):
     """What stands in a column of the second image where rows start .. end are mapped to.
 
-    A loop of its own, because the compiler works on several rows at a time only where no place is looked up.
+    A loop of its own, because the compiler vectorises over rows only where there is no lookup.
     """
     position = np.uint32(np.uint32(offset) + np.uint32(gain) * np.uint32(start))
     for i in range(np.uint64(start), np.uint64(end)):
@@ -66,36 +66,36 @@ def _between_rows(pair, gain, offset, i):
 
 @kernel
 def _add_differences(
-    total, kept, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end, absent, squared
+    total, stored, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end, absent, squared
 ):
     """Add one column's differences to the running sum over columns, and keep them to be taken off again."""
     for i in range(np.uint64(start), np.uint64(end)):
         row = np.int32(i)
         d = np.int32(abs(np.int32(np.int32(first[column, i]) - _between_rows(pairs[i], gain, offset, i))))
-        there = (row >= image_first) & (row < image_end) & (d <= LARGEST)
-        kept[slot, k, i] = np.int16(d) if there else ABSENT
+        present = (row >= image_first) & (row < image_end) & (d <= LARGEST)
+        stored[slot, k, i] = np.int16(d) if present else ABSENT
         if squared:
-            total[k, i] += d * d if there else absent
+            total[k, i] += d * d if present else absent
         else:
-            total[k, i] += d if there else absent
+            total[k, i] += d if present else absent
 
 
 @kernel
-def _add_hamming(total, kept, k, slot, first, column, pairs, image_first, image_end, start, end, absent):
+def _add_hamming(total, stored, k, slot, first, column, pairs, image_first, image_end, start, end, absent):
     """The same for census transforms: in how many bits two of them differ."""
     for i in range(np.uint64(start), np.uint64(end)):
         row = np.int32(i)
         d = np.int32(bits_set(np.uint32(first[column, i] ^ pairs[i])))
-        there = (row >= image_first) & (row < image_end) & (pairs[i] != MISSING)
-        kept[slot, k, i] = np.int16(d) if there else ABSENT
-        total[k, i] += d if there else absent
+        present = (row >= image_first) & (row < image_end) & (pairs[i] != MISSING)
+        stored[slot, k, i] = np.int16(d) if present else ABSENT
+        total[k, i] += d if present else absent
 
 
 @kernel
-def _take_off(total, kept, k, slot, start, end, absent, squared):
+def _subtract(total, stored, k, slot, start, end, absent, squared):
     """Take a column's differences off the running sum."""
     for i in range(np.uint64(start), np.uint64(end)):
-        d = np.int32(kept[slot, k, i])
+        d = np.int32(stored[slot, k, i])
         if squared:
             total[k, i] -= d * d if d <= LARGEST else absent
         else:
@@ -104,28 +104,28 @@ def _take_off(total, kept, k, slot, start, end, absent, squared):
 
 @kernel
 def _add_moments(
-    total, squares, products, kept, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end,
+    total, squares, products, stored, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end,
     absent,
 ):  # fmt: skip
     """For ZNCC: add a column's pixels of view 2, their squares, and their products with view 1's."""
     for i in range(np.uint64(start), np.uint64(end)):
         row = np.int32(i)
         value = _between_rows(pairs[i], gain, offset, i)
-        there = (row >= image_first) & (row < image_end) & (abs(value) <= LARGEST)
-        value = value if there else np.int32(0)
-        kept[slot, k, i] = np.int16(value) if there else ABSENT
-        total[k, i] += value if there else absent
+        present = (row >= image_first) & (row < image_end) & (abs(value) <= LARGEST)
+        value = value if present else np.int32(0)
+        stored[slot, k, i] = np.int16(value) if present else ABSENT
+        total[k, i] += value if present else absent
         squares[k, i] += value * value
         products[k, i] += value * np.int32(first[column, i])
 
 
 @kernel
-def _take_moments_off(total, squares, products, kept, k, slot, first, column, start, end, absent):
+def _subtract_moments(total, squares, products, stored, k, slot, first, column, start, end, absent):
     for i in range(np.uint64(start), np.uint64(end)):
-        value = np.int32(kept[slot, k, i])
-        there = value <= LARGEST
-        value = value if there else np.int32(0)
-        total[k, i] -= value if there else absent
+        value = np.int32(stored[slot, k, i])
+        present = value <= LARGEST
+        value = value if present else np.int32(0)
+        total[k, i] -= value if present else absent
         squares[k, i] -= value * value
         products[k, i] -= value * np.int32(first[column, i])
 
@@ -160,7 +160,7 @@ def _one_minus_zncc(costs, total, squares, products, k, number, own_sum, own_spr
 
 
 @kernel
-def _keep_least(sums, k, number, k_first, k_last, column, least, least_k, most, start, end):
+def _update_least(sums, k, number, k_first, k_last, column, least, least_k, most, start, end):
     """Keep, of the samples searched so far, the least cost, its sample (the first of equals), and the greatest cost."""
     for i in range(np.uint64(start), np.uint64(end)):
         value = sums[k, i]
@@ -203,7 +203,7 @@ def match_columns(
     total,
     squares,
     products,
-    kept,
+    stored,
     sums,
     of_squares,
     of_products,
@@ -221,7 +221,7 @@ def match_columns(
     second : `[width parts, height]`, each pixel in the upper 16 bits and the step to the next row in the lower ones, or
         census transforms.
     stride, shift : sample k is `stride k + shift` of the second image's columns away.
-    unit, absent, none : what costs are counted in, what a pixel that is not there adds to a sum, and the least cost
+    unit, absent, none : what costs are counted in, what a missing pixel adds to a sum, and the least cost
         that no whole window has.
     k_0 : the sample that comes first in all arrays of samples.
     sign, gain, offset, image_first, image_end : the columns' maps, and the rows that they map into the image.
@@ -231,7 +231,7 @@ def match_columns(
     k_first, k_last : `[width, height]`.
     searched : `[height, width]`.
     total, squares, products : `[samples, height]`, zeros; sums of rows of the window. Of a type that holds all sums.
-    kept : `[2 half + 1, samples, height]`: what the window's columns have added.
+    stored : `[2 half + 1, samples, height]`: what the window's columns have added.
     sums, of_squares, of_products : `[samples, height]`, sums of windows.
     costs_of : `[samples, height]`: `sums` itself, or for ZNCC what is made of them.
     find : whether to look for the best sample; otherwise `k_best` says which it is.
@@ -259,27 +259,29 @@ def match_columns(
             if step >= size and row_first[leaving, k] < row_end[leaving, k]:
                 start, end = row_first[leaving, k], row_end[leaving, k]
                 if kind == ZNCC:
-                    _take_moments_off(total, squares, products, kept, k, slot, first, leaving, start, end, absent)
+                    _subtract_moments(total, squares, products, stored, k, slot, first, leaving, start, end, absent)
                 else:
-                    _take_off(total, kept, k, slot, start, end, absent, squared)
+                    _subtract(total, stored, k, slot, start, end, absent, squared)
             start, end = row_first[entering, k], row_end[entering, k]
             if start >= end:
                 continue
-            place = np.int32(np.int64(k) + k_0)
-            source = np.uint64((np.int64(entering) * parts + sign[entering] * (stride * place + shift)) % sources)
+            sample = np.int32(np.int64(k) + k_0)
+            source = np.uint64((np.int64(entering) * parts + sign[entering] * (stride * sample + shift)) % sources)
             image_start, image_stop = image_first[entering, k], image_end[entering, k]
             map_gain, map_offset = gain[entering, k], np.int32(offset[entering, k] + rounding)
             _gather(pairs, second, source, map_gain, map_offset, max(start, image_start), min(end, image_stop))
             if kind == ZNCC:
                 _add_moments(
-                    total, squares, products, kept, k, slot, first, entering, pairs, map_gain, map_offset, image_start,
-                    image_stop, start, end, absent,
+                    total, squares, products, stored, k, slot, first, entering, pairs, map_gain, map_offset,
+                    image_start, image_stop, start, end, absent,
                 )  # fmt: skip
             elif kind == CENSUS:
-                _add_hamming(total, kept, k, slot, first, entering, pairs, image_start, image_stop, start, end, absent)
+                _add_hamming(
+                    total, stored, k, slot, first, entering, pairs, image_start, image_stop, start, end, absent
+                )
             else:
                 _add_differences(
-                    total, kept, k, slot, first, entering, pairs, map_gain, map_offset, image_start, image_stop,
+                    total, stored, k, slot, first, entering, pairs, map_gain, map_offset, image_start, image_stop,
                     start, end, absent, squared,
                 )  # fmt: skip
             start, end = centre_first[centre, k], centre_end[centre, k]
@@ -293,7 +295,7 @@ def match_columns(
                         start, end,
                     )  # fmt: skip
                 if find:
-                    _keep_least(costs_of, k, place, k_first, k_last, centre, least, least_k, most, start, end)
+                    _update_least(costs_of, k, sample, k_first, k_last, centre, least, least_k, most, start, end)
         if not compare:
             continue
         for row in range(height):

@@ -61,11 +61,11 @@ def refine_squares(
 ):
     """Square windows that move along the curve of their middle.
 
-    farthest : how many samples a place may end up from the best whole sample.
+    farthest : how many samples the result may lie from the best whole sample.
 
     first : `[height, width + 2 half]`, padded around the seam.
     spline : `[height, width + 2 half + 4]`, coefficients, padded by two more on both sides.
-    usable : `[height, width]`: a window two pixels larger on all sides is there, around this pixel of view 2.
+    usable : `[height, width]`: a window two pixels larger on all sides is valid around this pixel of view 2.
     """
     height, width = matched.shape
     size = 2 * half + 1
@@ -124,13 +124,13 @@ def refine_squares(
                         slope = dv * ((down_slope[0] * a + down_slope[1] * b) + (down_slope[2] * d + down_slope[3] * e))
                         a, b, d, e = slopes[i, j], slopes[one, j], slopes[two, j], slopes[three, j]
                         slope += du * ((down[0] * a + down[1] * b) + (down[2] * d + down[3] * e))
-                        own = np.float64(first[np.uint64(row - half) + i, np.uint64(column) + j])
-                        sums[0, j] += own
-                        sums[1, j] += own * own
+                        grey_1 = np.float64(first[np.uint64(row - half) + i, np.uint64(column) + j])
+                        sums[0, j] += grey_1
+                        sums[1, j] += grey_1 * grey_1
                         sums[2, j] += value
-                        sums[3, j] += own * value
+                        sums[3, j] += grey_1 * value
                         sums[4, j] += slope
-                        sums[5, j] += slope * own
+                        sums[5, j] += slope * grey_1
                         sums[6, j] += slope * value
                         sums[7, j] += slope * slope
                 total[:] = 0
@@ -176,7 +176,7 @@ def refine_columns(
 
     first : `[height, width + 2 half]`, padded around the seam.
     spline : `[width + 3, height]`, coefficients by columns, with one before the first and two after the last.
-    usable : `[width, height]`: whether the four by four coefficients after this place are there.
+    usable : `[width, height]`: whether the four by four coefficients from this one on are valid.
     sign, away, cotangent, lift : `[width]`: the sense of phi away from t, u, cot u, and -(t_z/|t_xy|)/sin u.
     """
     height, width = matched.shape
@@ -232,9 +232,9 @@ def refine_columns(
                         slope = dv * ((down_slope[0] * a + down_slope[1] * b) + (down_slope[2] * d + down_slope[3] * e))
                         a, b, d, e = slopes[r0], slopes[r1], slopes[r2], slopes[r3]
                         slope += du * ((down[0] * a + down[1] * b) + (down[2] * d + down[3] * e))
-                        own = np.float64(first[np.uint64(row - half + i), np.uint64(column + j)])
-                        i1, i11, i2, i12 = i1 + own, i11 + own * own, i2 + value, i12 + own * value
-                        s0, s1, s2, ss = s0 + slope, s1 + slope * own, s2 + slope * value, ss + slope * slope
+                        grey_1 = np.float64(first[np.uint64(row - half + i), np.uint64(column + j)])
+                        i1, i11, i2, i12 = i1 + grey_1, i11 + grey_1 * grey_1, i2 + value, i12 + grey_1 * value
+                        s0, s1, s2, ss = s0 + slope, s1 + slope * grey_1, s2 + slope * value, ss + slope * slope
                 if not good:
                     break
                 move = _shift(number, i1, i11, i2, i12, s0, s1, s2, ss, invariant)

@@ -125,7 +125,7 @@ def _place(mode, k, cos_k, sin_k, start, c_1, s_1, t_hat, m, n, step):
 def _pixels(
     k, k_0, cos_k, sin_k, mode, matchable_2, start, t_hat, m, n, step, z_max, z_pitch, phi_pitch, rows, columns, count
 ):
-    """The pixels nearest to `count` samples from k on; row -1 where the window around one is not all there."""
+    """The pixels nearest to `count` samples from k on; row -1 where the window around one is not whole."""
     height, width = matchable_2.shape
     c_1, s_1 = math.cos(start), math.sin(start)
     for i in range(count):
@@ -233,7 +233,7 @@ def costs_along_curve(
 
 @kernel
 def _interpolate(patch, second, row, column, across, down):
-    """The square of view 2 whose upper left corner is a place between pixels: linear in both directions."""
+    """The square of view 2 whose upper left corner lies between pixels, interpolated linearly in both directions."""
     a, b = np.float32((1 - across) * (1 - down)), np.float32(across * (1 - down))
     c, d = np.float32((1 - across) * down), np.float32(across * down)
     size, one = np.uint64(patch.shape[0]), np.uint64(1)

@@ -28,7 +28,7 @@ def census(values, reach, parts, codes):
 def parabola_minima(costs, offset, refined):
     """The least-squares parabola a x² + b x + c through the finite samples of each row, x = 0 in the middle.
 
-    Where its minimum lies among those samples, its place and True are written to `offset` and `refined`, both `[rows]`.
+    Where its minimum lies among those samples, its position and True go to `offset` and `refined`, both `[rows]`.
     The 3x3 normal equations are solved by Cramer's rule. Of whole numbers, or of parts of a power of two, all sums are
     exact, and so a row of equal costs has no curvature at all.
     """
@@ -66,19 +66,19 @@ def parabola_minima(costs, offset, refined):
 
 
 @kernel(inline=True)
-def _least_of_three(shape, before, here, after):
-    """Where the curve through three costs is least, in samples from the middle one, and whether that says anything.
+def _least_of_three(shape, before, middle, after):
+    """Where the curve through three costs is least, in samples from the middle one, and whether that means anything.
 
     A parabola, or two lines of opposite slopes of which the steeper pair of neighbours gives the slope (the equiangular
-    fit). It says something if the costs bend upwards and the place lies among the samples: never with NaN.
+    fit). It does if the costs bend upwards and the minimum lies among the samples: never with NaN.
     """
-    bend = before - 2 * here + after
+    bend = before - 2 * middle + after
     if shape == EQUIANGULAR:
-        bend = bend if bend <= 0 else 2 * (max(before, after) - here)
-        place = (before - after) / bend
+        bend = bend if bend <= 0 else 2 * (max(before, after) - middle)
+        minimum = (before - after) / bend
     else:
-        place = (before - after) / (2 * bend)
-    return place, bend > 0 and abs(place) <= 1
+        minimum = (before - after) / (2 * bend)
+    return minimum, bend > 0 and abs(minimum) <= 1
 
 
 @kernel
@@ -87,9 +87,9 @@ def three_point_minima(shape, costs, offset, refined):
     rows, samples = costs.shape
     i = samples // 2
     for row in range(rows):
-        place, good = _least_of_three(shape, costs[row, i - 1], costs[row, i], costs[row, i + 1])
+        minimum, good = _least_of_three(shape, costs[row, i - 1], costs[row, i], costs[row, i + 1])
         if good:
-            offset[row], refined[row] = place, True
+            offset[row], refined[row] = minimum, True
 
 
 @kernel
@@ -105,9 +105,9 @@ def cancelled_minima(shape, costs, offset, refined):
             continue
         i, side = (4, 0.5) if whole >= 0 else (2, -0.5)
         half, good = _least_of_three(shape, costs[row, i - 2], costs[row, i], costs[row, i + 2])
-        place = (whole + half + side) / 2
-        if good and abs(place) <= 1:
-            offset[row], refined[row] = place, True
+        minimum = (whole + half + side) / 2
+        if good and abs(minimum) <= 1:
+            offset[row], refined[row] = minimum, True
 
 
 # -- From samples to angles --------------------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ def cancelled_minima(shape, costs, offset, refined):
 def matches(
     mode, costs, reason, k_best, offset, refined, phi, step, alpha_1, m, n, t_hat, k_far, k_near, k, alpha_2, confidence
 ):
-    """Place, angle and confidence of every match.
+    """Position on the curve, angle and confidence of every match.
 
     refined : in: where `offset` counts; out: without those that it would move out of the interval k_far .. k_near.
     k, alpha_2, confidence : written, `[height, width]`; NaN where there is no match.
@@ -132,28 +132,28 @@ def matches(
                 refined[row, column] = False
                 k[row, column] = alpha_2[row, column] = confidence[row, column] = math.nan
                 continue
-            here = float(k_best[row, column])
+            position = float(k_best[row, column])
             if refined[row, column]:
-                moved = here + offset[row, column]
+                moved = position + offset[row, column]
                 if k_far[row, column] <= moved <= k_near[row, column]:
-                    here = moved
+                    position = moved
                 else:
                     refined[row, column] = False
-            k[row, column] = here
+            k[row, column] = position
             a = alpha_1[row, column]
             if mode == ALPHA:
-                a += here * step[row, column]
-            elif here != 0:  # sample 0 is infinity, and exactly there
-                angle = phi[column] + here * step[row, column]
+                a += position * step[row, column]
+            elif position != 0:  # sample 0 is infinity, and exactly there
+                angle = phi[column] + position * step[row, column]
                 c, s = math.cos(angle), math.sin(angle)
                 y = t_hat[0] * s - t_hat[1] * c
                 x = m[row, column, 1] * c - m[row, column, 0] * s
                 a = math.atan2(y, x) if n[row, column, 2] > 0 else math.atan2(-y, -x)
             alpha_2[row, column] = a
 
-            least, beside, found = costs[row, column, middle], 0.0, 0
+            least, beside, neighbours = costs[row, column, middle], 0.0, 0
             for i in (middle - 1, middle + 1):
                 if math.isfinite(costs[row, column, i]):
-                    beside, found = beside + costs[row, column, i], found + 1
-            contrast = 1 - found * least / beside if beside > 0 else 0.0
+                    beside, neighbours = beside + costs[row, column, i], neighbours + 1
+            contrast = 1 - neighbours * least / beside if beside > 0 else 0.0
             confidence[row, column] = min(max(contrast, 0.0), 1.0)

@@ -100,10 +100,10 @@ def costs_along_curve(
     compare = _whole_samples(first, second, curves, matcher)
     searched, reason = searchable(curves, whole_windows(compare.images.valid_1, matcher.window_px))
     k, costs = np.zeros(searched.shape, np.int32), np.empty((*searched.shape, 1))
-    found = compare(column, column + 1, searched, reason, k, costs, before=0)
+    window_costs = compare(column, column + 1, searched, reason, k, costs, before=0)
     ks = np.arange(curves.k_first[row, column], curves.k_last[row, column] + 1)
-    here = found[ks - compare.maps.k_0, row]
-    return ks, np.where(here < compare.none, here / compare.unit, np.nan)
+    pixel_costs = window_costs[ks - compare.maps.k_0, row]
+    return ks, np.where(pixel_costs < compare.none, pixel_costs / compare.unit, np.nan)
 
 
 def _over_columns(work: Callable[[int, int], None], image: Panorama, window_px: int, threads: int) -> None:
@@ -157,7 +157,7 @@ class _Comparison:
 
         Returns
         -------
-        found
+        window_costs
             `[samples, height]`: the costs in the band's last column, in parts of `unit`; `none` or more where there is
             no whole window.
         """
@@ -165,12 +165,12 @@ class _Comparison:
         shape = (maps.gain.shape[1], searched.shape[0])
         total, sums = np.zeros((2, *shape), dtype=self._number)
         if self._kind == _matching_kernels.ZNCC:
-            squares, products, of_squares, of_products, found = np.zeros((5, *shape), dtype=self._number)
+            squares, products, of_squares, of_products, window_costs = np.zeros((5, *shape), dtype=self._number)
         else:
             squares, products, of_squares, of_products = np.zeros((4, 1, 1), dtype=self._number)
-            found = sums
+            window_costs = sums
         if searched.shape[0] <= 2 * self._half:
-            return found
+            return window_costs
         _column_kernels.match_columns(
             column_first,
             column_end,
@@ -205,17 +205,17 @@ class _Comparison:
             sums,
             of_squares,
             of_products,
-            found,
+            window_costs,
             before,
             find,
             reason,
             k,
             costs,
         )
-        return found
+        return window_costs
 
 
-# -- Geometry: depends on the pose and the limits alone, and is kept for the next pair of images ----------------------
+# -- Geometry: depends on the pose and the limits alone, and is cached for the next pair of images --------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,7 +334,7 @@ class _Images:
 
 
 def _images(first: Panorama, second: Panorama, matcher: WindowMatcher, parts: int) -> _Images:
-    """Between columns view 2 is interpolated linearly. A place between two rows is there if both of them are."""
+    """Between columns view 2 is interpolated linearly. A position between two rows is valid if both of them are."""
     pixels_1 = _quantised(first.values)
     values, valid = second.values, second.valid
     if parts > 1:
@@ -352,8 +352,8 @@ def _images(first: Panorama, second: Panorama, matcher: WindowMatcher, parts: in
     steps = np.diff(pixels_2, axis=0, append=pixels_2[-1:])
     both = valid & np.concatenate([valid[1:], valid[-1:]])
     packed = np.where(both, pixels_2 << 16 | steps & 0xFFFF, _column_kernels.MISSING)
-    own = np.where(first.valid, pixels_1, 0).astype(np.int16)
-    return _Images(_columns(own), first.valid, _columns(packed), parts)
+    values_1 = np.where(first.valid, pixels_1, 0).astype(np.int16)
+    return _Images(_columns(values_1), first.valid, _columns(packed), parts)
 
 
 def _quantised(values: NDArray[np.floating]) -> NDArray[np.int32]:

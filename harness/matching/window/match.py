@@ -101,7 +101,7 @@ def match(
     Returns
     -------
     Matches
-        Refined places lie between d_max and d_min, as the search itself: finite limits keep every range finite. The
+        Refined positions lie between d_max and d_min, as the search itself: finite limits keep every range finite. The
         confidence is the contrast of the cost's minimum, `1 - c_0/mean(c_-1, c_+1)` over those of the two neighbours
         that exist, within 0 .. 1; 0 where the costs are all alike.
     """

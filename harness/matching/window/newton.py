@@ -40,7 +40,7 @@ def gauss_newton(
     invariant = matcher.cost in ("zncc", "census")
     offset, refined = np.zeros(grid.shape), np.zeros(grid.shape, dtype=bool)
     matched = whole.reason == Reason.MATCHED
-    own = np.pad(first.values, ((0, 0), (half, half)), mode="wrap")
+    padded_1 = np.pad(first.values, ((0, 0), (half, half)), mode="wrap")
     spline = _coefficients(second)
 
     if matcher.kind == "window":
@@ -53,7 +53,7 @@ def gauss_newton(
                 _matching_kernels.SAMPLINGS[matcher.sampling],
                 invariant,
                 farthest,
-                own,
+                padded_1,
                 padded,
                 matched,
                 usable,
@@ -82,7 +82,7 @@ def gauss_newton(
                 rows,
                 invariant,
                 farthest,
-                own,
+                padded_1,
                 by_columns,
                 matched,
                 taps,
