@@ -1,6 +1,8 @@
 """The one exception that is the user's to mend, the one warning, and errors in one line."""
 
+import difflib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -30,6 +32,12 @@ class InputError(Exception):
 def _without_long_words(text: str) -> str:
     """A text whose words of more than 300 characters, which are quoted from a damaged file, are cut in the middle."""
     return re.sub(r"\S{300,}", lambda word: f"{word[0][:60]} ... {word[0][-40:]}", text)
+
+
+def nearest(word: str, choices: Sequence[str]) -> str:
+    """A hint that ends a message: the nearest valid word, or all of them."""
+    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.5)
+    return f"did you mean '{close[0]}'?" if close else f"valid: {', '.join(choices) or 'none'}"
 
 
 class Notice(UserWarning):

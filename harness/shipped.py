@@ -1,10 +1,12 @@
 """Where the scenes and experiments that come with the program lie."""
 
+import difflib
 from pathlib import Path
 from typing import Literal
 
 from harness.errors import InputError
 from harness.files import path_of
+from harness.toml import read_toml
 
 Kind = Literal["scenes", "experiments"]
 
@@ -31,16 +33,28 @@ def find(kind: Kind, name_or_path: str, *, relative_to: Path | None = None) -> P
     Raises
     ------
     InputError
-        When there is no such file (the message lists the shipped names), or there can be none of this name.
+        When there is no such file (the message says what may have been meant), or there can be none of this name.
     """
     if "/" not in name_or_path and "\\" not in name_or_path and not name_or_path.endswith(".toml"):
         path = path_of(f"{name_or_path}.toml", folder(kind))
     else:
         path = path_of(name_or_path, relative_to or Path())
     if not path.is_file():
-        known = ", ".join(names(kind))
-        raise InputError(
-            f"no such {kind[:-1]}; give the path of a TOML file or one of the shipped names: {known}",
-            file=name_or_path,
-        )
+        raise InputError(f"no such {kind[:-1]}; {_hint(kind, name_or_path)}", file=name_or_path)
     return path
+
+
+def _hint(kind: Kind, name: str) -> str:
+    """What may have been meant by a name or path that is not there."""
+    if name in names("scenes" if kind == "experiments" else "experiments"):
+        if kind == "experiments":
+            return f"it is a scene: see `omnirange render`, or give `--set scene={name}` with an experiment"
+        return f"it is an experiment: `omnirange run {name}`"
+    rest = f"give the path of a TOML file or one of the shipped names: {', '.join(names(kind))}"
+    close = difflib.get_close_matches(name, names(kind), n=1, cutoff=0.5)
+    return f"did you mean '{close[0]}'? Otherwise {rest}" if close else rest
+
+
+def descriptions(kind: Kind) -> dict[str, str]:
+    """What each shipped file says of itself in a line, by its name."""
+    return {name: str(read_toml(folder(kind) / f"{name}.toml").get("description", "")) for name in names(kind)}

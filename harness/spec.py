@@ -1,8 +1,7 @@
 """Specifications: small, frozen, hashable, JSON-able records read from TOML, and what is said when one is wrong."""
 
-import difflib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args, get_origin
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from harness.annotations import inside, members, tags
 from harness.display import brief, shortened
-from harness.errors import InputError
+from harness.errors import InputError, nearest
 from harness.renamed import Renaming, former_names, give_notice, up_to_date
 from harness.toml import levels, read_toml
 
@@ -235,12 +234,6 @@ def _as_plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_as_plain(each) for each in value]
     return value
-
-
-def nearest(word: str, choices: Sequence[str]) -> str:
-    """A hint that ends a message: the nearest valid word, or all of them."""
-    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.5)
-    return f"did you mean '{close[0]}'?" if close else f"valid: {', '.join(choices) or 'none'}"
 
 
 def _without_none(value: Any) -> Any:

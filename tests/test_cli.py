@@ -1,5 +1,6 @@
 """The command line: what is planned, what is refused and in which words, and how it exits."""
 
+import contextlib
 import subprocess
 import sys
 from pathlib import Path
@@ -8,8 +9,10 @@ import pytest
 from sweeps import begin, omnirange, wait_for, write_small
 
 from harness import shipped
+from harness.camera.models import MODELS
 from harness.cli import main
 from harness.errors import InputError
+from harness.matching.registry import BUILT_IN
 from harness.runs.load import load_experiment
 
 
@@ -118,8 +121,37 @@ def test_set_and_axis_are_folded_into_what_is_written(small: Path, tmp_path: Pat
 
 def test_an_unknown_experiment_is_answered_with_those_there_are(capsys: pytest.CaptureFixture[str]) -> None:
     said = refusal(capsys, "run", "papre")
-    assert said.startswith("papre: no such experiment; give the path of a TOML file or one of the shipped names: ")
+    start = "papre: no such experiment; did you mean 'paper'? Otherwise give the path of a TOML file or one of"
+    assert said.startswith(start)
     assert all(name in said for name in shipped.names("experiments"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["run", "box"], "box: no such experiment; it is a scene: see `omnirange render`"),
+        (
+            ["render", "paper", "--at", 0, 0, 1, "--out", "x"],
+            "paper: no such scene; it is an experiment: `",
+        ),
+        (["rnu", "paper"], "unknown command 'rnu'; did you mean 'run'?"),
+        (["completion", "bsh"], "argument shell: unknown 'bsh'; did you mean 'bash'?"),
+    ],
+)
+def test_what_was_meant_is_said(arguments: list[object], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with contextlib.suppress(SystemExit):  # the parser's
+        main([str(each) for each in arguments])
+    assert capsys.readouterr().err.removeprefix("omnirange: ").startswith(expected)
+
+
+@pytest.mark.parametrize("arguments", [[], ["list"]])
+def test_all_that_there_is_has_a_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = [*shipped.names("experiments"), *shipped.names("scenes"), *BUILT_IN, *MODELS]
+    for name in names:
+        line = next(each for each in lines if each.split()[:1] == [name])
+        assert len(line.split()) > 2, f"nothing is said of {name}"
 
 
 @pytest.mark.parametrize(
@@ -151,7 +183,7 @@ def test_an_unknown_experiment_is_answered_with_those_there_are(capsys: pytest.C
         ('[axes]\n"seed.a" = [1]\n', "axes.seed.a: there is no key 'a' in 1, which is a plain value"),
         (
             '[axes]\nscene = ["bx"]\n',
-            "axes.scene: 'bx': no such scene; give the path of a TOML file or one of the shipped",
+            "axes.scene: 'bx': no such scene; did you mean 'box'? Otherwise give the path of a TOML file or one of",
         ),
         ("[axes]\nseed = [1, 2, 1]\n", "axes: two trials are the same: seed = 1, and seed = 1; remove one"),
         ('[[cases]]\n"noise.sigma" = 3\n', "cases[0].noise.sigma: unknown key 'sigma'; did you mean 'sigma_grey'?"),

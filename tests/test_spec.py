@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from pydantic import Field, ValidationError, model_validator
 
 from harness import shipped
-from harness.errors import InputError
-from harness.spec import LARGEST, Finite, Positive, Spec, Vector3, dump_toml, load, nearest, parse
+from harness.errors import InputError, nearest
+from harness.spec import LARGEST, Finite, Positive, Spec, Vector3, dump_toml, load, parse
 from harness.toml import read_toml
 
 
@@ -276,6 +276,6 @@ class TestShipped:
 
     @pytest.mark.parametrize("name", ["bxo", "bxo.toml", "./box", ""])
     def test_absent_file_lists_the_shipped_names(self, name: str) -> None:
-        with pytest.raises(InputError, match=r"no such scene; give the path of a TOML file.*: box, room$") as caught:
+        with pytest.raises(InputError, match=r"no such scene;.* give the path of a TOML file.*: box, room$") as caught:
             shipped.find("scenes", name)
         assert caught.value.file == name

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 from harness.cli import completers
 from harness.cli.exits import INPUT
 from harness.display import shortened
+from harness.errors import nearest
 
 
 class Parser(argparse.ArgumentParser):
@@ -19,6 +20,13 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**options, allow_abbrev=False)
         # Of argparse: which words that begin with a dash are values and no options. Its own knows no 1e-3 and no inf.
         self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Of argparse: refuse what is no choice, here with the choice that was meant."""
+        if action.choices is not None and value not in action.choices:
+            what = "command " if action.metavar == "COMMAND" else ""
+            hint = nearest(str(value), [str(each) for each in action.choices])
+            raise argparse.ArgumentError(None if what else action, f"unknown {what}'{value}'; {hint}")
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong, and exit."""
@@ -30,9 +38,7 @@ class Commands:
     """The sub-commands of a program."""
 
     def __init__(self, parser: Parser) -> None:
-        self._parsers = parser.add_subparsers(
-            title="commands", required=True, metavar="COMMAND", parser_class=type(parser)
-        )
+        self._parsers = parser.add_subparsers(title="commands", metavar="COMMAND", parser_class=type(parser))
 
     def add(
         self,

@@ -9,6 +9,7 @@ from typing import TextIO
 
 from harness import interrupts
 from harness.cli import cache, check, compare, completion, render, report, run, settings
+from harness.cli import list as list_command
 from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
 from harness.cli.options import Commands, Parser
@@ -16,7 +17,7 @@ from harness.cli.output import patient_output
 from harness.errors import InputError, Notice, described, one_line
 from harness.version import __version__
 
-_COMMANDS = (run, report, compare, cache, render, range_command, check, settings, completion)
+_COMMANDS = (run, report, compare, cache, render, range_command, check, list_command, settings, completion)
 """In the order in which `--help` lists them."""
 
 
@@ -112,6 +113,7 @@ class _Notices:
 
 def _parser() -> Parser:
     parser = Parser(prog="omnirange", description="Simulation-driven evaluation of omnidirectional stereo.")
+    parser.set_defaults(run=list_command.run)  # of the program by itself
     parser.add_argument("--version", action="version", version=f"omnirange {__version__}")
     commands = Commands(parser)
     for command in _COMMANDS:

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,9 @@ class MatcherSettings(Spec, ABC):
     A matcher is a subclass with a `kind` of its own and a `match`. Whatever else the program wants to know of it is a
     method or a property here, with an answer that holds for most.
     """
+
+    briefs: ClassVar[Mapping[str, str]] = {}
+    """What it is in a line of `omnirange list`, by each `kind` that it has."""
 
     kind: str = ""
     """Which matcher."""

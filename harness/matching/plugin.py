@@ -12,11 +12,10 @@ import numpy as np
 from pydantic import field_validator
 
 from harness import interrupts
-from harness.errors import InputError, described
+from harness.errors import InputError, described, nearest
 from harness.matching import plugins
 from harness.matching.interface import Matches, Parametrised, as_matches
 from harness.matching.pair import Pair
-from harness.spec import nearest
 
 
 class Plugin(Parametrised):

@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from harness import interrupts
-from harness.errors import InputError, described
+from harness.errors import InputError, described, nearest
 from harness.matching.source_files import State, hash_of, imports, named_files, package_files, state_of
-from harness.spec import nearest
 
 ENTRY_POINTS = "omnirange.matchers"
 

@@ -16,7 +16,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tomli_w
@@ -82,6 +82,8 @@ turned into v1's by R_world_from_view.
 
 class Program(Parametrised):
     """A matcher that is a command."""
+
+    briefs: ClassVar[Mapping[str, str]] = {"program": "a program of your own, in any language"}
 
     kind: Literal["program"] = "program"
     """A program in any language."""

@@ -12,11 +12,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from harness.errors import InputError
+from harness.errors import InputError, nearest
 from harness.pipeline.specification import Trial
 from harness.renamed import up_to_date_key
 from harness.runs.experiment import Experiment
-from harness.spec import LARGEST, nearest
+from harness.spec import LARGEST
 
 UNITS = {
     "_per_px": "per pixel",

@@ -1,6 +1,7 @@
 """Settings of OpenCV's matchers. The defaults are those of OpenCV's own stereo sample (`stereo_match.cpp`)."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -49,6 +50,8 @@ class Filtered(OpenCV):
 class StereoBM(Filtered):
     """OpenCV's block matcher: sums of absolute differences over a square, after a pre-filter along the rows."""
 
+    briefs: ClassVar[Mapping[str, str]] = {"opencv-bm": "OpenCV's StereoBM on a rectified pair"}
+
     kind: Literal["opencv-bm"] = "opencv-bm"
     """OpenCV's StereoBM."""
     block_px: Annotated[int, Field(ge=5, le=99)] = 9
@@ -75,6 +78,8 @@ class StereoBM(Filtered):
 
 class StereoSGBM(Filtered):
     """OpenCV's semi-global block matcher."""
+
+    briefs: ClassVar[Mapping[str, str]] = {"opencv-sgbm": "OpenCV's StereoSGBM on a rectified pair"}
 
     kind: Literal["opencv-sgbm"] = "opencv-sgbm"
     """OpenCV's StereoSGBM."""
@@ -103,6 +108,8 @@ class StereoSGBM(Filtered):
 
 class StereoReconstruct(OpenCV):
     """`cv2.omnidir.stereoReconstruct` as it comes, which has no other settings: see `matchers.reconstruct`."""
+
+    briefs: ClassVar[Mapping[str, str]] = {"opencv-reconstruct": "OpenCV's omnidir.stereoReconstruct"}
 
     kind: Literal["opencv-reconstruct"] = "opencv-reconstruct"
     """OpenCV's `omnidir.stereoReconstruct`."""

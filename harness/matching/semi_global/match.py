@@ -25,9 +25,10 @@ Labels outside a pixel's search interval cost what they cost and cannot win; to 
 
 import math
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,8 @@ class SemiGlobal(MatcherSettings):
     """Settings of semi-global matching. One set for all scenes; measured on box, corridor and room, without noise and
     with 10 grey levels of it.
     """
+
+    briefs: ClassVar[Mapping[str, str]] = {"sgm": "semi-global matching with a census cost"}
 
     kind: Literal["sgm"] = "sgm"
     """Semi-global matching."""

@@ -1,6 +1,7 @@
 """Settings of the slanted windows."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -11,6 +12,8 @@ from harness.spec import Positive
 
 class Slanted(MatcherSettings):
     """Slanted windows, started from semi-global matching with that matcher's defaults and these limits."""
+
+    briefs: ClassVar[Mapping[str, str]] = {"slanted": "least squares over slanted windows: the most accurate"}
 
     kind: Literal["slanted"] = "slanted"
     """Slanted windows fitted to the mirror images by least squares."""

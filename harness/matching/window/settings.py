@@ -1,7 +1,8 @@
 """Settings of the window matchers, and what passes from the search to the sub-pixel step."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,11 @@ class WindowMatcher(MatcherSettings):
     """Settings of the window matchers; the paper leaves all of them open but the cost, d_min's and d_max's existence
     and the parabola over three neighbours a side.
     """
+
+    briefs: ClassVar[Mapping[str, str]] = {
+        "window": "a square window moved along the epipolar curve, as in the paper",
+        "column": "a window whose columns follow their own epipolar curves, some twenty times as fast",
+    }
 
     kind: Literal["window", "column"] = "window"
     """`window` moves a square along the curve of its middle, as the paper does. `column` lets each column of the
