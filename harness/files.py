@@ -34,7 +34,7 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
     try:
         if not stat.S_ISREG(Path(path).stat().st_mode):
             raise _not_regular(path, what)
-        # A pipe that has taken the file's place since must not be waited for.
+        # A pipe that has replaced the file since must not be waited for.
         with open(path, "rb", opener=_open_at_once) as stream:
             status = os.fstat(stream.fileno())
             if not stat.S_ISREG(status.st_mode):

@@ -73,8 +73,8 @@ def give_notice(found: Iterable[Renaming], file: str | Path | None = None) -> No
     keys: dict[tuple[str, str], list[str]] = {}
     for each in found:
         keys.setdefault((each.former, each.present), []).append(each.where)
-    for (former, present), places in keys.items():
-        where = ": ".join(part for part in (str(file or ""), shortened(", ".join(dict.fromkeys(places)))) if part)
+    for (former, present), locations in keys.items():
+        where = ": ".join(part for part in (str(file or ""), shortened(", ".join(dict.fromkeys(locations)))) if part)
         text = f"{where}: '{former}' is called '{present}' now; the next version will not read the former name"
         warnings.warn(text, Notice, stacklevel=2)
 
@@ -107,8 +107,8 @@ def _of_spec(model: type[BaseModel], table: Any, where: str, found: list[Renamin
     for key in (*table, *changed):
         if key in fields:
             before = changed.get(key, table.get(key))
-            place = _below(where, next((old for old, new in names.items() if new == key and old in table), key))
-            after = _of_value(fields[key], before, place, found)
+            location = _below(where, next((old for old, new in names.items() if new == key and old in table), key))
+            after = _of_value(fields[key], before, location, found)
             if after is not before:
                 changed[key] = after
     if not changed:
@@ -161,14 +161,14 @@ def _of_dotted(keys: DottedKeys, table: Mapping[str, Any], where: str, found: li
     changed: dict[str, Any] = {}
     for key, value in table.items():
         present, annotations, renamed = _of_key(keys.of, str(key))
-        place = _below(where, key)
+        location = _below(where, key)
         if renamed and present in table:
-            raise InputError(f"'{key}' is called '{present}' now; give only that one", key=place)
-        found += [Renaming(place, *each) for each in renamed]
+            raise InputError(f"'{key}' is called '{present}' now; give only that one", key=location)
+        found += [Renaming(location, *each) for each in renamed]
         if keys.listed and isinstance(value, list | tuple):
-            changed[present] = [_of_value(annotations, each, place, found) for each in value]
+            changed[present] = [_of_value(annotations, each, location, found) for each in value]
         else:
-            changed[present] = _of_value(annotations, value, place, found)
+            changed[present] = _of_value(annotations, value, location, found)
     return changed
 
 

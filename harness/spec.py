@@ -25,7 +25,7 @@ Vector3 = tuple[Finite, Finite, Finite]
 MOST_LEVELS = 32
 """Tables and lists inside each other in a value of any type: `toml.MOST_LEVELS` with room for what is around it."""
 
-Place = tuple[int | str, ...]
+Location = tuple[int | str, ...]
 """Keys and list indices that lead to a value."""
 
 _PYDANTIC = frozenset(dir(BaseModel)) - frozenset(dir(object))
@@ -106,7 +106,7 @@ def parse(
     Parameters
     ----------
     key
-        The dotted place of `table` inside the file, for messages.
+        The dotted key of `table` inside the file, for messages.
     checked
         The parts of tables, by identity, whose values are known to be of the right types; added to. For many tables
         that share most of their parts, and are not written to.
@@ -124,10 +124,10 @@ def parse(
     try:
         spec = model.model_validate(given)
     except ValidationError as error:
-        place, text = _explain([_locate(model, each) for each in error.errors()])
-        raise InputError(text, file=file, key=_dotted(place, key)) from error
-    for place, text in _coerced(given, spec.model_dump(), checked={} if checked is None else checked):
-        raise InputError(text, file=file, key=_dotted(place, key))
+        location, text = _explain([_locate(model, each) for each in error.errors()])
+        raise InputError(text, file=file, key=_dotted(location, key)) from error
+    for location, text in _coerced(given, spec.model_dump(), checked={} if checked is None else checked):
+        raise InputError(text, file=file, key=_dotted(location, key))
     return spec
 
 
@@ -168,7 +168,7 @@ def _word(key: str) -> str:
 
 
 def _in_line(value: Any) -> str:
-    """A value in one line. TOML's own tables must follow all plain keys; in a line they keep their place."""
+    """A value in one line. TOML's own tables must follow all plain keys; in a line they keep their order."""
     if isinstance(value, dict):
         return (
             f"{{ {', '.join(f'{_word(key)} = {_in_line(each)}' for key, each in value.items())} }}" if value else "{}"
@@ -244,10 +244,10 @@ def _without_none(value: Any) -> Any:
     return value
 
 
-def _dotted(place: Place, start: str = "") -> str | None:
-    """A place as one would write it: `objects[1].texture.kind`, keys that TOML would quote in quotes."""
+def _dotted(location: Location, start: str = "") -> str | None:
+    """A location as one would write it: `objects[1].texture.kind`, keys that TOML would quote in quotes."""
     text = start
-    for part in place:
+    for part in location:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
@@ -263,20 +263,20 @@ def _dotted(place: Place, start: str = "") -> str | None:
 class _Problem:
     error: Any
     """pydantic's `ErrorDetails`."""
-    place: Place
+    location: Location
     """Where in the file: `loc` without the names of union members."""
     parents: list[Any]
     """The annotations that the value around it may have."""
     members: list[Any]
     """The annotations that the value itself may have."""
     fork: int | None
-    """How far into `place` a union without a tag stands, if one was on the way: pydantic tries all its members."""
+    """How far into `location` a union without a tag is, if one was on the way: pydantic tries all its members."""
 
 
 def _locate(model: type[BaseModel], error: Any) -> _Problem:
     # pydantic's location mixes keys of the file with names of union members ("box", "list[float]"), so it can
     # only be read with the types beside it.
-    place: list[int | str] = []
+    location: list[int | str] = []
     here: list[Any] = [model]
     parents = here
     fork = None
@@ -285,23 +285,23 @@ def _locate(model: type[BaseModel], error: Any) -> _Problem:
         if member_is_next:
             tagged = [each for each in here if part in tags(each)]
             named = [each for each in here if getattr(each, "__name__", "?") in str(part)]
-            fork = len(place) if not tagged and fork is None else fork
+            fork = len(location) if not tagged and fork is None else fork
             here, member_is_next = tagged or named or here, False
         else:
-            place.append(part)
+            location.append(part)
             parents, here = here, [each for parent in here for each in inside(parent, part)]
             member_is_next = len(here) > 1
-    return _Problem(error, tuple(place), parents, here, fork)
+    return _Problem(error, tuple(location), parents, here, fork)
 
 
-def _explain(problems: list[_Problem]) -> tuple[Place, str]:
+def _explain(problems: list[_Problem]) -> tuple[Location, str]:
     # A misspelt key often leaves another one missing: the misspelling is the thing to say.
     problem = min(problems, key=lambda each: each.error["type"] != "extra_forbidden")
     if problem.fork is not None:
-        stem = problem.place[: problem.fork]
-        tried = [each for each in problems if each.fork == problem.fork and each.place[: each.fork] == stem]
-        deepest = max(tried, key=lambda each: len(each.place))
-        if len(deepest.place) > problem.fork:  # the member that got furthest is the one that was meant
+        stem = problem.location[: problem.fork]
+        tried = [each for each in problems if each.fork == problem.fork and each.location[: each.fork] == stem]
+        deepest = max(tried, key=lambda each: len(each.location))
+        if len(deepest.location) > problem.fork:  # the member that got furthest is the one that was meant
             problem = deepest
         elif len(tried) == 1:
             problem = tried[0]
@@ -311,30 +311,30 @@ def _explain(problems: list[_Problem]) -> tuple[Place, str]:
     return _describe(problem)
 
 
-def _describe(problem: _Problem) -> tuple[Place, str]:
-    error, place = problem.error, problem.place
+def _describe(problem: _Problem) -> tuple[Location, str]:
+    error, location = problem.error, problem.location
     kind, given, context = error["type"], error.get("input"), error.get("ctx", {})
     if kind == "extra_forbidden":
-        word = str(place[-1])
+        word = str(location[-1])
         valid = sorted({name for each in problem.parents for name in getattr(each, "model_fields", ())})
-        return place, f"unknown key '{_brief(word)}'; {nearest(word, valid)}"
-    if kind == "missing" and isinstance(place[-1], int):
+        return location, f"unknown key '{_brief(word)}'; {nearest(word, valid)}"
+    if kind == "missing" and isinstance(location[-1], int):
         wanted = max(len(get_args(each)) for each in problem.parents)
-        return place[:-1], f"must be a list of {wanted}; found a list of {len(given)}"
+        return location[:-1], f"must be a list of {wanted}; found a list of {len(given)}"
     if kind == "missing":
-        return place, "this key is missing"
+        return location, "this key is missing"
     if kind == "union_tag_not_found":
         tag = context["discriminator"].strip("'")
         valid = sorted({str(word) for each in problem.members for word in tags(each, tag)})
-        return (*place, tag), f"this key is missing; valid: {', '.join(valid)}"
+        return (*location, tag), f"this key is missing; valid: {', '.join(valid)}"
     if kind == "union_tag_invalid":
         tag, word = context["discriminator"].strip("'"), str(context["tag"])
-        return (*place, tag), f"unknown {tag} '{_brief(word)}'; {nearest(word, _words(context['expected_tags']))}"
+        return (*location, tag), f"unknown {tag} '{_brief(word)}'; {nearest(word, _words(context['expected_tags']))}"
     if kind == "literal_error" and isinstance(given, str):
-        return place, f"'{_brief(given)}' is not valid; {nearest(given, _words(context['expected']))}"
+        return location, f"'{_brief(given)}' is not valid; {nearest(given, _words(context['expected']))}"
     if kind in ("value_error", "assertion_error"):
-        return place, str(context["error"])
-    return place, f"must be {_expected(problem)}; found {_shown(given)}"
+        return location, str(context["error"])
+    return location, f"must be {_expected(problem)}; found {_shown(given)}"
 
 
 _EXPECTED = {
@@ -386,7 +386,9 @@ def _brief(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:60]}...{text[-15:]}"
 
 
-def _coerced(given: Any, taken: Any, place: Place = (), *, checked: dict[int, Any]) -> Iterator[tuple[Place, str]]:
+def _coerced(
+    given: Any, taken: Any, location: Location = (), *, checked: dict[int, Any]
+) -> Iterator[tuple[Location, str]]:
     """Values that pydantic would let pass for another type: `"3"` for a number, `true` for 1, 1 for `true`.
 
     Its own strict mode would refuse lists too, which are the only way to write a tuple in TOML.
@@ -396,17 +398,17 @@ def _coerced(given: Any, taken: Any, place: Place = (), *, checked: dict[int, An
     if isinstance(given, dict) and isinstance(taken, dict):
         for name in given:
             if name in taken:
-                yield from _coerced(given[name], taken[name], (*place, name), checked=checked)
+                yield from _coerced(given[name], taken[name], (*location, name), checked=checked)
         checked[id(given)] = given  # kept, so that its identity stays its own
     elif isinstance(given, list | tuple) and isinstance(taken, list | tuple):
         for i, (one, other) in enumerate(zip(given, taken, strict=False)):
-            yield from _coerced(one, other, (*place, i), checked=checked)
+            yield from _coerced(one, other, (*location, i), checked=checked)
         checked[id(given)] = given
     elif isinstance(taken, bool | int | float) and (
         isinstance(given, str) or isinstance(given, bool) != isinstance(taken, bool)
     ):
         word = {bool: "true or false", int: "a whole number", float: "a number"}[type(taken)]
-        yield place, f"must be {word}; found {_shown(given)}"
+        yield location, f"must be {word}; found {_shown(given)}"
 
 
 def _words(quoted: str) -> list[str]:

@@ -37,7 +37,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_the_product_runs_through_the_last_axis_first(tmp_path: Path) -> None:
     path = write_small(tmp_path / "e.toml", '[axes]\nseed = [3, 1]\n"noise.sigma_grey" = [0.0, 2.0]\n')
     planned = load_experiment(str(path)).planned
-    assert [tuple(each.place.values()) for each in planned] == [(3, 0.0), (3, 2.0), (1, 0.0), (1, 2.0)]
+    assert [tuple(each.coordinates.values()) for each in planned] == [(3, 0.0), (3, 2.0), (1, 0.0), (1, 2.0)]
     assert [(each.trial.seed, each.trial.noise.sigma_grey) for each in planned] == [(3, 0), (3, 2), (1, 0), (1, 2)]
 
 
@@ -65,7 +65,7 @@ def test_every_kind_of_key_can_be_an_axis(tmp_path: Path) -> None:
     for key, values in axes.items():
         text = ",".join(str(value).lower() for value in values)
         planned = load_experiment(small, axes=[f"{key}={text}"]).planned
-        assert [each.place for each in planned] == [{key: value} for value in values]
+        assert [each.coordinates for each in planned] == [{key: value} for value in values]
         assert planned[0].key != planned[1].key
 
 
@@ -75,14 +75,21 @@ def test_scenes_as_an_axis_with_a_key_of_their_own(tmp_path: Path) -> None:
     planned = load_experiment(str(path)).planned
     assert len({each.key for each in planned}) == 4
     assert [each.trial.scene.scale for each in planned] == [1, 1, 2, 2]
-    assert planned[0].place["scene"] == "box"  # a shipped name stays
-    assert planned[1].place["scene"] == str((tmp_path / "mine.toml").resolve())  # so that it is found from anywhere
+    assert planned[0].coordinates["scene"] == "box"  # a shipped name stays
+    assert planned[1].coordinates["scene"] == str(
+        (tmp_path / "mine.toml").resolve()
+    )  # so that it is found from anywhere
 
 
 def test_cases_are_taken_as_they_are_and_multiplied_by_axes(tmp_path: Path) -> None:
     rest = '[axes]\nseed = [1, 2]\n[[cases]]\n"noise.sigma_grey" = 5\n[[cases]]\n"view_2.baseline_m" = 0.2\n'
     planned = load_experiment(str(write_small(tmp_path / "e.toml", rest))).planned
-    assert [tuple(each.place.values()) for each in planned] == [(1, 5, 0.5), (2, 5, 0.5), (1, 0.0, 0.2), (2, 0.0, 0.2)]
+    assert [tuple(each.coordinates.values()) for each in planned] == [
+        (1, 5, 0.5),
+        (2, 5, 0.5),
+        (1, 0.0, 0.2),
+        (2, 0.0, 0.2),
+    ]
 
 
 def test_set_and_axis(small: Path) -> None:
@@ -333,7 +340,7 @@ def test_views_that_see_nothing_are_the_users_to_mend(tmp_path, settings, says):
 
 def test_an_axis_over_matchers_drops_axes_that_one_of_them_does_not_know():
     planned = load_experiment("paper", axes=["matching.kind=window,slanted"]).planned
-    assert [each.place for each in planned] == [{"matching.kind": "window"}, {"matching.kind": "slanted"}]
+    assert [each.coordinates for each in planned] == [{"matching.kind": "window"}, {"matching.kind": "slanted"}]
     both = load_experiment("paper", axes=["matching.kind=window,column"]).planned
     assert len(both) == 4  # both know the axis over sub-pixel steps
 

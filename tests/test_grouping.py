@@ -70,7 +70,7 @@ def test_values_that_look_alike_stay_apart(tmp_path: Path, plugin: str, key: str
     rows = measures.all_measures(swept).data.rows
     assert len(rows) == 2
     for value, row in zip(values, rows, strict=True):
-        figures = [r.payload["figures"]["range_median_abs_m"] for r in result.rows if r.place[key] == value]
+        figures = [r.payload["figures"]["range_median_abs_m"] for r in result.rows if r.coordinates[key] == value]
         assert len(figures) == 2
         column = measures.all_measures(swept).data.headings.index("range_median_abs_m")
         assert row[column] == pytest.approx(np.mean(figures), rel=1e-12)  # the same sum, in another order

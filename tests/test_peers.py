@@ -87,7 +87,7 @@ def test_opencv_looks_where_the_rectangle_says(cv2, t):
     rectangle = rectangle_for(pair, 1, 32, 9)
     rectified = rectify(pair, rectangle, "linear", cv2)
     looking = rectangle.directions(rectified.R_rect_from_v1)
-    for R, seen in zip((np.eye(3), TURN), rectified.seen, strict=True):
+    for R, seen in zip((np.eye(3), TURN), rectified.valid, strict=True):
         maps = cv2.omnidir.initUndistortRectifyMap(
             *mei(pair.sensor),
             rectified.R_rect_from_v1 @ mirrored_rotation(R).T,
@@ -121,7 +121,7 @@ def test_places_and_directions_are_inverse(x, y, z, seed):
     )
     rng = np.random.default_rng(seed)
     i, j = rng.integers(4, 76, 50), rng.integers(5, 41, 50)
-    row, column = rectangle.places(frame, looking[i, j])
+    row, column = rectangle.pixels_of(frame, looking[i, j])
     # The first columns are half a step, 0.04 rad, from the axis, which costs 25 times in the angle around it.
     np.testing.assert_allclose(row, i, rtol=0, atol=1e-11)
     np.testing.assert_allclose(column, j, rtol=0, atol=1e-11)
@@ -155,7 +155,7 @@ def seen_all_over(rectangle, frame):
 def test_disparities_are_interpolated_but_across_no_edge():
     rectangle, frame = Rectangle(180, 20, 8), frame_along(np.array([0.3, 0.2, 0.1]))
     looking = directions(Grid(width_px=90, height_px=30))
-    row, column = rectangle.places(frame, looking)
+    row, column = rectangle.pixels_of(frame, looking)
     rows, columns = np.mgrid[: rectangle.shape[0], : rectangle.shape[1]]
     plane = 5 + 0.2 * columns / 2 - 0.1 * rows / 4
     # Linear in rows and columns: linear interpolation is exact.
@@ -176,14 +176,14 @@ def test_disparities_are_interpolated_but_across_no_edge():
 def test_nothing_is_taken_from_where_a_view_sees_nothing():
     rectangle, frame = Rectangle(180, 20, 8), frame_along(np.array([0.3, 0.2, 0.1]))
     looking = directions(Grid(width_px=90, height_px=30))
-    _, column = rectangle.places(frame, looking)
+    _, column = rectangle.pixels_of(frame, looking)
     six = np.full(rectangle.shape, 6.0)
     whole = seen_all_over(rectangle, frame)
     half = np.broadcast_to(np.arange(rectangle.shape[1]) >= 60, rectangle.shape)
     nearest = np.floor(column + 0.5)
-    dark_1 = on_panorama(replace(whole, seen=(half, whole.seen[1])), six, looking)
+    dark_1 = on_panorama(replace(whole, valid=(half, whole.valid[1])), six, looking)
     np.testing.assert_array_equal(np.isnan(dark_1), nearest < 60)
-    dark_2 = on_panorama(replace(whole, seen=(whole.seen[0], half)), six, looking)
+    dark_2 = on_panorama(replace(whole, valid=(whole.valid[0], half)), six, looking)
     np.testing.assert_array_equal(np.isnan(dark_2), np.rint(column - 6) < 60)
 
 
@@ -215,9 +215,9 @@ def constant(t, disparity_px, R=None, turned=0.0):
     looking, seen = pixel_directions(pair.sensor)
     images = []
     for view, R_view in enumerate((np.eye(3), pair.motion.R_v2_from_v1)):
-        row, column = rectangle.places(frame, np.nan_to_num(looking, nan=1.0) @ R_view @ back.T)
-        places = [row, column + view * disparity_px]
-        values = ndimage.map_coordinates(spline, places, order=3, mode="grid-wrap", prefilter=False)
+        row, column = rectangle.pixels_of(frame, np.nan_to_num(looking, nan=1.0) @ R_view @ back.T)
+        pixels_of = [row, column + view * disparity_px]
+        values = ndimage.map_coordinates(spline, pixels_of, order=3, mode="grid-wrap", prefilter=False)
         images.append(np.where(seen, values, 0).astype(np.float32))
     return replace(pair, images=(images[0], images[1]))
 

@@ -312,7 +312,7 @@ def test_a_changed_file_of_the_command_is_another_matcher(tmp_path: Path) -> Non
         ("", "matching.command: this key is missing"),
         (
             'command = ["x", "{input}"]',
-            "matching.command: must say where the output folder goes: no word of it holds {outpu",
+            "matching.command: must name the output folder: no word of it contains {outpu",
         ),
         ("command = []", "matching.command: must be a list"),
         ('command = ["x", "", "{input}", "{output}"]', "matching.command[1]: "),

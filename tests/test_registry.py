@@ -79,7 +79,7 @@ def test_chosen_in_any_experiment_with_parameters_as_axes(module: Write) -> None
     experiment = load_experiment(
         "paper", sets=[f"matching.kind={name}:match"], axes=["matching.parameters.window=5,7", "seed=1,2"]
     )
-    assert [each.place for each in experiment.planned] == [
+    assert [each.coordinates for each in experiment.planned] == [
         {"matching.parameters.window": window, "seed": seed} for window in (5, 7) for seed in (1, 2)
     ]
     matcher = experiment.planned[-1].trial.matching

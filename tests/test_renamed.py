@@ -146,7 +146,7 @@ def test_experiment_and_options() -> None:
         experiment = load_experiment(table)
     assert len(said) == 1
     assert experiment.axes == {"sensor.model.b_m": [0.02, 0.03]}
-    places = [each.place for each in experiment.planned]
+    places = [each.coordinates for each in experiment.planned]
     assert [list(place) for place in places] == [["sensor.model.b_m", "sensor.model.a_m", "sensor"]] * 4
     assert experiment.planned[0].trial.sensor.model.a_m == 0.025
 
@@ -195,7 +195,9 @@ def test_a_run_of_the_version_before(tmp_path: Path) -> None:
         assert (again.trial, again.axes) == (experiment.trial, experiment.axes)
         assert not details_of(again, list(again.planned), store, run_code=False).left_out
         assert store.answer(again.planned[0].key) is not None
-    assert [(each.key, each.place) for each in again.planned] == [(e.key, e.place) for e in experiment.planned]
+    assert [(each.key, each.coordinates) for each in again.planned] == [
+        (e.key, e.coordinates) for e in experiment.planned
+    ]
     opened = harness.open_results(tmp_path)
     assert opened.trials["sensor.model.b_m"].tolist() == [0.0234, 0.03]
     assert opened.outcome({"sensor.mirror.b_m": 0.03}).trial.sensor.model.b_m == 0.03

@@ -161,7 +161,7 @@ def test_curves_over_an_axis_are_geometric_means_of_the_rows(swept, page):
     rows = downloads(page)["sweep-view-2-baseline-m"]
     values: dict[tuple[str, str], list[float]] = {}
     for row in swept.rows:
-        place = (row.place["matching.subpixel"], value_text(row.place["view_2.baseline_m"]))
+        place = (row.coordinates["matching.subpixel"], value_text(row.coordinates["view_2.baseline_m"]))
         values.setdefault(place, []).append(row.payload["figures"]["wall_range_median_abs_m"])
     chosen = [row for row in rows if (row["surface"], row["error"]) == ("wall", "range_m")]
     assert len(chosen) == len(values) == 6
@@ -178,9 +178,9 @@ def test_table_of_all_figures_is_the_mean_over_seeds(swept, page):
         same = [
             each.payload["figures"]
             for each in swept.rows
-            if each.place["matching.subpixel"] == row["subpixel"]
-            and value_text(each.place["view_2.baseline_m"]) == row["view_2.baseline_m"]
-            and value_text(each.place["noise.sigma_grey"]) == row["noise.sigma_grey"]
+            if each.coordinates["matching.subpixel"] == row["subpixel"]
+            and value_text(each.coordinates["view_2.baseline_m"]) == row["view_2.baseline_m"]
+            and value_text(each.coordinates["noise.sigma_grey"]) == row["noise.sigma_grey"]
         ]
         assert int(row["seeds"]) == len(same) == 3
         for name in ("density", "bad_1px", "range_rmse_m", "solid_angle_range_median_abs_m"):

@@ -124,7 +124,7 @@ def test_numpy_numbers_and_tuples_become_plain() -> None:
     experiment = Experiment(
         name="x", trial=Trial(scene=SCENE), axes={"seed": np.arange(2).tolist(), "noise.sigma_grey": (np.float64(1),)}
     )
-    assert [each.place for each in experiment.planned] == [
+    assert [each.coordinates for each in experiment.planned] == [
         {"seed": 0, "noise.sigma_grey": 1.0},
         {"seed": 1, "noise.sigma_grey": 1.0},
     ]

@@ -78,7 +78,7 @@ class Progress:
             print(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}", flush=True)
 
     def _write_over(self, text: str) -> None:
-        """Show a line in place of the one before, if that has been there long enough to be read."""
+        """Show a line instead of the one before, if that has been there long enough to be read."""
         if time.monotonic() - self._said > _NOTEBOOK_EVERY_S:
             self._said = time.monotonic()
             self._longest = max(self._longest, len(text))

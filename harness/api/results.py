@@ -70,7 +70,7 @@ class RunResult:
     def trials(self) -> pd.DataFrame:
         """One row for each finished trial, indexed by its key: its state, the keys that vary, and its figures."""
         table = [
-            {"key": row.planned.key, "state": row.state, **row.place, **row.payload.get("figures", {})}
+            {"key": row.planned.key, "state": row.state, **row.coordinates, **row.payload.get("figures", {})}
             for row in self._rows
         ]
         return pd.DataFrame(table).set_index("key")
@@ -90,7 +90,7 @@ class RunResult:
         table = [
             {
                 "key": row.planned.key,
-                **row.place,
+                **row.coordinates,
                 "message": row.finished.message,
                 "traceback": row.finished.traceback,
             }
@@ -224,17 +224,19 @@ class RunResult:
             found = [each for each in every if each.key == trial]
         elif isinstance(trial, Mapping):
             chosen, _ = dotted_up_to_date(DottedKeys(Trial), trial)
-            for key in chosen.keys() - every[0].place.keys():
-                varied = ", ".join(every[0].place) or "none"
+            for key in chosen.keys() - every[0].coordinates.keys():
+                varied = ", ".join(every[0].coordinates) or "none"
                 raise InputError(f"'{key}' is not a key that varies; those are: {varied}", key="trial")
-            found = [each for each in every if all(each.place[key] == value for key, value in chosen.items())]
+            found = [each for each in every if all(each.coordinates[key] == value for key, value in chosen.items())]
         else:
             if not -len(every) <= trial < len(every):
                 raise InputError(f"there is no trial {trial}: there are {len(every)}, the first is 0", key="trial")
             return every[trial]
         if len(found) != 1:
             count = f"{len(found)} trials are meant; give more of the keys" if found else "there is no such trial"
-            raise InputError(f"{count} ({', '.join(every[0].place) or 'one trial'}); found {trial!r}", key="trial")
+            raise InputError(
+                f"{count} ({', '.join(every[0].coordinates) or 'one trial'}); found {trial!r}", key="trial"
+            )
         return found[0]
 
 

@@ -55,7 +55,7 @@ def _fit_by_noise(cells: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _fit_limited(limited: pd.DataFrame) -> list[dict[str, Any]]:
-    """Fits on both laws; and on the exact law with the bound of each cell in the place of a constant, where known."""
+    """Fits on both laws; and on the exact law with each cell's bound instead of a constant, where known."""
     bounded = _bounded(limited)
     fits = fit_laws(limited)
     if len(bounded):

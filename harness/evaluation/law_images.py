@@ -4,7 +4,7 @@ Range is computed from alpha_2, so by calculus its error is the law times the er
 the other proves nothing. What can fail is that sigma(alpha_2) depends neither on range nor on baseline. If it does
 not, the relative error of the range grows with the law: `log(spread/d)` against `log(law/d)` has slope 1 over cells
 that differ in range, baseline and direction. Here that slope is fitted, with an interval from resampling the seeds
-(each seed has drawn its own place and noise; pixels of one image are correlated and are never resampled).
+(each seed has drawn its own viewpoint and noise; pixels of one image are correlated and are never resampled).
 
 A table of cells has one row a cell of a trial (see `cells.Cell`), and of its trial the columns `matcher`, `subpixel`,
 `seed`, `baseline_m` and `condition`: a word for all other settings that vary (window, noise, ...). Conditions differ in
@@ -172,16 +172,16 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:
-    """Mean log spread for each baseline over the places that all baselines share, and its bootstrap draws.
+    """Mean log spread for each baseline over the groups of cells that all baselines share, and its bootstrap draws.
 
     Returns
     -------
     baselines, errors, draws
         `[baselines]` metres, `[baselines]` log metres, `[draws, baselines]`; None when fewer than three baselines
-        share any place.
+        share any group.
     """
-    places = ["alpha_bin", "condition", "seed"]
-    table = part.assign(error=np.log(part["spread_m"])).pivot_table(index=places, columns="baseline_m", values="error")
+    groups = ["alpha_bin", "condition", "seed"]
+    table = part.assign(error=np.log(part["spread_m"])).pivot_table(index=groups, columns="baseline_m", values="error")
     table = table.dropna()
     if table.shape[1] < 3 or table.empty:
         return None

@@ -188,7 +188,7 @@ def _cells(reference: Reference) -> tuple[tuple[CellPixels, ...], Labels]:
     for number, part in enumerate(members(label, int(label.max(initial=-1)) + 1)):
         if part.size:
             of_pixel[domain[part]] = len(found)
-            place, surface = divmod(number, 2)
-            distance, direction = divmod(place, len(ALPHA_1_EDGES_DEG))
+            rest, surface = divmod(number, 2)
+            distance, direction = divmod(rest, len(ALPHA_1_EDGES_DEG))
             found.append(CellPixels(SURFACES[1 - surface], direction, distance + nearest, domain[part]))
     return tuple(found), of_pixel

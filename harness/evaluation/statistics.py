@@ -1,7 +1,7 @@
 """Means over seeds with their intervals, for figures and tables.
 
-Pixels of one image are correlated, and so are the trials of one seed, which share a place and its noise: only seeds are
-resampled.
+Pixels of one image are correlated, and so are the trials of one seed, which share a viewpoint and its noise: only seeds
+are resampled.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _ENDS = (0.025, 0.975)
 
 @dataclass(frozen=True)
 class Curve:
-    """Means over seeds at some places of an axis."""
+    """Means over seeds at some values of an axis."""
 
     x: list[object]
     mean: Array
@@ -36,7 +36,7 @@ def mean_over_seeds(values: pd.DataFrame, *, logarithmic: bool = False) -> Curve
     Parameters
     ----------
     values
-        One row a place, one column a value of the axis; `seed` is the first level of the rows' index. Missing values
+        One row a group, one column a value of the axis; `seed` is the first level of the rows' index. Missing values
         count nowhere.
     logarithmic
         Geometric means of positive values.
@@ -76,7 +76,7 @@ def weighted_median(values: Array, weights: Array) -> float:
 
 
 def balanced(values: pd.DataFrame) -> pd.DataFrame:
-    """The places that have a value everywhere on the axis, where there are any; an axis value without any stays."""
+    """The groups that have a value everywhere on the axis, if there are any; an axis value without any stays."""
     known = values.loc[:, values.notna().any()]
     complete = known.dropna().index
     return values.loc[complete] if len(complete) else values

@@ -99,9 +99,9 @@ class Program(Parametrised):
     @field_validator("command")
     @classmethod
     def _complete(cls, command: tuple[str, ...]) -> tuple[str, ...]:
-        for place in ("input", "output"):
-            if not any(f"{{{place}}}" in word for word in command):
-                raise ValueError(f"must say where the {place} folder goes: no word of it holds {{{place}}}")
+        for role in ("input", "output"):
+            if not any(f"{{{role}}}" in word for word in command):
+                raise ValueError(f"must name the {role} folder: no word of it contains {{{role}}}")
         return command
 
     @field_validator("parameters")
@@ -238,7 +238,7 @@ def _is_file_of(folder: Path, word: str, *, first: bool) -> bool:
 
 
 def filled_in(program: Program, folder: Path) -> list[str]:
-    """The command with the folders `input` and `output` of a folder, and with the parameters, in their places."""
+    """The command with the folders `input` and `output` of a folder, and with the parameters filled in."""
     values = {name: _word(value) for name, value in program.parameters.items()}
     values |= {part: str(folder / part) for part in ("input", "output")}
     return [re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), word) for word in program.command]
@@ -253,12 +253,12 @@ def write_input(pair: Pair, program: Program, folder: Path) -> None:
     poses = (Pose(), pose_in(pair.motion))
     turned = (np.eye(3), pair.motion.R_v2_from_v1.T)
     for view, panorama in enumerate(pair.panoramas()):
-        place = folder / f"view_{view + 1}"
-        place.mkdir()
+        view_folder = folder / f"view_{view + 1}"
+        view_folder.mkdir()
         for name, data in view_files(
             pair.images[view], panorama, pair.sensors[view], poses[view], turned[view]
         ).items():
-            (place / name).write_bytes(data)
+            (view_folder / name).write_bytes(data)
     limits = {"d_min_m": program.d_min_m, "d_max_m": program.d_max_m, "threads": pair.available_threads}
     (folder / "limits.toml").write_text(tomli_w.dumps(limits), encoding="utf-8")
     (folder / "parameters.toml").write_text(tomli_w.dumps(_without_null(program.parameters)), encoding="utf-8")

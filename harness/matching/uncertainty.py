@@ -49,11 +49,11 @@ def _photometric_variance(pair: Pair, curves: Curves, alpha_2: Array, window_px:
     before, after = (_seen_at(second, curves, alpha_2 + side * step) for side in (-1, 1))
     gradient = (after - before) / (2 * step)
     residual = first.values - (after + before) / 2
-    there = np.isfinite(gradient) & first.valid
-    r, g = np.where(there, residual, 0.0), np.where(there, gradient, 0.0)
+    usable = np.isfinite(gradient) & first.valid
+    r, g = np.where(usable, residual, 0.0), np.where(usable, gradient, 0.0)
     correlation = np.sum(_autocorrelation(r) * _autocorrelation(g))
 
-    share, r_2, g_2 = (_window_mean(each, window_px) for each in (there.astype(np.float64), r**2, g**2))
+    share, r_2, g_2 = (_window_mean(each, window_px) for each in (usable.astype(np.float64), r**2, g**2))
     r_2 = np.maximum(r_2, 0.0)  # a running sum of squares may end a hair below zero
     with np.errstate(divide="ignore", invalid="ignore"):
         # Means over the whole window: r_2/share is the mean over the pixels that are there.
@@ -69,11 +69,11 @@ def _seen_at(panorama: Panorama, curves: Curves, alpha_2: Array) -> Array:
     direction = np.cos(alpha_2)[..., None] * t_hat + np.sin(alpha_2)[..., None] * curves.m
     row, column = pixel_of(grid, direction)
     inside = np.isfinite(row) & (row >= 0) & (row <= grid.height_px - 1)
-    places = np.stack([np.where(inside, row, 0.0), np.where(inside, column, 0.0)])
-    values = ndimage.map_coordinates(panorama.values.astype(np.float64), places, order=3, mode="grid-wrap")
+    pixels = np.stack([np.where(inside, row, 0.0), np.where(inside, column, 0.0)])
+    values = ndimage.map_coordinates(panorama.values.astype(np.float64), pixels, order=3, mode="grid-wrap")
     valid = panorama.valid
     if not valid.all():
-        inside &= ndimage.map_coordinates(valid.astype(np.float64), places, order=1, mode="grid-wrap") > 1 - 1e-9
+        inside &= ndimage.map_coordinates(valid.astype(np.float64), pixels, order=1, mode="grid-wrap") > 1 - 1e-9
     return np.where(inside, values, np.nan)
 
 
@@ -83,8 +83,8 @@ def _autocorrelation(values: Array) -> Array:
     spectrum = np.abs(np.fft.rfft2(values, (2 * height, width))) ** 2  # padded: rows do not go round, columns do
     product = np.fft.irfft2(spectrum, (2 * height, width))
     rows = np.arange(-_LAGS, _LAGS + 1)
-    found = product[np.ix_(rows, rows)]
-    return np.asarray(found / found[_LAGS, _LAGS] if found[_LAGS, _LAGS] > 0 else np.zeros_like(found))
+    at_lags = product[np.ix_(rows, rows)]
+    return np.asarray(at_lags / at_lags[_LAGS, _LAGS] if at_lags[_LAGS, _LAGS] > 0 else np.zeros_like(at_lags))
 
 
 def _window_mean(values: Array, window_px: int) -> Array:

@@ -68,9 +68,9 @@ class Estimate(OneLine):
     def colours(self) -> NDArray[np.uint8]:
         """`[pixels with a range, 3]`: red, green and blue of view 1's photograph."""
         pixels, _ = project(self.pair.sensors[0], directions(self.pair.grid)[self.valid])
-        places = pixels[:, ::-1].T
+        coordinates = pixels[:, ::-1].T
         first = self.photographs[0].colour.astype(np.float32)
-        sampled = [ndimage.map_coordinates(first[..., i], places, order=1, mode="nearest") for i in range(3)]
+        sampled = [ndimage.map_coordinates(first[..., i], coordinates, order=1, mode="nearest") for i in range(3)]
         return np.clip(np.rint(np.stack(sampled, axis=-1)), 0, 255).astype(np.uint8)
 
 

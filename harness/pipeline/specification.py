@@ -178,12 +178,12 @@ class Trial(Spec):
     def poses(self) -> tuple[Pose, Pose]:
         """Where both views stand, with what the seed draws."""
         view_2 = self.view_2.pose(self.view_1)
-        place = self.placement
-        if place.offset_m == 0 and not place.random_yaw:
+        placement = self.placement
+        if placement.offset_m == 0 and not placement.random_yaw:
             return self.view_1, view_2
         draws = generator(self.seed, "placement", fingerprint(self.scene))
-        x, y, z = (place.offset_m * draws.uniform(-1, 1, 3)).tolist()
-        yaw_deg = float(draws.uniform(0, 360)) if place.random_yaw else 0.0
+        x, y, z = (placement.offset_m * draws.uniform(-1, 1, 3)).tolist()
+        yaw_deg = float(draws.uniform(0, 360)) if placement.random_yaw else 0.0
         first, second = (
             translated(view, (x, y, z)).model_copy(update={"yaw_deg": view.yaw_deg + yaw_deg})
             for view in (self.view_1, view_2)

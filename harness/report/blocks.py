@@ -30,10 +30,10 @@ def in_blocks(name: str, grid: Grid, fields: Fields) -> Data:
     lines = []
     for down in downs:
         for across in acrosses:
-            place = np.ix_(down, across)
+            block = np.ix_(down, across)
             line = [float(np.degrees(grid.phi[across].mean())), float(grid.z[down].mean())]
             for values, known, sum_up in fields.values():
-                chosen = values[place][known[place]]
+                chosen = values[block][known[block]]
                 line.append(float(sum_up(chosen)) if chosen.size else np.nan)
             lines.append(line)
     return Data(name, ["azimuth_deg", "z", *fields], lines)

@@ -7,7 +7,7 @@ from harness.report import theme, words
 from harness.report.markup import html, template
 from harness.report.section import About, Context, Declared, Paragraph, Section
 from harness.report.sections import SECTIONS
-from harness.report.sections.comparison import places_of
+from harness.report.sections.comparison import coordinates_of
 from harness.runs.run import Result
 
 
@@ -38,7 +38,7 @@ def build_report(result: Result, failures: list[str] | None = None, sections: Se
         experiment=result.experiment,
         trial=context.trial,
         sweep=context.sweep,
-        places=places_of(result, context.methods),
+        trials=coordinates_of(result, context.methods),
         abstract=list(words.abstract(result, context.trial, context.compared)),
         overview=list(words.overview(result, context.sweep)),
         sections=made,

@@ -259,20 +259,22 @@ def _flat(value: Any, above: str = "") -> Iterator[tuple[str, str]]:
 
 def _pair(first: Run, second: Run) -> Pairing:
     differing = _differing(first, second)
-    places = [_places(run, set(differing)) for run in (first, second)]
+    by_settings = [_by_settings(run, set(differing)) for run in (first, second)]
     why = ""
     if not (first.settings and second.settings):
         why = "One of the runs has no trial that is done."
-    elif any(len(found) < len(run.settings) for found, run in zip(places, (first, second), strict=True)):
+    elif any(len(found) < len(run.settings) for found, run in zip(by_settings, (first, second), strict=True)):
         several = [name_of(key) for key in differing if len(_values(first, key)) > 1 or len(_values(second, key)) > 1]
         why = (
             f"Nothing can be paired: {listed(several)} {'varies' if len(several) == 1 else 'vary'} within a run and "
             "shares no value with the other, so that a trial has no one partner."
         )
-    common = [] if why else [place for place in places[0] if place in places[1]]
+    common = (
+        [] if why else [settings_of_pair for settings_of_pair in by_settings[0] if settings_of_pair in by_settings[1]]
+    )
     if not common and not why:
         why = "Nothing can be paired: no trial of one run has the settings of a trial of the other."
-    table = [(places[0][place], places[1][place]) for place in common]
+    table = [(by_settings[0][settings_of_pair], by_settings[1][settings_of_pair]) for settings_of_pair in common]
     seeds = {first.settings[a].get("seed", "") for a, _ in table}
     return Pairing(
         first,
@@ -307,7 +309,7 @@ def _few(texts: list[str]) -> str:
     return f"{', '.join(texts[:6])}, …" if len(texts) > 6 else ", ".join(texts) or "none"
 
 
-def _places(run: Run, without: set[str]) -> dict[tuple[tuple[str, str], ...], int]:
+def _by_settings(run: Run, without: set[str]) -> dict[tuple[tuple[str, str], ...], int]:
     """Trials by all settings but some."""
     return {
         tuple(sorted((key, value) for key, value in settings.items() if key not in without)): index

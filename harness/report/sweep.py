@@ -150,7 +150,7 @@ def sweep_of(result: Result) -> Sweep:
                 "matcher": matcher,
                 "subpixel": subpixel,
                 "seed": trial.seed,
-                **{key: of_value[identity_of(key, row.place[key])] for key, of_value in index.items()},
+                **{key: of_value[identity_of(key, row.coordinates[key])] for key, of_value in index.items()},
                 **{name: math.nan if value is None else value for name, value in payload["figures"].items()},
             }
         )
@@ -169,7 +169,7 @@ def values_of(rows: Iterable[Row]) -> dict[str, list[Any]]:
     """The keys that vary between trials, and the values that each takes, in the order in which they come."""
     found: dict[str, dict[str, Any]] = {}
     for row in rows:
-        for key, value in row.place.items():
+        for key, value in row.coordinates.items():
             found.setdefault(key, {}).setdefault(identity_of(key, value), value)
     return {key: list(values.values()) for key, values in found.items()}
 

@@ -170,7 +170,7 @@ def figure(width: int, height: int) -> Figure:
 def axes(fig: Figure, left: float, top: float, width: float, height: float, **options: Any) -> Axes:
     """Axes placed in CSS pixels from the figure's upper left corner.
 
-    Fixed places cost nothing to work out and make panels line up with each other.
+    Fixed positions need no layout engine and make panels line up with each other.
     """
     w, h = fig.get_size_inches() * _DPI
     return fig.add_axes((left / w, 1 - (top + height) / h, width / w, height / h), **options)

@@ -34,8 +34,8 @@ def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
             "subpixel": subpixel,
             "seed": trial.seed,
             "baseline_m": trial.view_2.baseline_m,
-            "condition": shown({key: value for key, value in planned.place.items() if _is_condition(key)}),
-            "quiet": shown({key: value for key, value in planned.place.items() if key != _NOISE}),
+            "condition": shown({key: value for key, value in planned.coordinates.items() if _is_condition(key)}),
+            "quiet": shown({key: value for key, value in planned.coordinates.items() if key != _NOISE}),
             "sigma_grey": trial.noise.sigma_grey,
         }
         tables += [common | cell for cell in payload["cells"]]
@@ -60,15 +60,15 @@ def limit_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, A
     """The `limit` of `summary.json`: each method's spread over seeds against the bound, its bias and its predictions.
 
     Trials count that keep single pixels (`scoring.sample_px`) and differ in nothing but the seed, which draws their
-    noise and not their place. Of conditions without noise there is one trial, and no spread.
+    noise and not their viewpoint. Of conditions without noise there is one trial, and no spread.
     """
     groups: dict[tuple[Any, ...], list[tuple[Planned, dict[str, Any]]]] = {}
     for planned, payload in done:
-        place = planned.trial.placement
-        if "sample" in payload and place.offset_m == 0 and not place.random_yaw:
+        placement = planned.trial.placement
+        if "sample" in payload and placement.offset_m == 0 and not placement.random_yaw:
             key = (
                 *planned.method,
-                shown({key: value for key, value in planned.place.items() if key not in _NOT_A_DRAW}),
+                shown({key: value for key, value in planned.coordinates.items() if key not in _NOT_A_DRAW}),
                 planned.trial.noise.sigma_grey,
             )
             groups.setdefault(key, []).append((planned, payload))

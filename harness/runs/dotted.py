@@ -1,4 +1,4 @@
-"""Dotted keys, such as `matching.window_px` or `scene.objects.0.size_m`: reading and changing one place of a table."""
+"""Dotted keys, such as `matching.window_px` or `scene.objects.0.size_m`: reading and changing one value of a table."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +20,7 @@ _OF_SENSOR_2 = "sensor_2."
 
 
 def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
-    """A trial's table with some of its places changed, those further in last; scene and sensor files are read in.
+    """A trial's table with some of its values changed, the innermost last; scene and sensor files are read in.
 
     A key of `sensor_2`, where there is none, changes the first view's sensor for the second view.
 
@@ -29,22 +29,22 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
     InputError
         When a key leads through a value that has no keys, or past the end of a list.
     """
-    for place in sorted(
+    for dotted in sorted(
         settings, key=lambda each: (each.startswith(_OF_SENSOR_2), each.count("."), not each.endswith(".kind"))
     ):
-        if place.startswith(_OF_SENSOR_2) and table.get("sensor_2") is None:
+        if dotted.startswith(_OF_SENSOR_2) and table.get("sensor_2") is None:
             table = {**table, "sensor_2": table.get("sensor")}
-        where = f"{key}.{place}" if key else place
-        if place == KIND and isinstance(table.get("matching"), Mapping):
+        where = f"{key}.{dotted}" if key else dotted
+        if dotted == KIND and isinstance(table.get("matching"), Mapping):
             # Before what else is said of the matcher: another kind has other keys.
-            table = {**table, "matching": registry.carried_over(table["matching"], settings[place])}
-        if place in MODEL_KINDS:
-            sensor, model, _ = place.split(".")
+            table = {**table, "matching": registry.carried_over(table["matching"], settings[dotted])}
+        if dotted in MODEL_KINDS:
+            sensor, model, _ = dotted.split(".")
             if isinstance(value_at(table, f"{sensor}.{model}"), Mapping):
-                other = models.carried_over(value_at(table, f"{sensor}.{model}"), settings[place])
+                other = models.carried_over(value_at(table, f"{sensor}.{model}"), settings[dotted])
                 table = {**table, sensor: {**table[sensor], model: other}}
-        table = _with(table, place.split("."), settings[place], file, where)
-        if place == "scene" or place in SENSORS:
+        table = _with(table, dotted.split("."), settings[dotted], file, where)
+        if dotted == "scene" or dotted in SENSORS:
             table = read_in(table, Path(), file, key)
     return table
 

@@ -30,7 +30,7 @@ class Planned:
 
     key: str
     """`Trial.key`."""
-    place: Settings
+    coordinates: Settings
     """The values of all keys that vary, in the order of the columns."""
     trial: Trial
     method: MethodName
@@ -79,9 +79,9 @@ class Experiment(Spec):
         Raises
         ------
         InputError
-            When there are more than `MOST_TRIALS`, a key is no key of a trial, a value is not valid there, a matcher
-            from elsewhere is not there or does not take its parameters, or two trials are the same. `error.key` is the
-            place in the experiment.
+            When there are more than `MOST_TRIALS`, a key is no key of a trial, a value is not valid there, a
+            third-party matcher does not exist or does not take its parameters, or two trials are the same. `error.key`
+            is the key in the experiment.
         """
         self._check_count()
         base = as_table(self.trial)
@@ -93,25 +93,25 @@ class Experiment(Spec):
             try:
                 trial = parse(Trial, self._with_validated(table, base), checked=checked)
             except InputError as error:
-                key = self._blame(error.key, settings, case) or self.place_of("", case).rstrip(".")
+                key = self._blame(error.key, settings, case) or self.key_in_file("", case).rstrip(".")
                 raise InputError(error.problem, key=key) from error
             try:
                 trial.matching.check()
             except InputError as error:
                 key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
                 raise InputError(error.problem, key=key) from error
-            place = {key: settings[key] if key in settings else value_at(table, key) for key in columns}
+            coordinates = {key: settings[key] if key in settings else value_at(table, key) for key in columns}
             key = trial.key
             if key in trials:
                 raise InputError(
-                    f"two trials are the same: {shown(trials[key][0])}, and {shown(place)}; remove one",
+                    f"two trials are the same: {shown(trials[key][0])}, and {shown(coordinates)}; remove one",
                     key="axes" if case is None else f"cases[{case}]",
                 )
-            trials[key] = place, trial
+            trials[key] = coordinates, trial
         names = method_names(trial.matching for _, trial in trials.values())
         return tuple(
-            Planned(key, place, trial, names[method_id(trial.matching)], self._scene_file_at(place))
-            for key, (place, trial) in trials.items()
+            Planned(key, coordinates, trial, names[method_id(trial.matching)], self._scene_file_at(coordinates))
+            for key, (coordinates, trial) in trials.items()
         )
 
     def with_scene_file(self, file: str) -> Self:
@@ -120,8 +120,8 @@ class Experiment(Spec):
         copy._scene_file = file  # noqa: SLF001 - of its own class
         return copy
 
-    def _scene_file_at(self, place: Settings) -> str:
-        named = place.get("scene", self._scene_file)
+    def _scene_file_at(self, coordinates: Settings) -> str:
+        named = coordinates.get("scene", self._scene_file)
         return named if isinstance(named, str) and Path(named).is_absolute() else ""
 
     def _with_validated(self, table: Settings, base: Settings) -> Settings:
@@ -152,17 +152,19 @@ class Experiment(Spec):
             for values in itertools.product(*self.axes.values()):
                 yield number if self.cases else None, case | dict(zip(self.axes, values, strict=True))
 
-    def _blame(self, place: str | None, settings: Settings, case: int | None) -> str | None:
-        """The axis or the key of a case that a complaint about a place of the trial is due to, if it is due to one."""
-        path = (place or "").replace("[", ".").replace("]", "").split(".")
+    def _blame(self, path: str | None, settings: Settings, case: int | None) -> str | None:
+        """The axis or the key of a case that has set a key of the trial, such as `scene.objects[0].size_m`, if any
+        has.
+        """
+        asked = (path or "").replace("[", ".").replace("]", "").split(".")
         for key in settings:
             keys = key.split(".")
-            shorter = min(len(keys), len(path))
-            if keys[:shorter] == path[:shorter]:
-                return self.place_of(key, case)
+            shorter = min(len(keys), len(asked))
+            if keys[:shorter] == asked[:shorter]:
+                return self.key_in_file(key, case)
         return None
 
-    def place_of(self, key: str, case: int | None) -> str:
+    def key_in_file(self, key: str, case: int | None) -> str:
         """Where in the experiment a key is given."""
         return f"axes.{key}" if key in self.axes or case is None else f"cases[{case}].{key}"
 
@@ -173,4 +175,4 @@ def _changed(base: Settings, settings: Settings, experiment: Experiment, case: i
     except InputError as error:
         if error.file is not None:  # a scene's or sensor's own file is at fault
             raise
-        raise InputError(error.problem, key=experiment.place_of(error.key or "", case)) from error
+        raise InputError(error.problem, key=experiment.key_in_file(error.key or "", case)) from error

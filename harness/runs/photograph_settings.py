@@ -35,12 +35,12 @@ def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
         room, _, name = key.partition(".")
         if room not in table or not name:
             room, name = "matching", key
-        place = table[room]
+        target = table[room]
         *above, last = name.split(".")
         for part in above:
-            inside = place.setdefault(part, {})
+            inside = target.setdefault(part, {})
             if not isinstance(inside, dict):
                 raise InputError(f"there is no key '{last}' in a plain value", file="--set", key=key)
-            place = inside
-        place[last] = value
+            target = inside
+        target[last] = value
     return parse(OwnSettings, table, file="--matcher, --set")

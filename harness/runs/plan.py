@@ -57,10 +57,10 @@ def plan(trials: Sequence[Planned]) -> Plan:
         for key in keys:
             first.setdefault(key[stage], len(first))
         ranks.append(first)
-    places = [
+    ranks_of_trial = [
         tuple(rank[key] for rank, key in zip(ranks, each.values(), strict=True)) for each in keys
     ]  # trials that share a stage share its rank
-    order = sorted(range(len(trials)), key=lambda i: (places[i], i))
+    order = sorted(range(len(trials)), key=lambda i: (ranks_of_trial[i], i))
     done: dict[str, Hashable] = {}
     seconds, new_geometry = [], []
     for i in order:

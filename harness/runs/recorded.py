@@ -1,7 +1,7 @@
 """An experiment as a run's file holds it, so that a run can be reported on without being planned again.
 
-To plan an experiment is to look at its scenes' files and to load its matchers. Whoever reads a run of somebody else
-must do neither: the keys, places and settings of all trials are written down when the run is begun.
+To plan an experiment is to look at its scenes' files and to load its matchers. Whoever reads somebody else's run
+must do neither: the keys, coordinates and settings of all trials are written down when the run begins.
 """
 
 import json
@@ -56,7 +56,7 @@ def record(experiment: Experiment, store: Store) -> None:
             if part is not getattr(base, name) and part != getattr(base, name):
                 text = json.dumps(as_table(part) if isinstance(part, Spec) else part)
                 changed[name] = parts.setdefault(text, len(parts))
-        trials.append([each.key, each.place, each.method, changed])
+        trials.append([each.key, each.coordinates, each.method, changed])
     store.set_fact(_EXPERIMENT, as_table(experiment))
     store.set_fact(
         _PLAN,
@@ -86,12 +86,12 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
     known: dict[tuple[str, int], Any] = {}
     planned = []
     try:
-        for key, place, (matcher, step), changed in plan["trials"]:
+        for key, coordinates, (matcher, step), changed in plan["trials"]:
             table = {name: getattr(experiment.trial, name) for name in Trial.model_fields}
             table |= {name: known.get((name, index), plan["parts"][index]) for name, index in changed.items()}
             trial = parse(Trial, up_to_date(Trial, table)[0], file=file)
             known |= {(name, index): getattr(trial, name) for name, index in changed.items()}
-            settings, _ = dotted_up_to_date(DottedKeys(Trial), place)
+            settings, _ = dotted_up_to_date(DottedKeys(Trial), coordinates)
             planned.append(Planned(str(key), settings, trial, (str(matcher), str(step))))
         scenes = frozenset(map(str, plan["scenes"]))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:

@@ -50,9 +50,9 @@ class Row:
     finished: Finished
 
     @property
-    def place(self) -> Settings:
-        """Where it lies on the axes."""
-        return self.planned.place
+    def coordinates(self) -> Settings:
+        """The values of the keys that vary."""
+        return self.planned.coordinates
 
     @property
     def state(self) -> str:
@@ -85,8 +85,8 @@ class Result(OneLine):
         return self.details.outcomes
 
     @property
-    def places(self) -> list[Settings]:
-        """Where the details lie on the axes."""
+    def coordinates(self) -> list[Settings]:
+        """The coordinates of each of the `outcomes`."""
         columns = columns_of(self.experiment)
         tables = [as_table(outcome.trial) for outcome in self.outcomes]
         return [{key: value_at(table, key) for key in columns} for table in tables]
@@ -293,7 +293,7 @@ def is_reported(experiment: Experiment, store: Store, folder: Path) -> bool:
 
 def columns_of(experiment: Experiment) -> list[str]:
     """The keys that vary, in the order of the columns."""
-    return list(experiment.planned[0].place)
+    return list(experiment.planned[0].coordinates)
 
 
 def _digest(experiment: Experiment, store: Store) -> str:
@@ -309,7 +309,7 @@ def _trials(experiment: Experiment, rows: list[Row]) -> str:
     return _csv(
         ["key", "state", *columns_of(experiment), *names],
         (
-            [row.planned.key, row.state, *map(text_of, row.place.values()), *(each.get(name) for name in names)]
+            [row.planned.key, row.state, *map(text_of, row.coordinates.values()), *(each.get(name) for name in names)]
             for row, each in zip(rows, figures, strict=True)
         ),
     )
@@ -332,7 +332,7 @@ def _failures(experiment: Experiment, rows: list[Row]) -> str:
     return _csv(
         ["key", *columns_of(experiment), "message", "traceback"],
         (
-            [row.planned.key, *map(text_of, row.place.values()), row.finished.message, row.finished.traceback]
+            [row.planned.key, *map(text_of, row.coordinates.values()), row.finished.message, row.finished.traceback]
             for row in rows
             if row.state == "failed"
         ),

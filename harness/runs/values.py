@@ -9,9 +9,9 @@ Settings = dict[str, Any]
 """Dotted keys of a trial, such as `matching.window_px` or `scene.objects.0.size_m`, and their values."""
 
 
-def shown(place: Settings) -> str:
-    """A place on the axes in words; places with the same keys and other values differ."""
-    return ", ".join(f"{key} = {_quoted(value)}" for key, value in place.items()) or "the base trial"
+def shown(coordinates: Settings) -> str:
+    """Coordinates on the axes as text; other values of the same keys never give the same text."""
+    return ", ".join(f"{key} = {_quoted(value)}" for key, value in coordinates.items()) or "the base trial"
 
 
 def _quoted(value: Any) -> str:

@@ -16,7 +16,7 @@ from harness.pipeline.trial import Outcome
 Mask = NDArray[np.bool_]
 
 FEWEST = 100
-"""Pixels that a cell must have to be named as the worst place."""
+"""Pixels that a cell must have to be named as the worst one."""
 
 
 def assert_within_law(outcome: Outcome, *, half_steps: float, share: float, surface: str = "all", reason: str) -> None:

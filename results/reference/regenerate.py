@@ -39,7 +39,7 @@ def matchers() -> dict[str, Any]:
     """The main figures of every trial of the ladder, and the `limit` of `summary.json`."""
     result = run_experiment(load_experiment("matchers"))
     wanted = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "ause_px", "within_1_sigma")
-    ladder = [row.place | {name: row.payload["figures"].get(name) for name in wanted} for row in result.rows]
+    ladder = [row.coordinates | {name: row.payload["figures"].get(name) for name in wanted} for row in result.rows]
     for each in ladder:
         each["scene"] = Path(each["scene"]).stem
     with tempfile.TemporaryDirectory() as folder:

@@ -134,9 +134,9 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
     range_m = _ranges(cloud, rectangle)
     range_m[_of_gaps(pair, matcher, rectangle, frame, range_m, cv2)] = np.nan
     looking = directions(pair.grid)
-    row, column = rectangle.places(frame, looking)
-    there = range_m[np.rint(row).astype(int) % rectangle.around, np.clip(np.rint(column).astype(int), 0, None)]
-    a_2 = exact_alpha_2(there[..., None] * looking, pair.t_v1)
+    row, column = rectangle.pixels_of(frame, looking)
+    range_there = range_m[np.rint(row).astype(int) % rectangle.around, np.clip(np.rint(column).astype(int), 0, None)]
+    a_2 = exact_alpha_2(range_there[..., None] * looking, pair.t_v1)
     return Matches(a_2)
 
 
@@ -158,8 +158,8 @@ def _of_gaps(
     # The disparity again, from OpenCV's own law: range = |t| f / disparity, with f = 1/step.
     rows, columns = np.indices(range_m.shape)
     disparity = np.nan_to_num(pair.motion.baseline_m / (rectangle.step * range_m), posinf=0.0)
-    there = np.clip(np.rint(columns - disparity).astype(int), 0, range_m.shape[1] - 1)
-    return gaps[0] | gaps[1][rows, there]
+    range_there = np.clip(np.rint(columns - disparity).astype(int), 0, range_m.shape[1] - 1)
+    return gaps[0] | gaps[1][rows, range_there]
 
 
 def _engine(matcher: StereoBM | StereoSGBM, number: int, cv2: Any) -> Any:
@@ -195,8 +195,8 @@ def _ranges(cloud: Any, rectangle: Rectangle) -> Array:
     """Ranges `[rows, columns]` of OpenCV's points, which are a list: where each belongs is told by its direction."""
     range_m = np.full(rectangle.shape, np.nan)
     points = np.zeros((0, 3)) if cloud is None else np.asarray(cloud, dtype=np.float64).reshape(-1, 3)
-    # The points are in the rectified frame: no rotation, and `places` expects our frame.
-    row, column = rectangle.places(np.eye(3), mirrored_frame(points))
+    # The points are in the rectified frame: no rotation, and `pixels_of` expects our frame.
+    row, column = rectangle.pixels_of(np.eye(3), mirrored_frame(points))
     rows, columns = np.rint(row).astype(int), np.rint(column).astype(int)
     range_m[rows, columns] = np.linalg.norm(points, axis=-1)
     return range_m

@@ -63,7 +63,7 @@ class Rectangle:
             [[1 / self.step, 0, self.margin_columns - 0.5], [0, 1 / self.step, self.margin_rows - 0.5], [0, 0, 1]]
         )
 
-    def places(self, R_rect_from_v1: Array, directions: Array) -> tuple[Array, Array]:
+    def pixels_of(self, R_rect_from_v1: Array, directions: Array) -> tuple[Array, Array]:
         """Row and column, with fractions, at which directions `[..., 3]` of v1 are seen.
 
         Parameters
@@ -95,7 +95,7 @@ class Rectified:
     R_rect_from_v1: Array
     """`[3, 3]`, between frames as OpenCV has them."""
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
-    seen: tuple[NDArray[np.bool_], NDArray[np.bool_]]
+    valid: tuple[NDArray[np.bool_], NDArray[np.bool_]]
     """What the sensor sees; the images are 0 elsewhere."""
 
 
@@ -164,12 +164,12 @@ def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any, bloc
     images, masks = [], []
     rotations = (np.eye(3), pair.motion.R_v2_from_v1)
     for image, sensor, R in zip(pair.images, pair.sensors, rotations, strict=True):
-        u, v, seen = maps_to_view(sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)
-        seen = seen & ~around_gaps(image, sensor, (u, v), block_px, cv2)
+        u, v, valid = maps_to_view(sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)
+        valid = valid & ~around_gaps(image, sensor, (u, v), block_px, cv2)
         closed, _ = without_gaps(image, pixel_directions(sensor)[1])
         sampled = cv2.remap(closed, u, v, how, borderMode=cv2.BORDER_REPLICATE)
-        images.append(np.where(seen, np.clip(np.rint(sampled), 0, 255), 0).astype(np.uint8))
-        masks.append(seen)
+        images.append(np.where(valid, np.clip(np.rint(sampled), 0, 255), 0).astype(np.uint8))
+        masks.append(valid)
     return Rectified(rectangle, frame, (images[0], images[1]), (masks[0], masks[1]))
 
 
@@ -184,9 +184,9 @@ def around_gaps(
 
     maps : where on the image each of them is, (u, v). Lanczos weighs four pixels to each side.
     """
-    _, seen = pixel_directions(sensor)
-    _, known = without_gaps(image, seen)
-    gaps = (seen & ~known).astype(np.uint8)
+    _, valid = pixel_directions(sensor)
+    _, known = without_gaps(image, valid)
+    gaps = (valid & ~known).astype(np.uint8)
     if not gaps.any():
         return np.zeros(maps[0].shape, dtype=bool)
     reach = cv2.dilate(gaps, np.ones((_LANCZOS_TAPS, _LANCZOS_TAPS), np.uint8))
@@ -213,10 +213,10 @@ def maps_to_view(
     )
     # Beyond the asymptote OpenCV's formula turns over and lands on the image again: the field says what is seen.
     looking = rectangle.directions(R_rect_from_v1) @ R_view_from_v1.T
-    seen = in_field(sensor, looking) & on_image(sensor, np.stack([u, v], axis=-1))
-    for array in (u, v, seen):
+    valid = in_field(sensor, looking) & on_image(sensor, np.stack([u, v], axis=-1))
+    for array in (u, v, valid):
         array.flags.writeable = False
-    return u, v, seen
+    return u, v, valid
 
 
 def on_panorama(rectified: Rectified, disparity: Array, directions: Array) -> Array:
@@ -224,7 +224,7 @@ def on_panorama(rectified: Rectified, disparity: Array, directions: Array) -> Ar
 
     Linear between the four pixels around a direction where all have a disparity and these lie within one pixel of each
     other; the nearest pixel's elsewhere, so that nothing is made up across an edge. NaN where that has none, and where
-    the match is at a place that view 2 does not see.
+    the match is in a direction that view 2 does not see.
 
     Parameters
     ----------
@@ -233,15 +233,15 @@ def on_panorama(rectified: Rectified, disparity: Array, directions: Array) -> Ar
     directions
         `[height, width, 3]`, of the panorama's pixels.
     """
-    row, column = rectified.rectangle.places(rectified.R_rect_from_v1, directions)
+    row, column = rectified.rectangle.pixels_of(rectified.R_rect_from_v1, directions)
     rows, columns = disparity.shape
     i, j = np.clip(np.floor(row).astype(int), 0, rows - 2), np.clip(np.floor(column).astype(int), 0, columns - 2)
     y, x = row - i, column - j
-    taken = np.where(rectified.seen[0], disparity, np.nan)
+    taken = np.where(rectified.valid[0], disparity, np.nan)
     around = np.stack([taken[i, j], taken[i, j + 1], taken[i + 1, j], taken[i + 1, j + 1]])
     linear = (1 - y) * ((1 - x) * around[0] + x * around[1]) + y * ((1 - x) * around[2] + x * around[3])
     nearest = np.choose(2 * (y >= 0.5) + (x >= 0.5), around)
     result = np.where(np.ptp(around, axis=0) <= 1, linear, nearest)  # a NaN among them is not within anything
     other = np.rint(column - np.nan_to_num(result)).astype(int)
-    in_view_2 = rectified.seen[1][np.clip(np.rint(row).astype(int), 0, rows - 1), np.clip(other, 0, columns - 1)]
+    in_view_2 = rectified.valid[1][np.clip(np.rint(row).astype(int), 0, rows - 1), np.clip(other, 0, columns - 1)]
     return np.where(in_view_2 & (other >= 0), result, np.nan)

@@ -47,7 +47,7 @@ _TABLE = """
 _ALONE = "<p>This experiment has one method only, so there is nothing to compare it with.</p>"
 _ONE_TRIAL_EACH = """
 <p>This table and the figures of the sections that follow it are about one trial of each method:
-{% for method, place, _ in places %}{{ method.label }} ({{ place or "as the base trial" }})
+{% for method, coordinates, _ in trials %}{{ method.label }} ({{ coordinates or "as the base trial" }})
 {{- "; " if not loop.last else "." }}{% endfor %}{{ " " }}
 The <a href="#measures">table of all figures</a> has all trials.</p>
 """
@@ -85,7 +85,7 @@ def section(context: Context) -> Iterator[Block]:
     if len(methods) == 1 and not left_out:
         yield Paragraph(html(_ALONE))
     if context.sweep.several and methods:
-        yield Paragraph(html(_ONE_TRIAL_EACH, places=places_of(context.result, methods)))
+        yield Paragraph(html(_ONE_TRIAL_EACH, trials=coordinates_of(context.result, methods)))
 
 
 def _domain(reference: Reference) -> dict[str, float]:
@@ -97,11 +97,13 @@ def _domain(reference: Reference) -> dict[str, float]:
     }
 
 
-def places_of(result: Result, methods: list[Method]) -> list[tuple[Method, str, str]]:
-    """Each method with where its trial lies on the axes, and the trial's key."""
+def coordinates_of(result: Result, methods: list[Method]) -> list[tuple[Method, str, str]]:
+    """Each method with the coordinates of its trial, as text, and the trial's key."""
     return [
-        (method, ", ".join(f"{key} = {value}" for key, value in place.items()), key_of_trial)
+        (method, ", ".join(f"{key} = {value}" for key, value in coordinates.items()), key_of_trial)
         for method in methods
-        for place, key_of_trial, outcome in zip(result.places, result.details.keys, result.outcomes, strict=True)
+        for coordinates, key_of_trial, outcome in zip(
+            result.coordinates, result.details.keys, result.outcomes, strict=True
+        )
         if outcome is method.outcome
     ]

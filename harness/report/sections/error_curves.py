@@ -79,7 +79,7 @@ class Swept:
     law: bool
     """Whether the law says anything of this axis."""
     unbalanced: bool
-    """Whether the means are over different places at different values, because that cannot be otherwise."""
+    """Whether the means at different values are over different groups of cells, where no group has them all."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +178,8 @@ def _over_range(sweep: Sweep, column_deg: float) -> Swept:
 
 
 def _pivot(cells: pd.DataFrame, columns: str, values: "pd.Series[float]") -> pd.DataFrame:
-    places = [name for name in ("seed", "condition", "baseline_m", "alpha_bin") if name != columns]
-    return cells.assign(value=values).pivot_table(index=places, columns=columns, values="value", aggfunc="mean")
+    groups = [name for name in ("seed", "condition", "baseline_m", "alpha_bin") if name != columns]
+    return cells.assign(value=values).pivot_table(index=groups, columns=columns, values="value", aggfunc="mean")
 
 
 def _shape(table: pd.DataFrame, x: list[float]) -> tuple[Array, Array]:
@@ -187,14 +187,14 @@ def _shape(table: pd.DataFrame, x: list[float]) -> tuple[Array, Array]:
 
 
 def _law_over_baselines(sweep: Sweep) -> dict[str, dict[str, tuple[Array, Array]]]:
-    """How the laws grow and shrink with the baseline, over the places that every baseline has."""
+    """How the laws grow and shrink with the baseline, over the groups of cells that every baseline has."""
     shapes = {}
     for surface in sweep.surfaces:
         cells = max((sweep.cells_of(method, surface) for method in sweep.methods), key=len)
-        places = ["seed", "condition", "alpha_bin", "range_bin"]
+        groups = ["seed", "condition", "alpha_bin", "range_bin"]
         laws = {}
         for law in LAWS:
-            table = balanced(cells.pivot_table(index=places, columns="baseline_m", values=law, aggfunc="mean"))
+            table = balanced(cells.pivot_table(index=groups, columns="baseline_m", values=law, aggfunc="mean"))
             if table.shape[1] > 1:
                 laws[law] = _shape(table, [float(value) for value in table.columns])
         if laws:
@@ -277,7 +277,7 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
 
 
 def _apart(positions: list[float]) -> bool:
-    """Whether labels at these places do not run into each other."""
+    """Whether labels at these positions do not overlap."""
     ordered = np.sort(positions)
     return len(ordered) < 2 or float(np.diff(ordered).min()) > 0.09 * float(ordered[-1] - ordered[0])
 

@@ -30,13 +30,13 @@ def failures(result: Result) -> Table:
         if row.state == "failed":
             failed.setdefault(row.finished.message, []).append(row)
     rows = [
-        [words(message), count(len(found)), words(shown(found[0].place)), words(found[0].planned.key)]
+        [words(message), count(len(found)), words(shown(found[0].coordinates)), words(found[0].planned.key)]
         for message, found in failed.items()
     ]
     data = Data(
         "failures",
-        ["key", "place", "message"],
-        [[row.planned.key, shown(row.place), message] for message, found in failed.items() for row in found],
+        ["key", "settings", "message"],
+        [[row.planned.key, shown(row.coordinates), message] for message, found in failed.items() for row in found],
     )
     head = [
         Heading("Message", text=True),

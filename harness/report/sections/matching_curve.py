@@ -115,13 +115,13 @@ def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
     costs = _search(outcome).costs
     complete = common(methods) & np.isfinite(costs).all(axis=-1) & outcome.reference.domain
     complete &= refine(costs, "parabola")[1]
-    for place in (complete & outcome.reference.wall, complete):
-        if place.any():
-            apart = np.zeros(place.shape)
+    for candidates in (complete & outcome.reference.wall, complete):
+        if candidates.any():
+            apart = np.zeros(candidates.shape)
             for method in methods:
                 error = np.abs(method.outcome.errors.disparity_px)
-                apart += np.abs(error - np.median(error[place]))
-            row, column = np.unravel_index(np.argmin(np.where(place, apart, np.inf)), place.shape)
+                apart += np.abs(error - np.median(error[candidates]))
+            row, column = np.unravel_index(np.argmin(np.where(candidates, apart, np.inf)), candidates.shape)
             return int(row), int(column)
     return None
 

@@ -63,7 +63,7 @@ def section(context: Context) -> Iterator[Block]:
 
 
 def all_measures(sweep: Sweep) -> Table:
-    """One row for each method and place on the axes: means over seeds, intervals under the two main figures."""
+    """A row for each method and combination of axis values: means over seeds, two of them with intervals."""
     keys = [axis.key for axis in sweep.axes]
     known = [name for name in sweep.trials if name not in {"matcher", "subpixel", "seed", *keys}]
     columns = [metric(name) for name in SHOWN if name in known]
@@ -73,9 +73,9 @@ def all_measures(sweep: Sweep) -> Table:
     groups: dict[tuple[Any, ...], tuple[MethodStyle, tuple[int, ...], pd.DataFrame]] = {}
     for index, method in enumerate(sweep.methods):
         mine = method.of(sweep.trials)
-        for place, part in mine.groupby(keys, sort=False) if keys else [((), mine)]:
-            groups[*place, index] = (method, place, part)
-    for _, (method, place, part) in sorted(groups.items(), key=lambda each: each[0]):
+        for indices, part in mine.groupby(keys, sort=False) if keys else [((), mine)]:
+            groups[*indices, index] = (method, indices, part)
+    for _, (method, indices, part) in sorted(groups.items(), key=lambda each: each[0]):
         curve = mean_over_seeds(part.set_index("seed")[known].astype(np.float64))
         means = dict(zip(known, curve.mean, strict=True))
         spans = {name: (low, high) for name, low, high in zip(known, curve.low, curve.high, strict=True)}
@@ -83,7 +83,7 @@ def all_measures(sweep: Sweep) -> Table:
             [
                 method.matcher,
                 method.subpixel,
-                *(axis.texts[i] for axis, i in zip(sweep.axes, place, strict=True)),
+                *(axis.texts[i] for axis, i in zip(sweep.axes, indices, strict=True)),
                 len(part),
                 *(value for name in known for value in (means[name], *spans[name])),
             ]
@@ -99,7 +99,7 @@ def all_measures(sweep: Sweep) -> Table:
         rows.append(
             [
                 words(method.label, method.colour),
-                *(_place(axis, i) for axis, i in zip(sweep.axes, place, strict=True)),
+                *(_index_cell(axis, i) for axis, i in zip(sweep.axes, indices, strict=True)),
                 count(len(part)),
                 *cells,
             ]
@@ -117,5 +117,5 @@ def all_measures(sweep: Sweep) -> Table:
     return Table(head, rows, data, left_out, screen_only)
 
 
-def _place(axis: Axis, index: int) -> Cell:
+def _index_cell(axis: Axis, index: int) -> Cell:
     return Cell(axis.texts[index], axis.positions[index] if axis.numeric else axis.texts[index])

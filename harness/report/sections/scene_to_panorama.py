@@ -79,12 +79,12 @@ def environment(outcome: Outcome) -> Picture:
     _draw_bounds(ax, camera, low, high)
 
     floor = low[2]
-    places = [np.asarray(pose.position_m) - geometry.centre for pose in trial.poses]
-    for number, place in enumerate(places, 1):
-        foot = np.array([place[0], place[1], floor])
-        ax.plot(*camera.project(np.stack([foot, place])).T, color="white", linewidth=3, solid_capstyle="butt")
-        ax.plot(*camera.project(np.stack([foot, place])).T, color=INK, linewidth=1.2, solid_capstyle="butt")
-        x, y = camera.project(place)
+    viewpoints = [np.asarray(pose.position_m) - geometry.centre for pose in trial.poses]
+    for number, viewpoint in enumerate(viewpoints, 1):
+        foot = np.array([viewpoint[0], viewpoint[1], floor])
+        ax.plot(*camera.project(np.stack([foot, viewpoint])).T, color="white", linewidth=3, solid_capstyle="butt")
+        ax.plot(*camera.project(np.stack([foot, viewpoint])).T, color=INK, linewidth=1.2, solid_capstyle="butt")
+        x, y = camera.project(viewpoint)
         ax.plot(x, y, "o", markersize=6, color=theme.PIXEL, markeredgecolor="white", markeredgewidth=1)
         side = "right" if number == 1 else "left"
         ax.annotate(
@@ -98,7 +98,9 @@ def environment(outcome: Outcome) -> Picture:
         )
     ax.set_xlim(extent[0], extent[1])
     ax.set_ylim(extent[2], extent[3])
-    v1, v2 = (", ".join(f"{value:.10g}" for value in (place + geometry.centre).round(6)) for place in places)
+    v1, v2 = (
+        ", ".join(f"{value:.10g}" for value in (viewpoint + geometry.centre).round(6)) for viewpoint in viewpoints
+    )
     alt = (
         f"The scene {trial.scene.name} from outside and above, {_size(low, high)} metres, nearest surfaces cut away, "
         f"with viewpoint v1 at ({v1}) m and v2 at ({v2}) m."
@@ -179,14 +181,14 @@ class _Overview:
                 math.sin(elevation),
             ]
         )
-        self.place = self.centre + 2.2 * self.diagonal * away
+        self.position = self.centre + 2.2 * self.diagonal * away
         self.forward = -away
         self.right = normalise(np.cross(self.forward, [0.0, 0.0, 1.0]))
         self.up = np.cross(self.right, self.forward)
 
     def project(self, points: Array) -> Array:
         """Picture coordinates `[..., 2]` of points in the world."""
-        p = points - self.place
+        p = points - self.position
         return np.stack([p @ self.right, p @ self.up], axis=-1) / (p @ self.forward)[..., None]
 
     def rays(self, x: Array, y: Array) -> Array:
@@ -215,26 +217,26 @@ def _overview_image(
     rays = camera.rays(*np.meshgrid(x, y)).reshape(-1, 3)
     low, high = geometry.bounds
     with np.errstate(divide="ignore", invalid="ignore"):
-        to_low, to_high = (low - camera.place) / rays, (high - camera.place) / rays
+        to_low, to_high = (low - camera.position) / rays, (high - camera.position) / rays
     enter = np.minimum(to_low, to_high).max(axis=-1)
     leave = np.maximum(to_low, to_high).min(axis=-1)
     meets = np.flatnonzero(enter < leave)
     rays = rays[meets]
-    origins = np.broadcast_to(camera.place, rays.shape)
+    origins = np.broadcast_to(camera.position, rays.shape)
     if geometry.closed:
         origins = origins + (enter[meets] + 1e-4 * camera.diagonal)[:, None] * rays
     triangle = np.asarray(geometry.embree.run(origins.astype(np.float32), rays.astype(np.float32)))
     hit = triangle >= 0
     rays, face = rays[hit], geometry.face_of_triangle[triangle[hit]]
     grey = np.full(height * width * per_side**2, 255.0)
-    grey[meets[hit]] = _shaded(geometry, camera.place, rays, face)
+    grey[meets[hit]] = _shaded(geometry, camera.position, rays, face)
     small = grey.reshape(height, per_side, width, per_side).mean(axis=(1, 3))
     return np.clip(np.rint(small), 0, 255).astype(np.uint8)
 
 
 def _shaded(geometry: Geometry, origin: Array, rays: Array, face: NDArray[np.int32]) -> Array:
     """Grey levels of hits, lightened and dimmed by which way a surface faces so that walls stand apart."""
-    # Range to each face's plane is reach / towards, so that uv = (map @ place) + (reach / towards) (map @ ray).
+    # Range to each face's plane is reach / towards, so that uv = (map @ position) + (reach / towards) (map @ ray).
     reach = (geometry.offsets - geometry.normals @ origin)[face]
     towards = np.einsum("ij,ij->i", geometry.normals[face], rays)
     at_origin = geometry.uv_maps @ np.append(origin, 1.0)

@@ -82,8 +82,8 @@ def _table(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.DataFr
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
     for surface, table in errors.items():
-        for place, values in table.iterrows():
-            names = _texts(sweep, place)
+        for indices, values in table.iterrows():
+            names = _texts(sweep, indices)
             least = float(np.nanmin(values)) if values.notna().any() else np.nan
             cells = [number(float(value), ".3f") for value in values]
             marked = [
@@ -127,11 +127,11 @@ def _findings(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.Dat
             yield f"{text}. It is the best of all in {best}."
 
 
-def _named(sweep: Sweep, place: Any) -> str:
-    return listed(f"{axis.label} {name}" for axis, name in zip(sweep.axes, _texts(sweep, place), strict=True))
+def _named(sweep: Sweep, indices: Any) -> str:
+    return listed(f"{axis.label} {name}" for axis, name in zip(sweep.axes, _texts(sweep, indices), strict=True))
 
 
-def _texts(sweep: Sweep, place: Any) -> list[str]:
+def _texts(sweep: Sweep, indices: Any) -> list[str]:
     """Where on the axes, in words, given as an index into the values of each."""
-    indices = place if isinstance(place, tuple) else (place,)
+    indices = indices if isinstance(indices, tuple) else (indices,)
     return [axis.texts[i] for axis, i in zip(sweep.axes, indices, strict=True)]

@@ -30,8 +30,8 @@ _SIGMA = """
 What the law takes for granted: (a) the spread of the angle, in pixels of {{ "%.4g" | format(column_deg) }}°, against
 the baseline over the range; the law’s premise is a level line. (b) Share of the estimates that are off by more than a
 pixel. (c) The spread by direction. (d) Share of the pixels that both views see but that have no estimate. Means over
-conditions and seeds (geometric for spreads), with 95 % intervals as bands. Different |<b>t</b>|/<i>d</i> are seen at
-partly different places.
+conditions and seeds (geometric for spreads), with 95 % intervals as bands. Different |<b>t</b>|/<i>d</i> come from
+partly different cells.
 """
 _POWERS = """
 Power of |<b>t</b>|/<i>d</i> with which σ(<i>α</i><sub>2</sub>) grows, all conditions and directions together; 0 if it

@@ -39,7 +39,7 @@ the share of the variance within conditions.
 _LIMITED = """
 The same over the cells that noise limits: those whose error without noise, all else being equal, is at most half of
 that with it. What is left out is mostly a matcher’s own systematic error, which grows in ways that no law of
-sensitivity speaks of. “Exact law × bound” has the Cramér-Rao bound of each cell in the place of one constant σ({{
+sensitivity speaks of. “Exact law × bound” has the Cramér-Rao bound of each cell instead of one constant σ({{
 alpha(2) }}): if this slope is nearer to 1 than that of the law alone, part of what varies is what the texture tells.
 """
 _COEFFICIENTS = """

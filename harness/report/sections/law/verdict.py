@@ -95,12 +95,12 @@ def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: d
     known = [each for each in exact["by_alpha_1"] if each["slope_ci95"] is not None]
     off = [each for each in known if not each["slope_ci95"][0] <= 1 <= each["slope_ci95"][1]]
     if known and off:
-        places = ", ".join(
+        directions = ", ".join(
             f"{each['from_deg']:g}\u2060–\u2060{each['to_deg']:g}°\u00a0({figure(each['slope'], '.2f')})"
             for each in off
         )
         which = "all directions" if len(off) == len(known) else f"{len(off)} of {len(known)} directions"
-        yield f"The interval leaves out 1 in {which}: α₁ = {places}."
+        yield f"The interval leaves out 1 in {which}: α₁ = {directions}."
     elif known:
         yield f"In each of the {len(known)} directions by itself the interval holds 1."
     grown = next((each for each in law["sigma_alpha"] if is_of(each, method, surface)), None)
