@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from sweeps import write_small
 
+import harness
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor
+from harness.cli import main
 from harness.errors import InputError, Notice
+from harness.geometry.panorama import Grid
 from harness.matching.opencv.settings import StereoBM, StereoReconstruct, StereoSGBM
 from harness.matching.semi_global.match import SemiGlobal
 from harness.matching.slanted.settings import Slanted
@@ -204,6 +207,57 @@ def test_a_file_is_relative_to_the_experiment_and_written_out(tmp_path):
     assert load_experiment(written).trial == experiment.trial
     swept = load_experiment(write_small(tmp_path / "plain.toml"), axes={"sensor_2": [str(tmp_path / "other.toml")]})
     assert swept.planned[0].trial.sensors[1] == OTHER_SENSOR
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Two views of the box as image files, each with its sensor's file, and the true range of the first."""
+    folder = tmp_path_factory.mktemp("photographs")
+    grid = Grid(width_px=180, height_px=50)
+    for name, x_m, sensor in (("left", 0.0, SENSOR), ("right", 0.5, OTHER_SENSOR)):
+        view = harness.render("box", position_m=(x_m, 0, 1), samples=4, sensor=sensor, grid=grid)
+        view.write(folder / name)
+    return folder, np.load(folder / "left" / "panorama_range.npy")
+
+
+def ranged(folder, *more):
+    pictures = [folder / "left" / "omni.png", folder / "right" / "omni.png"]
+    sizes = ["--set", "panorama.width_px=180", "--set", "panorama.height_px=50", "--matcher", "sgm"]
+    given = ["--sensor", folder / "left" / "sensor.toml", "--baseline", 0.5, 0, 0, *sizes, "--out", folder / "out"]
+    return main([str(each) for each in ("range", *pictures, *given, *more)])
+
+
+def test_photographs_by_two_sensors(photographs, capsys):
+    folder, true_m = photographs
+    assert ranged(folder, "--sensor-2", folder / "right" / "sensor.toml") == 0
+    found = np.load(folder / "out" / "range.npy")
+    assert np.isfinite(found).mean() > 0.8
+    # Of 2 degrees a column and 3 m at half a metre of baseline, a tenth of a column is 6 cm.
+    assert np.nanmedian(np.abs(found - true_m)) < 0.08
+    page = (folder / "out" / "range.html").read_text(encoding="utf-8")
+    assert "160 × 160 and 224 × 208 pixels, each taken by a sensor of its own" in page
+    assert "<h3>Sensor of view 1</h3>" in page
+    assert "<h3>Sensor of view 2</h3>" in page
+    found = harness.estimate_range(
+        folder / "left" / "omni.png", folder / "right" / "omni.png", SENSOR, (0.5, 0, 0), "sgm",
+        sensor_2=OTHER_SENSOR, grid=Grid(width_px=180, height_px=50),
+    ).range_m  # fmt: skip
+    assert np.array_equal(found, np.load(folder / "out" / "range.npy"), equal_nan=True)
+    capsys.readouterr()
+    assert ranged(folder) == 2
+    assert "224x208 pixels, the sensor 160x160; give the sensor that took it with --sensor-2" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_report_says_both_sensors(tmp_path):
+    camera = {"width_px": 200, "height_px": 150, "focal_px": 190, "cx_px": 98, "cy_px": 75.5}
+    sets = {f"sensor_2.camera.{key}": value for key, value in camera.items()}
+    experiment = harness.load_experiment(write_small(tmp_path / "small.toml"), sets=sets)
+    harness.run(experiment, out=tmp_path / "out").report()
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Two mirror images of 160 × 120 and 200 × 150 pixels, each with a sensor of its own" in page
+    assert "taken by a sensor of its own: hyperboloid mirror,\n200 × 150 px" in page
+    assert "Mirror image of view 2, 200 by 150 pixels" in page
 
 
 def test_a_mistake_names_the_key(tmp_path):

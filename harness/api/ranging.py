@@ -69,6 +69,7 @@ def estimate_range(
     motion: Motion | Pose | Sequence[float],
     matcher: str | Mapping[str, Any] | MatcherSettings = "slanted",
     *,
+    sensor_2: str | Path | Mapping[str, Any] | Sensor | None = None,
     grid: Grid | None = None,
     bits: int | None = None,
 ) -> RangeEstimate:
@@ -77,16 +78,18 @@ def estimate_range(
     Parameters
     ----------
     left, right
-        Mirror images of view 1 and view 2, by one sensor: paths of image files, or arrays of the sensor's size,
-        `[height, width]` or `[height, width, 3]`, both of one type: uint8; uint16, whose full scale is 65535; or
-        floats, finite grey levels of 0 .. 255.
+        Mirror images of view 1 and view 2: paths of image files, or arrays of the sensor's size, `[height, width]` or
+        `[height, width, 3]`, both of one type: uint8; uint16, whose full scale is 65535; or floats,
+        finite grey levels of 0 .. 255.
     sensor
-        The path of a TOML file, a table, or a sensor.
+        The sensor of both views: the path of a TOML file, a table, or a sensor.
     motion
         From view 1 to view 2: a `Motion`, view 2's pose in view 1's frame, or the position (x, y, z) of viewpoint 2 in
         view 1's frame, metres, for views that are turned alike.
     matcher
         A kind of matcher, a table with `kind` and its settings, or the settings of a matcher.
+    sensor_2
+        The sensor of view 2 where it is another one, likewise.
     grid
         The panorama's pixels; 720 x 200 when None.
     bits
@@ -113,11 +116,12 @@ def estimate_range(
     >>> bool(np.nanmedian(np.abs(error_m)) < 0.2)
     True
     """
-    sensor = load_sensor(sensor)
+    first_sensor = load_sensor(sensor)
+    sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     if isinstance(left, np.ndarray) and isinstance(right, np.ndarray) and left.dtype != right.dtype:
         raise InputError(f"must be of one type; found {left.dtype} and {right.dtype}", key="left, right")
-    first, second = (_photograph(image, sensor, name, bits) for image, name in ((left, "left"), (right, "right")))
-    found = estimate(first, second, (sensor, sensor), _motion(motion), _matcher(matcher), grid)
+    first, second = _photograph(left, sensors[0], "left", bits), _photograph(right, sensors[1], "right", bits)
+    found = estimate(first, second, sensors, _motion(motion), _matcher(matcher), grid)
     return RangeEstimate(**{each.name: getattr(found, each.name) for each in fields(found)})
 
 
@@ -152,7 +156,8 @@ def _vector(given: Any) -> NDArray[np.float64]:
 def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Photograph:
     """An image from a file, or from an array that was checked."""
     if isinstance(image, str | Path):
-        return read_photograph(Path(image), sensor, bits)
+        option = "--sensor" if name == "left" else "--sensor-2"
+        return read_photograph(Path(image), sensor, bits, option=option)
     if not isinstance(image, np.ndarray):
         raise InputError(f"must be a path or an array; found {type(image).__name__}", key=name)
     rows, columns = sensor.camera.height_px, sensor.camera.width_px

@@ -18,8 +18,11 @@ def add(commands: Commands) -> None:
         epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
     )
     command.add_argument("left", type=Path, metavar="LEFT", help="mirror image of view 1 (PNG, JPEG, TIFF ...)")
-    command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2, by the same sensor")
+    command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2")
     command.add_argument("--sensor", type=Path, required=True, metavar="FILE", help="sensor TOML: mirror, camera, lens")
+    command.add_argument(
+        "--sensor-2", type=Path, metavar="FILE", help="sensor TOML of view 2, if another sensor took it"
+    )
     command.add_argument(
         "--bits",
         type=int,
@@ -78,7 +81,14 @@ def run(options: Namespace) -> None:
         raise InputError("must not be zero: two views from one place tell no range", file="--baseline")
     settings = own_settings(options.matcher, options.set)
     estimate = harness.estimate_range(
-        options.left, options.right, sensor, motion, settings.matching, grid=settings.panorama, bits=options.bits
+        options.left,
+        options.right,
+        sensor,
+        motion,
+        settings.matching,
+        sensor_2=options.sensor_2,
+        grid=settings.panorama,
+        bits=options.bits,
     )
     estimate.write(options.out)
     for photograph in estimate.photographs:

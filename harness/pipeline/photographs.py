@@ -74,13 +74,15 @@ class Estimate(OneLine):
         return np.clip(np.rint(np.stack(sampled, axis=-1)), 0, 255).astype(np.uint8)
 
 
-def read_photograph(file: Path, sensor: Sensor, bits: int | None = None) -> Photograph:
+def read_photograph(file: Path, sensor: Sensor, bits: int | None = None, *, option: str = "--sensor") -> Photograph:
     """Read a mirror image of any common format, see `harness.io.images`; colour is matched by its luma.
 
     Parameters
     ----------
     bits
         White is 2^bits - 1; the file's type decides when None.
+    option
+        What the sensor is given with, for messages.
 
     Raises
     ------
@@ -94,7 +96,7 @@ def read_photograph(file: Path, sensor: Sensor, bits: int | None = None) -> Phot
         white=None if bits is None else 2.0**bits - 1,
         key="--bits",
         size=(camera.width_px, camera.height_px),
-        size_hint=f"the sensor {camera.width_px}x{camera.height_px}; give the sensor that took it with --sensor",
+        size_hint=f"the sensor {camera.width_px}x{camera.height_px}; give the sensor that took it with {option}",
     )
     grey = picture.grey()
     grey.flags.writeable = False

@@ -131,7 +131,8 @@ class Trial(Spec):
     sensor: Sensor = Sensor()
     """The sensor of both views, or of the first if the second has its own: a table, or the path of a TOML file."""
     sensor_2: Sensor | None = None
-    """The sensor of the second view, where it is not the first one's: a table, or the path of a TOML file."""
+    """The sensor of the second view, where it is not the first one's: a table, or the path of a TOML file. In a table,
+    keys that are not given have their defaults; a dotted key, as on an axis, changes a copy of the first view's."""
     view_1: Pose = Pose(position_m=(0.0, 0.0, 1.0))
     """The first view's pose in the world; 1 m above the origin when there is no such table."""
     view_2: SecondView = SecondView()

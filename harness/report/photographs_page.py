@@ -13,6 +13,7 @@ from harness.report.markup import template
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
 from harness.report.sections.error_maps import reasons_picture
 from harness.report.theme import HALF, Picture
+from harness.report.words import image_sizes
 from harness.spec import dump_toml
 
 _NOTHING = "#D4D4D4"
@@ -45,7 +46,8 @@ def build_page(found: Estimate) -> str:
         median_share=_median(share),
         own_sigma=found.matches.sigma_alpha_2 is not None,
         settings=dump_toml(found.matcher),
-        sensor=dump_toml(found.pair.sensors[0]),
+        sizes=image_sizes(found.pair.sensors),
+        sensors=[dump_toml(each) for each in dict.fromkeys(found.pair.sensors)],
         grid=dump_toml(found.pair.grid),
         t=[float(each) for each in found.pair.t_v1],
         turned=not np.allclose(found.pair.motion.R_v2_from_v1, np.eye(3)),

@@ -6,6 +6,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from harness.camera.sensor import Sensor
 from harness.evaluation.metric_table import Metric
 from harness.matching.interface import MatcherSettings
 from harness.matching.registry import method_of
@@ -65,10 +66,11 @@ def symbols(text: str) -> Markup:
 
 def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator[str]:
     """Sentences for the head of the report, about the base trial and how the methods compare on it."""
-    matcher, grid, camera = trial.matching, trial.panorama, trial.sensor.camera
+    matcher, grid = trial.matching, trial.panorama
+    own = ", each with a sensor of its own" if trial.sensors[0] != trial.sensors[1] else ""
     noise = f" and noise of σ = {trial.noise.sigma_grey:g} grey levels" if trial.noise.sigma_grey else ""
     yield (
-        f"Two mirror images of {camera.width_px} × {camera.height_px} pixels, rendered "
+        f"Two mirror images of {image_sizes(trial.sensors)} pixels{own}, rendered "
         f"{trial.view_2.baseline_m:g}\u00a0m apart in the scene “{trial.scene.name}” with exact truth{noise}, are "
         f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched {_by(matcher)}."
     )
@@ -78,6 +80,12 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
         return
     yield from _compared("On wall pixels", walls, methods)
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
+
+
+def image_sizes(sensors: tuple[Sensor, Sensor]) -> str:
+    """The sizes of both views' images: one where they are equal."""
+    sizes = [f"{each.camera.width_px} × {each.camera.height_px}" for each in sensors]
+    return " and ".join(dict.fromkeys(sizes))
 
 
 def _by(matcher: MatcherSettings) -> str:

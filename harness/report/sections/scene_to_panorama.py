@@ -27,6 +27,10 @@ the {{ trial.sensor.model.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.came
 {{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself. After the
 paper’s figure 4 (a) and (b).
 """
+_SECOND_VIEW = """
+The image of <i>v</i><sub>2</sub>, taken by a sensor of its own: {{ sensor.model.title }},
+{{ sensor.camera.width_px }} × {{ sensor.camera.height_px }} px.
+"""
 _PANORAMAS = """
 The view of <i>v</i><sub>1</sub> on a cylinder around the vertical axis, {{ trial.panorama.width_px }} ×
 {{ trial.panorama.height_px }} px, (c) as unwrapped and (d) filtered as it is matched
@@ -50,6 +54,9 @@ def section(context: Context) -> Iterator[Block]:
             [[i + 1, *pose.position_m] for i, pose in enumerate(outcome.trial.poses)],
         ),
     )
+    if outcome.trial.sensors[0] != outcome.trial.sensors[1]:
+        caption = html(_SECOND_VIEW, sensor=outcome.trial.sensors[1])
+        yield Figure("figure-second-view", [mirror_image(outcome, 1)], caption)
     fields: Fields = {
         "grey_mean": (outcome.panoramas[0].values, outcome.panoramas[0].valid, np.mean),
         "log_rms": (outcome.filtered[0].values, outcome.filtered[0].valid, rms),
@@ -109,9 +116,9 @@ def environment(outcome: Outcome) -> Picture:
 
 
 @theme.panel
-def mirror_image(outcome: Outcome) -> Picture:
-    """View 1's mirror image as the camera takes it."""
-    image = outcome.images[0]
+def mirror_image(outcome: Outcome, view: int = 0) -> Picture:
+    """The mirror image of view 0 or 1 as its camera takes it."""
+    image, sensor = outcome.images[view], outcome.trial.sensors[view]
     rows, columns = image.shape
     fig = theme.figure(HALF, 400)
     scale = min((HALF - 60) / columns, 350 / rows)
@@ -120,8 +127,8 @@ def mirror_image(outcome: Outcome) -> Picture:
     ax.imshow(image, cmap="gray", vmin=0, vmax=255, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), aspect="auto")
     ax.set_xlabel("$u$ (px)")
     ax.set_ylabel("$v$ (px)")
-    alt = f"Mirror image of view 1, {columns} by {rows} pixels: the scene as a disc, the horizon near its rim."
-    return theme.picture(fig, alt, f"(b) {outcome.trial.sensor.model.title} image of view 1")
+    alt = f"Mirror image of view {view + 1}, {columns} by {rows} pixels: the scene as a disc, the horizon near its rim."
+    return theme.picture(fig, alt, f"{'' if view else '(b) '}{sensor.model.title} image of view {view + 1}")
 
 
 @theme.panel
