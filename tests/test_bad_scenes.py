@@ -258,6 +258,17 @@ def test_a_run_names_the_file_of_a_scene_in_which_a_view_cannot_be(tmp_path, cap
     )
 
 
+def test_a_run_names_the_file_of_a_scene_with_a_hole(tmp_path, capsys):
+    """Rays escape from what is said to be closed: it is noticed while the image is made."""
+    path, file = tmp_path / "scene.toml", write_small(tmp_path / "e.toml")
+    floor, ceiling = PLANE + GREY_TOML, PLANE + "position_m = [0, 0, 2]\n" + GREY_TOML
+    path.write_text('name = "open"\n' + floor + ceiling)
+    assert main(["run", str(file), "--out", str(tmp_path / "o"), "--workers", "1", "--set", f"scene={path}"]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(f"omnirange: {file}: trial.scene: scene open ({path}): ")
+    assert "escape" in said
+
+
 def test_a_run_names_the_file_of_a_scene_that_cannot_be_built(tmp_path, capsys):
     """A size that is lost in the rounding of its position."""
     path, file = tmp_path / "scene.toml", write_small(tmp_path / "e.toml")

@@ -117,6 +117,7 @@ def test_the_command_refuses_a_blind_sensor(tmp_path, capsys):
         ({"WINDOW_LEAVES_IMAGE": 50, "CURVE_LEAVES_IMAGE": 9, "NO_MATCH": 55}, WindowMatcher(), "matching.window_px"),
         ({"NO_EPIPOLAR_PLANE": 90, "MATCHED": 1}, WindowMatcher(), 'matching.sampling ("alpha"'),
         ({"NO_SAMPLE": 60, "NO_MATCH": 40}, SemiGlobal(), "trial.matching.d_min_m, trial.matching.d_max_m"),
+        ({"NO_SAMPLE": 60}, WindowMatcher(), "trial.matching.pitch_px (smaller)"),
         ({"INCONSISTENT": 99, "MATCHED": 1}, SemiGlobal(), "not sure"),
         ({}, SemiGlobal(), "trial.view_2"),
     ],

@@ -1,6 +1,7 @@
 """One trial: its stages, from the scene to the error, and all that comes of them."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -333,6 +334,12 @@ def run_trial(
         When the scene cannot be seen from where the views stand, or nothing can be matched.
     """
     work = Work(trial, cache or StageCache(), observe, threads, scene_file)
+    with _naming_scene_file(work):
+        return _outcome_of(work, answer)
+
+
+def _outcome_of(work: Work, answer: Matches | None) -> Outcome:
+    trial = work.trial
     for pose, key in zip(work.setup.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         _check_view(work, pose, key)
     check_sight(trial, work.setup.assumed.motion)
@@ -369,15 +376,20 @@ def _finite(image: Image, work: Work, key: str) -> Image:
 
 
 def _check_view(work: Work, pose: Pose, key: str) -> None:
-    """Refuse a scene that cannot be built, and a view that stands where there is nothing to see; say which it is."""
-    scene = work.trial.scene
-    try:
-        geometry = geometry_near(scene, pose.position_m)
-    except InputError as error:
-        if error.file != scene.name:  # that of a mesh or an image
-            raise
-        raise InputError(f"{work.scene_name}: {error.problem}", key="trial.scene") from error
+    """Refuse a view that stands where there is nothing to see, and say which one it is."""
+    geometry = geometry_near(work.trial.scene, pose.position_m)
     try:
         check_viewpoint(geometry, pose.position_m - geometry.centre)
     except InputError as error:
         raise InputError(f"{work.scene_name}: {error.problem}", key=key) from error
+
+
+@contextmanager
+def _naming_scene_file(work: Work) -> Iterator[None]:
+    """What the scene is refused for names the file that it was read from, and its key."""
+    try:
+        yield
+    except InputError as error:
+        if error.file != work.trial.scene.name:  # that of a mesh or an image
+            raise
+        raise InputError(f"{work.scene_name}: {error.problem}", key="trial.scene") from error

@@ -32,6 +32,7 @@ _CAUSES = (
         "the ranges searched hold no sample of the curve, or matches lie beyond infinity",
         {
             "matching.sampling": _BY_ALPHA,
+            "matching.pitch_px": "(smaller)",
             "matching.d_min_m": "",
             "matching.d_max_m": "(a wider interval)",
             "view_2.baseline_m": "(longer)",
