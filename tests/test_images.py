@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from harness import images
 from harness.camera.intrinsics import Camera
 from harness.camera.sensor import Sensor
 from harness.cli import main
 from harness.errors import InputError
-from harness.io import images
-from harness.io.images import decode
+from harness.images import decode
 from harness.pipeline.photographs import read_photograph
 from harness.simulation.texture import ImageTexture, texels_of
 from harness.spec import dump_toml

@@ -15,7 +15,7 @@ from harness.errors import InputError
 from harness.files import write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion
-from harness.io.images import Picture
+from harness.images import Picture
 from harness.matching.interface import MatcherSettings
 from harness.pipeline.maps import range_limits
 from harness.pipeline.photographs import Estimate, Photograph, estimate, read_photograph, write_estimate

@@ -50,14 +50,16 @@ def code_hash() -> str:
     rooms = ("geometry", "camera", "io", "simulation", "matching", "evaluation", "pipeline")
     versions = [f"{name} {metadata.version(name)}" for name in _LIBRARIES]
     versions += [f"{name} {each}" for name in _OPTIONAL if (each := _version_if_there(name))]
-    source = _hash_of(*(f"{room}/**/*.py" for room in rooms), "compiled.py", "spec.py")
+    source = _hash_of(*(f"{room}/**/*.py" for room in rooms), "compiled.py", "spec.py", "images.py")
     return hashlib.sha256("\n".join([source, platform.python_version(), *versions]).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
 def render_hash() -> str:
     """SHA-256 of the source that a rendered image depends on."""
-    return _hash_of("geometry/**/*.py", "camera/**/*.py", "io/**/*.py", "simulation/**/*.py", "compiled.py", "spec.py")
+    return _hash_of(
+        "geometry/**/*.py", "camera/**/*.py", "io/**/*.py", "simulation/**/*.py", "compiled.py", "spec.py", "images.py"
+    )
 
 
 def _version_if_there(name: str) -> str | None:

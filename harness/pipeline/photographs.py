@@ -18,7 +18,7 @@ from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sensitivity_to_alpha_2
-from harness.io.images import LIMIT_BYTES, decode
+from harness.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
 from harness.matching.ranges import ranges_of
@@ -75,7 +75,7 @@ class Estimate(OneLine):
 
 
 def read_photograph(file: Path, sensor: Sensor, bits: int | None = None, *, option: str = "--sensor") -> Photograph:
-    """Read a mirror image of any common format, see `harness.io.images`; colour is matched by its luma.
+    """Read a mirror image of any common format, see `harness.images`; colour is matched by its luma.
 
     Parameters
     ----------

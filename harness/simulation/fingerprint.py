@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from harness.io.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
+from harness.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
 from harness.simulation.content_cache import FileRead, cached_by_content, recording
 from harness.simulation.mesh_file import read_mesh
 from harness.simulation.mesh_part import LIMIT_BYTES as MESH_LIMIT_BYTES

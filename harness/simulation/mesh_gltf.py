@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
-from harness.io.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
-from harness.io.images import Picture, decode
+from harness.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
+from harness.images import Picture, decode
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.gltf_accessors import Accessors
 from harness.simulation.gltf_schema import Gltf, Material, Node, Primitive, TextureInfo

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
-from harness.io.images import Picture
+from harness.images import Picture
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.mesh_part import (
     LIMIT_BYTES,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
-from harness.io.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
-from harness.io.images import Picture, decode, luma, tinted
+from harness.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
+from harness.images import Picture, decode, luma, tinted
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.texture import Texels
 

@@ -2,7 +2,7 @@
 
 A texture is a tile that repeats; its texture coordinates (u, v) count repetitions, v upwards, and (0, 0) is the
 lower left corner of the lower left texel. Between the texels' centres, at (i + 0.5)/n, the grey is bilinear.
-Colours become luma, as in `harness.io.images`: matching is grey.
+Colours become luma, as in `harness.images`: matching is grey.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from harness.io.images import LIMIT_BYTES, decode
+from harness.images import LIMIT_BYTES, decode
 from harness.simulation.content_cache import cached_by_content, read_recorded
 from harness.spec import Positive, Spec
 
