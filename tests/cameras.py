@@ -6,15 +6,32 @@ import numpy as np
 
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens, fold_radius
-from harness.camera.models import CameraModel, Unified
+from harness.camera.models import CameraModel, DoubleSphere, ExtendedUnified, KannalaBrandt, OCam, Unified
 from harness.camera.models.axial import AxialModel
 from harness.camera.sensor import Sensor, unproject
 
 Draw = Callable[[np.random.Generator], CameraModel]
 
+
+def random_ocam(rng: np.random.Generator) -> OCam:
+    """A polynomial of degree 4, whose terms are up to a fifth of a_0 at 200 pixels, and one that bends."""
+    a_0 = -rng.uniform(100, 200)
+    a = [a_0, 0.0, *(-a_0 * rng.uniform([0.2, -0.2, -0.1], [1.0, 0.2, 0.1]) / 200.0 ** np.array([2, 3, 4]))]
+    return OCam(coefficients=a, c=rng.uniform(0.9, 1.1), d=rng.uniform(-0.02, 0.02), e=rng.uniform(-0.02, 0.02))
+
+
 AXIAL: dict[str, Draw] = {
     # xi = 1 is a case of its own: neither end of the image is there.
     "unified": lambda rng: Unified(xi=rng.choice([0.0, 1.0, rng.uniform(0, 1), rng.uniform(1, 3)])),
+    # So is alpha = 1/2.
+    "eucm": lambda rng: ExtendedUnified(alpha=rng.choice([0.5, rng.uniform(0, 1)]), beta=rng.uniform(0.5, 2)),
+    "double_sphere": lambda rng: DoubleSphere(
+        xi=rng.choice([0.0, 1.0, rng.uniform(-0.6, 1), rng.uniform(1, 2)]), alpha=rng.choice([0.5, rng.uniform(0, 1)])
+    ),
+    "kannala_brandt": lambda rng: KannalaBrandt(
+        k1=rng.uniform(-0.1, 0.1), k2=rng.uniform(-0.03, 0.03), k3=rng.uniform(-0.01, 0.01), k4=rng.uniform(-2e-3, 2e-3)
+    ),
+    "ocam": random_ocam,
 }
 """A random model of each kind."""
 
@@ -37,6 +54,10 @@ def random_sensor(kind: str, seed: int, *, lens: bool = False, skew: bool = Fals
         bent = Lens()
         largest = model.largest_angle_rad(Camera(), bent)
         angle = rng.uniform(0.5, 0.97) * largest
+        if model.kind == "ocam":  # its scale is its own: the field is what is seen at 180 to 300 pixels
+            angle = min(angle, model.angle(rng.uniform(180, 300)))
+            if model.radius(angle, bent) < 150:
+                continue
         rim = model.radius(angle, bent)
         if lens:
             k = rng.uniform(-0.06, 0.06, 3) / rim ** np.array([2, 4, 6])

@@ -197,6 +197,10 @@ class TestRefusals:
             # arccos(-1/2) = 120 deg, where r = 1/sqrt(3) turns round with r'' = -8 sin(120 deg)/9 = -0.77: a pixel, or
             # 0.002, inside is sqrt(2 x 0.002/0.77) = 4.1 deg less.
             ({"kind": "unified", "xi": 2.0}, 115.8, "the image folds back on itself"),
+            ({"kind": "eucm", "alpha": 0.0, "beta": 1.3}, 90.0, "nothing is projected"),
+            ({"kind": "double_sphere", "xi": 0.5, "alpha": 0.0}, 120.0, "nothing is projected"),
+            # r = theta - theta³/3 turns at 1 rad with r'' = -2: a pixel inside is sqrt(0.002) = 2.6 deg less.
+            ({"kind": "kannala_brandt", "k1": -1 / 3}, 54.7, r"r(theta) stops growing"),
         ],
     )
     def test_a_field_beyond_the_domain_is_refused_with_what_would_fit(self, model, largest, why):
@@ -212,6 +216,21 @@ class TestRefusals:
         table = {"model": {"kind": "unified", "xi": 1.0}, "lens": {"k1": -1.0}, "field": {"elevation_min_deg": 0}}
         with pytest.raises(InputError, match="the lens folds the image over"):
             parse(Sensor, table)
+
+    @pytest.mark.parametrize(
+        ("change", "text"),
+        [
+            ({"coefficients": [200.0]}, "a_0 = 200 must be below 0"),
+            ({"coefficients": [-200.0, 0.1]}, "a_1 must be 0, or the image has a kink"),
+            ({"coefficients": []}, "a list of at least 1"),
+            ({"c": 0.0}, "c - d e must be above 0"),
+            ({"coefficients": [-100.0, 0.0, -1 / 400]}, r"beyond 44\... deg the ray's angle stops growing with r"),
+        ],
+    )
+    def test_a_polynomial_that_is_none_of_ocamcalibs(self, change, text):
+        table = {"kind": "ocam", "coefficients": [-200.0, 0.0, 1e-3]} | change
+        with pytest.raises(InputError, match=text):
+            parse(Sensor, {"model": table, "field": {"elevation_min_deg": 0, "elevation_max_deg": 90}})
 
     def test_what_a_model_needs_is_missing(self):
         with pytest.raises(InputError, match=r"model\.xi: this key is missing"):

@@ -6,11 +6,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BeforeValidator, Discriminator, Tag
 from pydantic_core import PydanticKnownError
 
+from harness.camera.models.double_sphere import DoubleSphere
+from harness.camera.models.eucm import ExtendedUnified
 from harness.camera.models.hyperboloid import Mirror
+from harness.camera.models.kannala_brandt import KannalaBrandt
 from harness.camera.models.model import CameraModel
+from harness.camera.models.ocam import OCam
 from harness.camera.models.unified import Unified
 
-BUILT_IN: dict[str, type[CameraModel]] = {"hyperboloid": Mirror, "unified": Unified}
+BUILT_IN: dict[str, type[CameraModel]] = {
+    "hyperboloid": Mirror,
+    "unified": Unified,
+    "eucm": ExtendedUnified,
+    "double_sphere": DoubleSphere,
+    "kannala_brandt": KannalaBrandt,
+    "ocam": OCam,
+}
 """The settings of every camera model of this program, by `kind`."""
 
 MODELS = dict(BUILT_IN)
@@ -45,6 +56,10 @@ else:
     AnyModel = Annotated[
         Annotated[Mirror, Tag("hyperboloid")]
         | Annotated[Unified, Tag("unified")]
+        | Annotated[ExtendedUnified, Tag("eucm")]
+        | Annotated[DoubleSphere, Tag("double_sphere")]
+        | Annotated[KannalaBrandt, Tag("kannala_brandt")]
+        | Annotated[OCam, Tag("ocam")]
         | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
         Discriminator(_tag),
     ]
@@ -61,4 +76,17 @@ def knows(kind: Any, key: str) -> bool:
     return not (isinstance(kind, str) and kind in MODELS) or key in MODELS[kind].model_fields
 
 
-__all__ = ["BUILT_IN", "MODELS", "AnyModel", "CameraModel", "Mirror", "Unified", "carried_over", "knows"]
+__all__ = [
+    "BUILT_IN",
+    "MODELS",
+    "AnyModel",
+    "CameraModel",
+    "DoubleSphere",
+    "ExtendedUnified",
+    "KannalaBrandt",
+    "Mirror",
+    "OCam",
+    "Unified",
+    "carried_over",
+    "knows",
+]

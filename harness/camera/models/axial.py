@@ -19,7 +19,7 @@ _MARGIN_PX = 1.0
 """How far the field stays inside the domain: the corners of the outermost pixels, 0.71 from their centres, are
 unprojected too."""
 _MARGIN_RAD = math.radians(0.01)
-"""The same where the image has no end."""
+"""At least; where the image has no end, what lies within is not far away."""
 
 
 class Domain(NamedTuple):
@@ -54,10 +54,13 @@ class AxialModel(CameraModel):
     def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:
         """The angle off the optical axis to which a field may reach: one pixel inside the domain."""
         end = self.domain(camera, lens)
-        if math.isinf(end.radius):
-            return end.angle_rad - _MARGIN_RAD
         last = end.radius - _MARGIN_PX / self.unit_px(camera)
-        return float(brentq(lambda angle: self.radius(angle, lens) - last, 0.0, end.angle_rad)) if last > 0 else 0.0
+        most = end.angle_rad - _MARGIN_RAD
+        if last <= 0:
+            return 0.0
+        if self.radius(most, lens) <= last:
+            return most
+        return float(brentq(lambda angle: self.radius(angle, lens) - last, 0.0, most))
 
     def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:
         """Refuse keys that the model has no use for, and a field that reaches beyond its domain."""

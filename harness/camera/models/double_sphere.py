@@ -1,0 +1,143 @@
+"""The double sphere model: a direction is put on one unit sphere, its point seen from xi behind on a second one, and
+that point by a pinhole. With d = |(x, y, z)|, `z_2 = xi d + z` and `d_2 = sqrt(x² + y² + z_2²)`,
+
+    (m, n) = (x, y)/(alpha d_2 + (1 - alpha) z_2),      u = f m + s n + cx,    v = f aspect n + cy.
+
+xi = 0 is the unified model, whose xi is then alpha/(1 - alpha), with a focal length of (1 + xi) f.
+
+Back, with r² = m² + n²: `z_2 = (1 - alpha² r²)/(alpha sqrt(1 - (2 alpha - 1) r²) + 1 - alpha)`,
+`k = (xi z_2 + sqrt(z_2² + (1 - xi²) r²))/(z_2² + r²)`, direction (k m, k n, k z_2 - xi), of unit length.
+
+Domain: seen from the second sphere as in the unified model, `z_2 > -w d_2`, w = alpha/(1 - alpha) for alpha <= 1/2 and
+(1 - alpha)/alpha for larger ones. In terms of z that is `z > -(xi (1 - w²) + w sqrt(1 - xi² (1 - w²))) d`. (The paper's
+w_2 is another number unless w = 1: for a pinhole, alpha = 0, it admits directions behind the centre when xi < 0, and
+leaves out some that are seen when xi > 0.) For xi >= 1 the first sphere is seen up to its outline only, z > -d/xi.
+
+Source: V. Usenko, N. Demmel and D. Cremers, The double sphere camera model, 3DV 2018.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from pydantic import Field
+
+from harness.camera._projection_kernels import CompiledModel, add_compiled_model
+from harness.camera.intrinsics import Camera
+from harness.camera.lens import Lens
+from harness.camera.models.axial import AxialModel, Domain
+from harness.camera.models.eucm import lowest_of
+from harness.compiled import kernel
+
+
+class DoubleSphere(AxialModel):
+    """The double sphere camera model."""
+
+    title: ClassVar[str] = "double sphere camera"
+
+    kind: Literal["double_sphere"] = "double_sphere"
+    """The double sphere model."""
+    xi: Annotated[float, Field(gt=-1, le=100)]
+    """Distance between the spheres' centres, no unit; of fisheyes about -0.3 .. 0.3."""
+    alpha: Annotated[float, Field(ge=0, le=1)]
+    """Where the pinhole stands behind the second sphere, alpha/(1 - alpha) from its centre, no unit."""
+
+    def radius(self, angle_rad: float, lens: Lens) -> float:  # noqa: ARG002
+        """|(m, n)|, in focal lengths."""
+        sine, z_2 = math.sin(angle_rad), self.xi + math.cos(angle_rad)
+        return sine / (self.alpha * math.hypot(sine, z_2) + (1 - self.alpha) * z_2)
+
+    def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
+        """Where a sphere's image has no end, or folds back."""
+        angle = math.acos(self._lowest)
+        if self.xi >= 1:
+            # The outline of the first sphere, seen from the second's centre at an angle whose sine is 1/xi.
+            ahead = self.alpha + (1 - self.alpha) * math.sqrt(1 - 1 / self.xi**2)
+            return Domain(angle, 1 / (self.xi * ahead) if ahead else math.inf, "the image folds back on itself")
+        if self.alpha <= 0.5:
+            return Domain(angle, math.inf, "nothing is projected")
+        return Domain(angle, 1 / math.sqrt(2 * self.alpha - 1), "the image folds back on itself")
+
+    @property
+    def _lowest(self) -> float:
+        """The cosine of the largest angle off the axis."""
+        w = -lowest_of(self.alpha)
+        if self.xi >= 1:
+            return -1 / self.xi
+        return -(self.xi * (1 - w * w) + w * math.sqrt(1 - self.xi**2 * (1 - w * w)))
+
+    def parameters(self, camera: Camera, lens: Lens) -> "DoubleSphereCamera":  # noqa: ARG002
+        """What the compiled functions are given."""
+        return DoubleSphereCamera(
+            fu=camera.focal_px,
+            fv=camera.focal_px * camera.aspect,
+            skew=camera.skew_px,
+            cu=camera.cx_px,
+            cv=camera.cy_px,
+            xi=self.xi,
+            alpha=self.alpha,
+            lowest=self._lowest,
+        )
+
+
+class DoubleSphereCamera(NamedTuple):
+    """Model and camera as numbers: focal lengths, skew and centre in pixels."""
+
+    fu: float
+    fv: float
+    skew: float
+    cu: float
+    cv: float
+    xi: float
+    alpha: float
+    lowest: float
+    """Cosine of the largest angle off the axis."""
+
+
+@kernel
+def _project(x, y, z, camera):
+    alpha = camera.alpha
+    d = math.sqrt(x * x + y * y + z * z)
+    z_2 = camera.xi * d + z
+    ahead = alpha * math.sqrt(x * x + y * y + z_2 * z_2) + (1.0 - alpha) * z_2
+    m, n = x / ahead, y / ahead
+    return camera.fu * m + camera.skew * n + camera.cu, camera.fv * n + camera.cv, z > camera.lowest * d
+
+
+@kernel
+def _move(x, y, z, dx, dy, dz, camera):
+    xi, alpha = camera.xi, camera.alpha
+    across_d = x * dx + y * dy
+    d = math.sqrt(x * x + y * y + z * z)
+    z_2, z_2_d = xi * d + z, xi * (across_d + z * dz) / d + dz
+    d_2 = math.sqrt(x * x + y * y + z_2 * z_2)
+    ahead = alpha * d_2 + (1.0 - alpha) * z_2
+    ahead_d = alpha * (across_d + z_2 * z_2_d) / d_2 + (1.0 - alpha) * z_2_d
+    m, n = x / ahead, y / ahead
+    m_d, n_d = (dx - m * ahead_d) / ahead, (dy - n * ahead_d) / ahead
+    return (
+        camera.fu * m + camera.skew * n + camera.cu,
+        camera.fv * n + camera.cv,
+        camera.fu * m_d + camera.skew * n_d,
+        camera.fv * n_d,
+    )
+
+
+@kernel
+def _rays(u, v, camera, x_out, y_out, z_out):
+    fu, fv, skew, cu, cv = camera.fu, camera.fv, camera.skew, camera.cu, camera.cv
+    xi, alpha = camera.xi, camera.alpha
+    for i in range(u.size):
+        n = (v[i] - cv) / fv
+        m = (u[i] - cu - skew * n) / fu
+        r2 = m * m + n * n
+        # Either root is not a number where no direction is seen; for xi >= 1 all that is seen lies ahead.
+        z_2 = (1.0 - alpha * alpha * r2) / (alpha * math.sqrt(1.0 - (2.0 * alpha - 1.0) * r2) + 1.0 - alpha)
+        if xi >= 1.0 and not z_2 > 0.0:
+            z_2 = math.nan
+        k = (xi * z_2 + math.sqrt(z_2 * z_2 + (1.0 - xi * xi) * r2)) / (z_2 * z_2 + r2)
+        x_out[i] = k * m
+        y_out[i] = k * n
+        z_out[i] = k * z_2 - xi
+
+
+add_compiled_model(DoubleSphereCamera, CompiledModel(_project, _move, _rays))
