@@ -17,7 +17,6 @@ from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import directions
 from harness.geometry.triangulation import alpha_2_at_range, exact_alpha_2
 from harness.matching.interface import Matches
-from harness.matching.opencv.library import opencv, threads
 from harness.matching.opencv.rectify import (
     Rectangle,
     around_gaps,
@@ -32,6 +31,7 @@ from harness.matching.opencv.rectify import (
 )
 from harness.matching.opencv.settings import OpenCV, StereoBM, StereoReconstruct, StereoSGBM
 from harness.matching.pair import Pair
+from harness.opencv import opencv, threads
 
 _FIXED_POINT = 16
 """OpenCV's disparities are whole numbers of sixteenths of a pixel; negative where there is none."""

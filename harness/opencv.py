@@ -8,13 +8,15 @@ from typing import Any
 from harness.errors import InputError
 
 
-def opencv(kind: str) -> Any:
+def opencv(asks: str, extra: str = "peers") -> Any:
     """The module `cv2`, with OpenCV's contributed modules.
 
     Parameters
     ----------
-    kind
-        The matcher that asks.
+    asks
+        The matcher or the command that asks.
+    extra
+        The extra that brings it.
 
     Raises
     ------
@@ -26,7 +28,7 @@ def opencv(kind: str) -> Any:
     except ImportError:
         cv2 = None
     if not hasattr(cv2, "omnidir"):
-        raise InputError("needs the extra: pip install 'omnirange[peers]'", file=kind)
+        raise InputError(f"needs the extra: pip install 'omnirange[{extra}]'", file=asks)
     return cv2
 
 

@@ -1,0 +1,1 @@
+"""Calibration: from corners of chessboards in images to a sensor, and how sure its rays are."""

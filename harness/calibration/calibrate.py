@@ -1,0 +1,249 @@
+"""From corners to a sensor: a start, a robust adjustment, a plain one without outliers, and how sure it is."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.calibration.adjust import Adjusted, adjust
+from harness.calibration.circle import Circle
+from harness.calibration.corners import Corners
+from harness.calibration.covered_field import covered_field
+from harness.calibration.halves import Halves, compare_halves
+from harness.calibration.parameters import Parameters, choose_keys, key_named, kind_of, with_values
+from harness.calibration.poses import BoardPoses
+from harness.calibration.start import Start, find_start, poses_for, template_of, visible
+from harness.calibration.uncertainty import RayGrid, Uncertainty, ray_grid, ray_sigma, uncertainty_of
+from harness.camera.intrinsics import FieldOfView
+from harness.camera.sensor import Sensor
+from harness.display import OneLine
+from harness.errors import InputError
+from harness.geometry.angles import Array
+
+Tell = Callable[[str], None]
+
+_OUTLIER = 6.0
+"""A corner whose residual is so many standard deviations long is a mistake: noise reaches 6 once in 66 million corners
+(exp(-6²/2), the length of two normal coordinates)."""
+_ROUGH_PX = 3.0
+"""Residuals above this count by their logarithm until their scatter is known."""
+_LEAST_SIGMA_PX = 1e-3
+"""No residual below a few of these is an outlier: of corners that are free of noise all that is left is rounding."""
+_LEAST_CORNERS = 6
+"""Of a board that loses more to outliers than leaves it these, nothing is used."""
+_FEW_IMAGES = 5
+_VAGUE_PX = 1.0
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class SensorCalibration(OneLine):
+    """A calibrated sensor, what it rests on, and how sure it is."""
+
+    sensor: Sensor
+    keys: tuple[str, ...]
+    """Dotted keys of the numbers that were found, `n`; all others were given."""
+    uncertainty: Uncertainty
+    corners: Corners
+    """Those that were used, `m`."""
+    left_out: Corners | None
+    """Those that were not: outliers."""
+    poses: BoardPoses
+    """Of the boards of `corners`."""
+    residuals: Array
+    """`[m, 2]`: predicted less measured pixels."""
+    grid: RayGrid
+    """Rays over the field, `k`."""
+    ray_sigma_px: Array
+    """`[k]`: standard deviation of where they are seen, a turn of the whole sensor apart, pixels."""
+    ray_sigma_fixed_px: Array
+    """`[k]`: the same with the turn."""
+    halves: Halves | None
+    """Two calibrations from half of the images each; None with fewer than four."""
+    circle: Circle | None
+    """The image circle, where one was found."""
+    rounds: int
+    notes: tuple[str, ...]
+    """What should be known before it is used, a line each."""
+
+    @property
+    def rms_px(self) -> float:
+        """Root of the mean squared distance between predicted and measured corners, pixels."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=-1))))
+
+    @property
+    def rms_of_images_px(self) -> Array:
+        """`[images]`: the same image by image."""
+        starts = self.corners.starts
+        count = np.add.reduceat(np.ones(len(self.residuals)), starts)
+        return np.sqrt(np.add.reduceat(np.sum(self.residuals**2, axis=-1), starts) / count)
+
+
+def calibrate_sensor(
+    corners: Corners,
+    kind: str,
+    *,
+    lens: Sequence[str] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float | None] | None = None,
+    start: Sensor | None = None,
+    field: FieldOfView | None = None,
+    circle: Circle | None = None,
+    tell: Tell = lambda _: None,
+) -> SensorCalibration:
+    """The sensor that explains corners best.
+
+    Parameters
+    ----------
+    kind
+        Of the camera model.
+    lens
+        Lens terms to find; the model's usual ones when None.
+    free, fix
+        Keys to find beside the usual ones, and keys not to find: with their value, or None for the start's.
+    start
+        A sensor of that kind to start from, instead of a search.
+    field
+        The cone that the sensor is said to see; as far as the corners reach when None.
+    tell
+        Called with a line as it goes on.
+
+    Raises
+    ------
+    InputError
+        When an option does not fit, or the corners cannot be explained.
+    """
+    fixed = dict(fix or {})
+    template = _template(corners, kind, start)
+    given = {key_named(template, word, "fix"): value for word, value in fixed.items() if value is not None}
+    try:
+        template = with_values(template, given)
+    except ValueError as error:
+        raise InputError(f"{', '.join(given)}: {_first_line(error)}", key="fix") from error
+    keys = choose_keys(template, lens=lens, free=free, fix=list(fixed))
+    if not keys:
+        raise InputError("nothing is left to find", key="fix")
+    begin = Start(template, poses_for(corners, template)) if start else find_start(corners, template, keys, circle)
+    adjusted, used, left_out = _without_outliers(corners, Parameters(begin.sensor, keys), begin, tell)
+    uncertainty = uncertainty_of(adjusted)
+    found = adjusted.parameters.sensor_at(adjusted.vector)
+    sensor = _with_field(found, field or covered_field(found, used, circle))
+    grid = ray_grid(sensor)
+    turned, unturned = ray_sigma(adjusted, uncertainty.vector_covariance, grid)
+    halves = compare_halves(adjusted, used, grid)
+    return SensorCalibration(
+        sensor=sensor,
+        keys=keys,
+        uncertainty=uncertainty,
+        corners=used,
+        left_out=left_out,
+        poses=adjusted.poses,
+        residuals=adjusted.residuals,
+        grid=grid,
+        ray_sigma_px=turned,
+        ray_sigma_fixed_px=unturned,
+        halves=halves,
+        circle=circle,
+        rounds=adjusted.rounds,
+        notes=tuple(_notes(adjusted, uncertainty, corners, used, turned)),
+    )
+
+
+def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:
+    if start is None:
+        return template_of(kind, corners.width_px, corners.height_px)
+    if kind_of(start.model) != kind:
+        raise InputError(f"is a {start.model.title}, not of kind '{kind}'", key="start")
+    if (start.camera.width_px, start.camera.height_px) != (corners.width_px, corners.height_px):
+        raise InputError(
+            f"is of {start.camera.width_px} x {start.camera.height_px} pixels; the images have {corners.width_px} x "
+            f"{corners.height_px}",
+            key="start",
+        )
+    return start
+
+
+def _without_outliers(
+    corners: Corners, parameters: Parameters, begin: Start, tell: Tell
+) -> tuple[Adjusted, Corners, Corners | None]:
+    """The plain adjustment of all corners that are no outliers of the robust one."""
+    vector, poses, scale = parameters.vector(begin.sensor), begin.poses, _ROUGH_PX
+    seen = visible(corners, begin.sensor, poses)
+    some, poses = corners.of(seen), poses.of(seen)
+    sigma = 0.0
+    length = np.zeros(0)
+    for _ in range(2):
+        robust = adjust(parameters, some, vector, poses, robust_px=scale) if seen else None
+        if robust is None:
+            raise InputError("the sensor to start from cannot see the corners; give a better one", key="start")
+        vector, poses = robust.vector, robust.poses
+        length = np.linalg.norm(robust.residuals, axis=-1)
+        # The median of the length of two normal coordinates is 1.1774 standard deviations.
+        sigma = max(float(np.median(length)) / 1.1774, _LEAST_SIGMA_PX)
+        scale = 3 * sigma
+    agrees = length <= _OUTLIER * sigma
+    left = np.bincount(some.image[agrees], minlength=len(seen))
+    agrees &= (left >= _LEAST_CORNERS)[some.image]
+    if not agrees.any():
+        raise InputError("no board agrees with the others: are the corners in the board's order?")
+    tell(f"{np.count_nonzero(agrees)} of {len(corners.image)} corners agree, about {sigma:.2g} px each way")
+    keep = np.zeros(len(corners.image), dtype=bool)
+    keep[np.flatnonzero(np.isin(corners.image, seen))[agrees]] = True
+    final = adjust(parameters, corners.where(keep), vector, poses.of(np.unique(some.image[agrees]).tolist()))
+    assert final is not None  # it begins where the robust one has ended
+    return final, corners.where(keep), None if keep.all() else corners.where(~keep)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[-2 if len(str(error).splitlines()) > 2 else 0].strip()
+
+
+def _with_field(sensor: Sensor, field: FieldOfView) -> Sensor:
+    try:
+        return Sensor.model_validate(dict(sensor.model_copy(update={"field": field})))
+    except ValueError as error:
+        raise InputError(
+            f"the sensor that was found cannot have this field: {_first_line(error)}", key="field"
+        ) from error
+
+
+def _notes(
+    adjusted: Adjusted, uncertainty: Uncertainty, corners: Corners, used: Corners, sigma_px: Array
+) -> Iterator[str]:
+    """What should be known before the sensor is used."""
+    if not adjusted.converged:
+        yield f"The adjustment had not ended after {adjusted.rounds} rounds: the sensor is not the best there is."
+    if uncertainty.undetermined:
+        yield (
+            f"The corners do not tell {', '.join(uncertainty.undetermined)}: take more boards, nearer to the rim and "
+            "at more angles, or fix what is known."
+        )
+    count = len(corners.image) - len(used.image)
+    gone = [name for name in corners.images if name not in used.images]
+    if gone:
+        yield f"Nothing of {', '.join(gone)} was used: hardly a corner there agrees with the others."
+    if count > 0.05 * len(corners.image):
+        yield (
+            f"{count / len(corners.image):.0%} of the corners were left out: more than mistakes alone would be. "
+            "Another model, or more lens terms, may fit."
+        )
+    if np.median(sigma_px) > _VAGUE_PX:
+        yield f"Rays are known to {np.median(sigma_px):.2g} px (median), one standard deviation: more boards tell more."
+    if len(used.images) < _FEW_IMAGES:
+        yield f"{len(used.images)} images are few: {_FEW_IMAGES} with boards in all parts of the image tell more."
+    model: Any = adjusted.parameters.sensor_at(adjusted.vector).model
+    if kind_of(model) == "hyperboloid" and model.b_m < 0.1 * model.a_m:
+        yield "The mirror came out as a paraboloid, the limit of hyperboloids; the unified model goes beyond."
+    yield from _trade_offs(adjusted.parameters.keys, uncertainty)
+
+
+def _trade_offs(keys: Sequence[str], uncertainty: Uncertainty) -> Iterator[str]:
+    correlation = uncertainty.correlation
+    shape = [i for i, key in enumerate(keys) if key in {"model.xi", "model.b_m"}]
+    for i in shape:
+        for j in (j for j, key in enumerate(keys) if key == "lens.k1"):
+            if abs(correlation[i, j]) > 0.95:
+                yield (
+                    f"{keys[i]} and {keys[j]} trade off (correlation {correlation[i, j]:.4f}): compare rays with those "
+                    "of another calibration, not these numbers."
+                )

@@ -1,0 +1,98 @@
+"""The corners of boards in images: what a calibration is made from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from harness.display import OneLine
+from harness.errors import InputError
+from harness.geometry.angles import Array
+from harness.spec import Positive, Spec
+
+Count = Annotated[int, Field(ge=2, le=200)]
+
+
+class Board(Spec):
+    """A chessboard by its inner corners, those where four squares meet."""
+
+    columns: Count
+    """Inner corners along the board's x."""
+    rows: Count
+    """Inner corners along the board's y."""
+    square_m: Positive
+    """Side of a square, metres."""
+
+    @property
+    def points_m(self) -> Array:
+        """The corners `[rows * columns, 2]` in the board's plane, metres: x runs fastest, the first one is (0, 0)."""
+        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        return self.square_m * np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Corners(OneLine):
+    """Corners seen in images: one plane board in each image, which stands anywhere. Sorted by image."""
+
+    images: tuple[str, ...]
+    """Names of the images, `n`; every one has corners."""
+    image: NDArray[np.intp]
+    """`[m]`: index into `images`, ascending."""
+    points_m: Array
+    """`[m, 2]`: (x, y) in the plane of the board, metres."""
+    pixels: Array
+    """`[m, 2]`: (u, v), pixels."""
+    width_px: int
+    height_px: int
+    """Size of the images, pixels."""
+
+    @property
+    def starts(self) -> NDArray[np.intp]:
+        """`[n]`: where the corners of each image begin."""
+        return np.searchsorted(self.image, np.arange(len(self.images)))
+
+    def of(self, chosen: Sequence[int]) -> "Corners":
+        """The corners of some of the images, by their indices, ascending."""
+        keep = np.isin(self.image, chosen)
+        index = np.searchsorted(np.asarray(chosen), self.image[keep])
+        names = tuple(self.images[each] for each in chosen)
+        return Corners(names, index, self.points_m[keep], self.pixels[keep], self.width_px, self.height_px)
+
+    def where(self, keep: NDArray[np.bool_]) -> "Corners":
+        """Some of the corners `[m]`; an image that keeps none goes."""
+        left = np.unique(self.image[keep])
+        index = np.searchsorted(left, self.image[keep])
+        names = tuple(self.images[each] for each in left)
+        return Corners(names, index, self.points_m[keep], self.pixels[keep], self.width_px, self.height_px)
+
+
+def corners_of(
+    found: Sequence[tuple[str, Array, Array]], width_px: int, height_px: int, *, file: str | None = None
+) -> Corners:
+    """Corners from (name, points on the board `[k, 2]`, pixels `[k, 2]`) of each image.
+
+    Raises
+    ------
+    InputError
+        When an image has fewer than 6 corners, or all of them on one line, or something is not a number.
+    """
+    if not found:
+        raise InputError("holds no corners", file=file)
+    for name, points, pixels in found:
+        if len(points) != len(pixels) or len(points) < 6:
+            raise InputError(f"image '{name}' has {len(points)} corners; a board needs at least 6", file=file)
+        if not (np.isfinite(points).all() and np.isfinite(pixels).all()):
+            raise InputError(f"image '{name}' has corners that are not finite numbers", file=file)
+        if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * np.ptp(points)) < 2:
+            raise InputError(f"the corners of image '{name}' lie on one line of the board", file=file)
+    return Corners(
+        tuple(name for name, _, _ in found),
+        np.repeat(np.arange(len(found)), [len(points) for _, points, _ in found]),
+        np.concatenate([np.asarray(points, dtype=np.float64) for _, points, _ in found]),
+        np.concatenate([np.asarray(pixels, dtype=np.float64) for _, _, pixels in found]),
+        width_px,
+        height_px,
+    )

@@ -1,0 +1,66 @@
+"""The cone that a calibrated sensor is said to see: what the boards reached, and a little beyond."""
+
+import math
+
+import numpy as np
+
+from harness.calibration.circle import Circle
+from harness.calibration.corners import Corners
+from harness.calibration.parameters import kind_of
+from harness.calibration.uncertainty import angles_off_axis
+from harness.camera.intrinsics import FieldOfView
+from harness.camera.sensor import Sensor, unproject
+
+_BEYOND_DEG = 1.0
+"""How far the field goes beyond the outermost corner where no image circle was found."""
+_MOST_BEYOND_DEG = 10.0
+"""How far towards the image circle: farther out a model is a guess."""
+_INWARD_DEG = 5.0
+"""The same within the innermost corner of a mirror, in the middle of which the camera sees itself."""
+
+
+def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> FieldOfView:
+    """The widest cone about the optical axis, of tenths of a degree, that the corners allow and the model can have.
+
+    Parameters
+    ----------
+    sensor
+        Its own field is not looked at.
+    """
+    off_axis = np.degrees(angles_off_axis(sensor, corners.pixels))
+    outermost, innermost = float(np.nanmax(off_axis)), float(np.nanmin(off_axis))
+    widest = outermost + _BEYOND_DEG
+    if circle is not None:
+        widest = min(max(_circle_angle_deg(sensor, circle), outermost), outermost + _MOST_BEYOND_DEG)
+    narrowest = max(0.0, innermost - _INWARD_DEG) if kind_of(sensor.model) == "hyperboloid" else 0.0
+    least = math.floor(10 * outermost) / 10
+    angle = math.floor(10 * widest) / 10
+    while angle > least and not _can_have(sensor, _cone(sensor, narrowest, angle)):
+        angle -= 0.1
+    return _cone(sensor, narrowest, angle)
+
+
+def _cone(sensor: Sensor, narrowest_deg: float, widest_deg: float) -> FieldOfView:
+    axis, _ = unproject(sensor, [sensor.camera.cx_px, sensor.camera.cy_px])
+    low, high = round(widest_deg, 1), math.floor(10 * narrowest_deg) / 10
+    if axis[2] < 0:  # looks down: what is far off the axis is high
+        return FieldOfView(elevation_min_deg=high - 90, elevation_max_deg=round(low - 90, 1))
+    return FieldOfView(elevation_min_deg=round(90 - low, 1), elevation_max_deg=90 - high)
+
+
+def _can_have(sensor: Sensor, field: FieldOfView) -> bool:
+    try:
+        Sensor.model_validate(dict(sensor.model_copy(update={"field": field})))
+    except ValueError:
+        return False
+    return True
+
+
+def _circle_angle_deg(sensor: Sensor, circle: Circle) -> float:
+    """The smallest angle off the axis along the image circle; 0 where it is not known anywhere."""
+    around = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    rim = np.stack(
+        [circle.u + circle.radius_px * np.cos(around), circle.v + circle.radius_px * np.sin(around)], axis=-1
+    )
+    angles = np.degrees(angles_off_axis(sensor, rim))
+    return float(np.nanmin(angles)) if np.isfinite(angles).any() else 0.0

@@ -1,0 +1,320 @@
+"""Which numbers of a sensor a calibration finds, as a vector, and the sensor that a vector stands for.
+
+The vector that is adjusted is not that of the keys of the file. Focal length and lens are written for a normalised
+plane of slope 1 at the axis: there xi, focal length and lens bend the image each in a way of its own, while in the
+keys a change of xi has to be made good by all the others. It is a change of coordinates and nothing else:
+covariances are given for the keys.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from harness.camera._projection_kernels import project_all
+from harness.camera.models import CameraModel
+from harness.camera.sensor import Sensor, parameters_of
+from harness.errors import InputError, nearest
+from harness.geometry.angles import Array
+
+LENS_POWERS = {"k1": 2, "k2": 4, "p1": 1, "p2": 1, "k3": 6}
+"""By what power of the plane's scale a lens coefficient changes."""
+_CAMERA = ("focal_px", "aspect", "cx_px", "cy_px")
+_LENS = ("k1", "k2", "p1", "p2")
+_MODEL: dict[str, tuple[str, ...]] = {
+    "hyperboloid": ("b_m",),  # an image tells the shape of a mirror, not its size
+    "unified": ("xi",),
+    "eucm": ("alpha", "beta"),
+    "double_sphere": ("xi", "alpha"),
+    "kannala_brandt": ("k1", "k2", "k3", "k4"),
+}
+"""Keys of a model's own table that an image tells."""
+_MIRROR = "model.b_m"
+"""The shape of a mirror is adjusted as its xi, of which an image is a smoother function near a paraboloid."""
+_FREE_LENS = {"unified": _LENS}
+"""Lens terms that are free unless the user says otherwise."""
+
+
+def kind_of(model: CameraModel) -> str:
+    """The model's `kind`, as in the file."""
+    return str(getattr(model, "kind", "hyperboloid"))
+
+
+def axial_slope(model: CameraModel) -> float:
+    """Derivative at the axis of the radius on the model's normalised plane by the angle off the axis."""
+    kind = kind_of(model)
+    table: Any = model
+    if kind == "hyperboloid":  # m = (1 - 1/eps²)/(1 + 1/eps²) sin/(xi + cos) in units of the focal length
+        eps = table.e_m / table.a_m
+        return float((eps - 1) / (eps + 1))
+    if kind in {"unified", "double_sphere"}:
+        return 1.0 / (1.0 + float(table.xi))
+    return 1.0
+
+
+def choose_keys(
+    sensor: Sensor, *, lens: Sequence[str] | None = None, free: Sequence[str] = (), fix: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """The dotted keys that are found, in the order of the file.
+
+    Parameters
+    ----------
+    lens
+        Lens terms that are found, in place of the model's usual ones.
+    free, fix
+        Keys that are found, or not, beside the usual ones: `lens.k3`, or `k3` where that is one key alone.
+
+    Raises
+    ------
+    InputError
+        When a key is not there, or an image cannot tell it.
+    """
+    kind = kind_of(sensor.model)
+    terms = _FREE_LENS.get(kind, ()) if lens is None else tuple(lens)
+    for name in terms:
+        if name not in LENS_POWERS:
+            raise InputError(f"there is no lens term '{name}'; {nearest(name, list(LENS_POWERS))}", key="lens")
+    if terms and not sensor.model.has_lens:
+        raise InputError(f"a {sensor.model.title} has its own distortion and no [lens] terms", key="lens")
+    chosen = {*_model_keys(sensor.model), *_camera_keys(kind), *(f"lens.{each}" for each in terms)}
+    every = _every_key(sensor)
+    for word in free:
+        chosen.add(key_named(sensor, word, "free"))
+    for word in fix:
+        chosen.discard(key_named(sensor, word, "fix"))
+    return tuple(key for key in every if key in chosen)
+
+
+def _model_keys(model: CameraModel) -> list[str]:
+    kind = kind_of(model)
+    if kind == "ocam":
+        coefficients = len(getattr(model, "coefficients", ()))
+        # a_1 is 0; e would turn the image about its centre, which the boards' poses do as well.
+        return [f"model.coefficients[{i}]" for i in range(coefficients) if i != 1] + ["model.c", "model.d"]
+    if kind in _MODEL:
+        return [f"model.{name}" for name in _MODEL[kind]]
+    fields = type(model).model_fields
+    return [f"model.{name}" for name in fields if isinstance(getattr(model, name), float)]
+
+
+def _camera_keys(kind: str) -> list[str]:
+    names = _CAMERA if kind != "ocam" else ("cx_px", "cy_px")  # its polynomial and c are focal length and aspect
+    return [f"camera.{name}" for name in names]
+
+
+def _every_key(sensor: Sensor) -> list[str]:
+    """All that could be found."""
+    kind = kind_of(sensor.model)
+    keys = _model_keys(sensor.model)
+    keys += [f"model.{name}" for name in ("e",) if kind == "ocam"]
+    camera = ["focal_px", "aspect", "skew_px", "cx_px", "cy_px"] if kind != "ocam" else ["cx_px", "cy_px"]
+    keys += [f"camera.{name}" for name in camera if name in type(sensor.camera).model_fields]
+    return keys + [f"lens.{name}" for name in LENS_POWERS if sensor.model.has_lens]
+
+
+def key_named(sensor: Sensor, word: str, argument: str) -> str:
+    """The dotted key that is meant by it, or by its last part: `k3`, `lens.k3`, `focal`.
+
+    Raises
+    ------
+    InputError
+        When there is none, or more than one.
+    """
+    every = _every_key(sensor)
+    named = [key for key in every if word in (key, key.rpartition(".")[2], key.rpartition(".")[2].removesuffix("_px"))]
+    if len(named) != 1:
+        names = [key.rpartition(".")[2] for key in every]
+        hint = f"it may be {' or '.join(named)}" if named else nearest(word, [*names, *every])
+        raise InputError(f"there is no one key '{word}' to find; {hint}", key=argument)
+    return named[0]
+
+
+def value_of(sensor: Sensor, key: str) -> float:
+    """The number under a dotted key."""
+    table, _, name = key.partition(".")
+    spec: Any = getattr(sensor, table)
+    if name.endswith("]"):
+        name, _, index = name[:-1].partition("[")
+        return float(getattr(spec, name)[int(index)])
+    return float(getattr(spec, name))
+
+
+def with_values(sensor: Sensor, values: Mapping[str, float]) -> Sensor:
+    """A sensor with other numbers under some dotted keys. Tables are checked, but not whether it sees its field.
+
+    Raises
+    ------
+    ValueError
+        When a number is none that its key may have.
+    """
+    update: dict[str, Any] = {}
+    for table in ("model", "camera", "lens"):
+        spec: Any = getattr(sensor, table)
+        given = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{table}.")}
+        if not given:
+            continue
+        listed: dict[str, list[float]] = {}
+        for name in [each for each in given if each.endswith("]")]:
+            stem, _, index = name[:-1].partition("[")
+            listed.setdefault(stem, list(getattr(spec, stem)))[int(index)] = given.pop(name)
+        new = {name: getattr(spec, name) for name in type(spec).model_fields}
+        update[table] = type(spec).model_validate(new | given | {name: tuple(each) for name, each in listed.items()})
+    return sensor.model_copy(update=update)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The free numbers of a sensor."""
+
+    sensor: Sensor
+    """Has all the others."""
+    keys: tuple[str, ...]
+    """Dotted keys, in the order of vectors."""
+
+    def vector(self, sensor: Sensor) -> Array:
+        """The coordinates that are adjusted, `[n]`, of a sensor."""
+        slope = axial_slope(sensor.model)
+        model: Any = sensor.model
+        return np.array(
+            [
+                _unified_xi(model) if key == _MIRROR else _coordinate(key, value_of(sensor, key), slope)
+                for key in self.keys
+            ]
+        )
+
+    def sensor_at(self, vector: Array) -> Sensor:
+        """The sensor of a vector of coordinates.
+
+        Raises
+        ------
+        ValueError
+            When there is none.
+        """
+        own = {
+            key: semi_axis(self.sensor.model, float(each)) if key == _MIRROR else float(each)
+            for key, each in zip(self.keys, vector, strict=True)
+        }
+        sensor = with_values(self.sensor, {key: value for key, value in own.items() if key.startswith("model.")})
+        slope = axial_slope(sensor.model)
+        return with_values(
+            sensor, {key: _value(key, own[key], slope) for key in self.keys if not key.startswith("model.")}
+        )
+
+    def compiled(self, vector: Array) -> Any | None:
+        """What compiled projections are given for a vector; None where there is no such sensor."""
+        try:
+            return parameters_of.__wrapped__(self.sensor_at(vector))
+        except (ValidationError, ValueError, OverflowError, ZeroDivisionError):
+            return None
+
+    def values(self, vector: Array) -> Array:
+        """The numbers under the keys, `[n]`."""
+        sensor = self.sensor_at(vector)
+        return np.array([value_of(sensor, key) for key in self.keys])
+
+    @cached_property
+    def steps(self) -> Array:
+        """Steps `[n]` for differences, before anything is known of their effect."""
+        return np.array(
+            [1e-6 * _size(key, each) for key, each in zip(self.keys, self.vector(self.sensor), strict=True)]
+        )
+
+    def derivatives_of_values(self, vector: Array) -> Array:
+        """Derivatives `[n, n]` of `values` by the vector, by differences to both sides, or to one at a limit."""
+        at = self.values(vector)
+        columns = []
+        for i, step in enumerate(1e-5 * np.maximum(np.abs(vector), 1e-6)):
+            sides = []
+            for moved in (vector + np.eye(len(vector))[i] * step, vector - np.eye(len(vector))[i] * step):
+                try:
+                    sides.append((moved[i], self.values(moved)))
+                except ValueError:
+                    sides.append((vector[i], at))
+            (above, high), (below, low) = sides
+            columns.append((high - low) / max(above - below, 1e-300))
+        return np.stack(columns, axis=1)
+
+
+def intrinsic_jacobian(parameters: Parameters, vector: Array, p: Array, steps: Array) -> Array:
+    """Derivatives `[m, 2, n]` of the pixels of directions p `[m, 3]` by the vector, by central differences.
+
+    Their error is of the order of steps², against roundings of 1e-13 of the image over the step. Where a step leads out
+    of the model's domain the difference is one-sided; NaN where both do.
+
+    Parameters
+    ----------
+    steps
+        `[n]`; each is changed so that the next call moves pixels by 1e-3, which is where both errors are small.
+    """
+    p = np.ascontiguousarray(p)
+    out = np.empty((len(p), 2, len(vector)))
+    middle = None
+    for i in range(len(vector)):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = vector.copy()
+            moved[i] += sign * steps[i]
+            camera = parameters.compiled(moved)
+            pixels = np.full((len(p), 2), np.nan)
+            if camera is not None:
+                project_all(p, camera, pixels)
+            sides.append(pixels)
+        ahead, behind, width = sides[0], sides[1], 2 * steps[i]
+        if not (np.isfinite(ahead).all() and np.isfinite(behind).all()):
+            if middle is None:
+                middle = np.empty((len(p), 2))
+                project_all(p, parameters.compiled(vector), middle)
+            whole = np.isfinite(ahead) & np.isfinite(behind)
+            one_sided = np.where(np.isfinite(ahead), ahead - middle, middle - behind) / steps[i]
+            out[:, :, i] = np.where(whole, (ahead - behind) / width, one_sided)
+        else:
+            out[:, :, i] = (ahead - behind) / width
+        size = float(np.sqrt(np.nanmean(out[:, :, i] ** 2)))
+        if size > 0:
+            steps[i] = 1e-3 / size
+    return out
+
+
+def _unified_xi(mirror: Any) -> float:
+    """Xi of a hyperboloid in the unified model, `2 eps/(1 + eps²)` with eps = e/a."""
+    eps = mirror.e_m / mirror.a_m
+    return float(2 * eps / (1 + eps * eps))
+
+
+def semi_axis(mirror: Any, xi: float) -> float:
+    """The semi-axis b of the hyperboloid with this xi, `a sqrt(eps² - 1)`.
+
+    Raises
+    ------
+    ValueError
+        Unless 0 < xi < 1.
+    """
+    if not 0 < xi < 1:
+        raise ValueError(f"xi = {xi:g} is no hyperboloid")
+    root = math.sqrt(1 - xi * xi)
+    # eps² - 1 = ((1 + root)² - xi²)/xi² = 2 root (1 + root)/xi²
+    return float(mirror.a_m * math.sqrt(2 * root * (1 + root)) / xi)
+
+
+def _size(key: str, coordinate: float) -> float:
+    """A size that a coordinate may have: its own, at least 1, or 100 pixels to the power of a polynomial's term."""
+    power = int(key[:-1].partition("[")[2]) if key.endswith("]") else 1
+    return max(abs(coordinate), 100.0 ** (1 - power))
+
+
+def _coordinate(key: str, value: float, slope: float) -> float:
+    if key == "camera.focal_px":
+        return value * slope
+    name = key.removeprefix("lens.")
+    return value * slope ** LENS_POWERS[name] if name in LENS_POWERS and key != name else value
+
+
+def _value(key: str, own: float, slope: float) -> float:
+    if key == "camera.focal_px":
+        return own / slope
+    name = key.removeprefix("lens.")
+    return own / slope ** LENS_POWERS[name] if name in LENS_POWERS and key != name else own

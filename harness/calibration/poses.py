@@ -1,0 +1,178 @@
+"""Where boards stand: a first estimate from the bearings of their corners, and its refinement for a known camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from harness.calibration.corners import Corners
+from harness.camera._projection_kernels import differentiate_all, project_all
+from harness.display import OneLine
+from harness.geometry.angles import Array
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class BoardPoses(OneLine):
+    """`p = R (x, y, 0) + t` takes a point of the board into the sensor's frame.
+
+    R is a rotation in every model. Of a plane no image tells whether the sensor mirrors it: R and t turn a board over
+    instead, which has the same corners.
+    """
+
+    R: Array
+    """`[n, 3, 3]`."""
+    t: Array
+    """`[n, 3]`, metres."""
+
+    def of(self, chosen: Sequence[int]) -> "BoardPoses":
+        """Those of some of the boards."""
+        return BoardPoses(self.R[chosen], self.t[chosen])
+
+    def apply(self, corners: Corners) -> tuple[Array, Array]:
+        """Corners `[m, 3]` turned into the sensor's frame, before and after they are moved there."""
+        turned = np.einsum("mij,mj->mi", self.R[corners.image, :, :2], corners.points_m)
+        return turned, turned + self.t[corners.image]
+
+    def moved(self, step: Array) -> "BoardPoses":
+        """After a small rotation vector (radians) and a translation (metres) each, `[n, 6]`, in the sensor's frame.
+
+        The rotation turns a board about its own origin.
+        """
+        turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
+        return BoardPoses(turn @ self.R, self.t + step[:, 3:])
+
+
+def poses_from_bearings(corners: Corners, bearings: Array) -> BoardPoses:
+    """Poses of plane boards from the directions of their corners, by linear least squares.
+
+    A direction b and its corner (x, y) satisfy `b × (H (x, y, 1)) = 0` with `H = [r_1 r_2 t]` up to a factor, whichever
+    half of the sphere they are in. The smallest singular vector gives H, `b · H (x, y, 1) > 0` its sign, and the
+    nearest rotation to `[r_1 r_2 r_1 × r_2]` R (Zhang 2000, for directions instead of a perspective image).
+
+    Parameters
+    ----------
+    bearings
+        `[m, 3]`, unit length. A corner whose direction is NaN is left out.
+
+    Returns
+    -------
+    BoardPoses
+        NaN for a board with fewer than 4 corners left.
+    """
+    count = len(corners.images)
+    R, t = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
+    ends = [*corners.starts.tolist(), len(corners.image)]
+    for board in range(count):
+        of_board = slice(ends[board], ends[board + 1])
+        known = np.isfinite(bearings[of_board]).all(axis=-1)
+        if known.sum() >= 4:
+            R[board], t[board] = _pose(corners.points_m[of_board][known], bearings[of_board][known])
+    return BoardPoses(R, t)
+
+
+def _pose(points: Array, b: Array) -> tuple[Array, Array]:
+    centre = points.mean(axis=0)
+    scale = 1 / np.abs(points - centre).max()
+    x = np.concatenate([(points - centre) * scale, np.ones((len(points), 1))], axis=1)
+    zero = np.zeros_like(x)
+    rows = np.concatenate(
+        [
+            np.concatenate([zero, -b[:, 2:] * x, b[:, 1:2] * x], axis=1),
+            np.concatenate([b[:, 2:] * x, zero, -b[:, :1] * x], axis=1),
+            np.concatenate([-b[:, 1:2] * x, b[:, :1] * x, zero], axis=1),
+        ]
+    )
+    H = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+    if np.sum(np.einsum("ij,ij->i", b, x @ H.T)) < 0:
+        H = -H
+    H = H * [scale, scale, 1.0]
+    size = np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
+    H = H / max(size, 1e-300)
+    left, _, right = np.linalg.svd(np.stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])], axis=1))
+    R = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return R, H[:, 2] - R[:, :2] @ centre
+
+
+def turned_over(poses: BoardPoses, corners: Corners) -> BoardPoses:
+    """The other pose that a small board may have: mirrored at the plane across the line of sight to its middle.
+
+    A small plane board looks nearly the same from both (Schweighofer and Pinz 2006).
+    """
+    _, p = poses.apply(corners)
+    count = np.add.reduceat(np.ones(len(p)), corners.starts)[:, None]
+    middle = np.add.reduceat(p, corners.starts) / count
+    sight = middle / np.linalg.norm(middle, axis=-1, keepdims=True)
+    mirror = np.eye(3) - 2 * sight[:, :, None] * sight[:, None, :]
+    R = mirror @ poses.R * [1.0, 1.0, -1.0]
+    point = (
+        np.add.reduceat(corners.points_m, corners.starts) / np.add.reduceat(np.ones(len(p)), corners.starts)[:, None]
+    )
+    return BoardPoses(R, middle - np.einsum("nij,nj->ni", R[:, :, :2], point))
+
+
+def pose_jacobian(camera: object, turned: Array, p: Array) -> Array:
+    """Derivatives `[m, 2, 6]` of pixels by the step of `BoardPoses.moved`, pixels per radian and per metre.
+
+    A small turn w moves `p = a + t`, a = R (x, y, 0), by `w × a`, so that the pixel moves by `D (w × a) = (a × D) w`
+    for each row of D, the derivative by the direction.
+    """
+    D = np.empty((len(p), 2, 3))
+    differentiate_all(np.ascontiguousarray(p), camera, D)
+    return np.concatenate([np.cross(turned[:, None, :], D), D], axis=-1)
+
+
+def residuals_of(camera: object, corners: Corners, poses: BoardPoses) -> Array:
+    """Predicted less measured pixels `[m, 2]`; NaN where the model has no pixel."""
+    pixels = np.empty((len(corners.image), 2))
+    project_all(np.ascontiguousarray(poses.apply(corners)[1]), camera, pixels)
+    return pixels - corners.pixels
+
+
+def refine_poses(camera: object, corners: Corners, poses: BoardPoses, *, rounds: int = 30) -> tuple[BoardPoses, Array]:
+    """Poses that minimise each board's squared residuals for a known camera (Levenberg-Marquardt, board by board).
+
+    Parameters
+    ----------
+    camera
+        What compiled projections are given: `parameters_of(sensor)`.
+
+    Returns
+    -------
+    poses
+        A board whose corners the model cannot all see stays as it was.
+    cost
+        `[n]`, sums of squared residuals, square pixels; infinite for such a board.
+    """
+    starts = corners.starts
+    cost = _costs(camera, corners, poses)
+    damping = np.full(len(cost), 1e-3)
+    for _ in range(rounds):
+        turned, p = poses.apply(corners)
+        J = pose_jacobian(camera, turned, p)
+        r = residuals_of(camera, corners, poses)
+        bad = ~np.isfinite(cost)[corners.image]
+        J[bad], r[bad] = 0.0, 0.0
+        normal = np.add.reduceat(np.einsum("mki,mkj->mij", J, J), starts)
+        gradient = np.add.reduceat(np.einsum("mki,mk->mi", J, r), starts)
+        diagonal = np.einsum("nii->ni", normal)
+        normal[:, range(6), range(6)] = diagonal * (1 + damping[:, None]) + 1e-30 * (diagonal.max() + 1)
+        tried = poses.moved(-np.linalg.solve(normal, gradient[..., None])[..., 0])
+        new = _costs(camera, corners, tried)
+        better = new < cost
+        poses = BoardPoses(
+            np.where(better[:, None, None], tried.R, poses.R), np.where(better[:, None], tried.t, poses.t)
+        )
+        gain = np.where(better, cost, 0.0) - np.where(better, new, 0.0)
+        cost = np.where(better, new, cost)
+        damping = np.where(better, damping * 0.2, damping * 10)
+        if not (better & (gain > 1e-9 * cost + 1e-20)).any() and (damping > 1e-3).all():
+            break
+    return poses, cost
+
+
+def _costs(camera: object, corners: Corners, poses: BoardPoses) -> Array:
+    r = residuals_of(camera, corners, poses)
+    with np.errstate(invalid="ignore"):
+        cost = np.add.reduceat(np.einsum("mk,mk->m", r, r), corners.starts)
+    return np.where(np.isfinite(cost), cost, np.inf)

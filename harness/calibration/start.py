@@ -1,0 +1,237 @@
+"""A first sensor, near enough for the adjustment: many guesses in the unified model without a lens, told apart by what
+they leave of the corners, and then the model that was asked for.
+
+The unified model needs no more than xi and a focal length to look like a pinhole (xi = 0), a fisheye or any mirror.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.calibration.adjust import Adjusted, adjust
+from harness.calibration.circle import Circle
+from harness.calibration.corners import Corners
+from harness.calibration.parameters import Parameters, axial_slope, kind_of, semi_axis, value_of, with_values
+from harness.calibration.poses import BoardPoses, poses_from_bearings, refine_poses, residuals_of, turned_over
+from harness.calibration.uncertainty import angles_off_axis
+from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.lens import Lens
+from harness.camera.models import MODELS
+from harness.camera.sensor import Sensor, parameters_of, unproject
+from harness.errors import InputError, nearest
+from harness.geometry.angles import Array
+
+_ANGLES_DEG = (25.0, 45.0, 65.0, 85.0, 105.0, 125.0)
+"""How far off the axis the outermost corner may be."""
+_XIS = (0.0, 0.6, 1.0, 1.6)
+_TRIED = 5
+"""How many of the guesses are adjusted."""
+_ROUGH_PX = 3.0
+"""Residuals above this count by their logarithm while the sensor is not known."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the adjustment begins."""
+
+    sensor: Sensor
+    poses: BoardPoses
+
+
+def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
+    """A sensor of a kind of model, undistorted, with its principal point in the middle; its field is not checked.
+
+    Raises
+    ------
+    InputError
+        When there is no such kind.
+    """
+    if kind not in MODELS:
+        raise InputError(f"there is no camera model '{kind}'; {nearest(kind, list(MODELS))}", key="model")
+    if kind not in _PLAIN:
+        raise InputError(f"a model of kind '{kind}' is not calibrated; {nearest(kind, list(_PLAIN))}", key="model")
+    camera = Camera(width_px=width_px, height_px=height_px, cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2)
+    model = MODELS[kind].model_validate(_PLAIN[kind])
+    return Sensor.model_construct(model=model, camera=camera, lens=Lens(), field=FieldOfView())
+
+
+_PLAIN: dict[str, dict[str, Any]] = {
+    "hyperboloid": {},
+    "unified": {"xi": 1.0},
+    "eucm": {"alpha": 0.5, "beta": 1.0},
+    "double_sphere": {"xi": 0.0, "alpha": 0.5},
+    "kannala_brandt": {"k1": 0.0, "k2": 0.0, "k3": 0.0, "k4": 0.0},
+}
+"""Values of a model's own keys before anything is known."""
+
+
+def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle: Circle | None) -> Start:
+    """A sensor of the template's kind near the corners.
+
+    Parameters
+    ----------
+    template
+        Its values are kept under all keys that are not in `keys`.
+    circle
+        The image circle, whose middle is a guess of the principal point.
+
+    Raises
+    ------
+    InputError
+        When no guess explains the corners, or there is no way to begin with this kind of model.
+    """
+    kind = kind_of(template.model)
+    if kind not in _OWN_KEYS:
+        raise InputError(f"no start is known for a {template.model.title}; give a sensor to start from", key="start")
+    # In another model xi and the focal length stand for keys of its own.
+    own = [key for key in ("model.xi", "camera.focal_px") if key in keys or kind != "unified"]
+    free = (*own, *(key for key in ("camera.cx_px", "camera.cy_px") if key in keys))
+    guesses = sorted(_guesses(corners, template, free, circle), key=lambda each: each[0])
+    if not guesses:
+        raise InputError(
+            "no guess of the camera lets all boards be seen in one piece: are the corners in the board's order, and is "
+            "the board's size right?"
+        )
+    best: Adjusted | None = None
+    for _, guess in guesses[:_TRIED]:
+        tried = _adjusted_unified(corners, guess, free)
+        if tried is not None and (best is None or tried.cost < 0.999 * best.cost):
+            best = tried
+    if best is None:
+        raise InputError("no guess of the camera could be adjusted to the corners")
+    sensor = _converted(template, keys, corners, best.parameters.sensor_at(best.vector))
+    return Start(sensor, poses_for(corners, sensor))
+
+
+def poses_for(corners: Corners, sensor: Sensor) -> BoardPoses:
+    """The boards' poses for a known sensor, the better one of the two that a small board may have.
+
+    NaN for a board of which the sensor sees too few corners.
+    """
+    camera = parameters_of(sensor)
+    first = poses_from_bearings(corners, unproject(sensor, corners.pixels)[0])
+    poses, cost = refine_poses(camera, corners, first)
+    other, other_cost = refine_poses(camera, corners, turned_over(poses, corners))
+    better = other_cost < cost
+    return BoardPoses(np.where(better[:, None, None], other.R, poses.R), np.where(better[:, None], other.t, poses.t))
+
+
+def _guesses(
+    corners: Corners, template: Sensor, free: tuple[str, ...], circle: Circle | None
+) -> Iterator[tuple[float, Start]]:
+    """Sensors of the unified model and the boards' poses, with the median of the corners' residuals, pixels."""
+    middles = {((corners.width_px - 1) / 2, (corners.height_px - 1) / 2)}
+    if circle is not None:
+        middles.add((circle.u, circle.v))
+    size = corners.width_px, corners.height_px
+    given = {name: getattr(template.camera, name) for name in ("cx_px", "cy_px") if f"camera.{name}" not in free}
+    xis = _XIS if "model.xi" in free else (value_of(template, "model.xi"),)
+    for u, v in middles:
+        cx, cy = given.get("cx_px", u), given.get("cy_px", v)
+        outermost = float(np.hypot(corners.pixels[:, 0] - cx, corners.pixels[:, 1] - cy).max())
+        for xi in xis:
+            for angle in np.radians(_ANGLES_DEG).tolist():
+                if math.cos(angle) <= 0.05 - min(xi, 1 / xi if xi else 0.0):
+                    continue
+                focal = outermost * (math.cos(angle) + xi) / math.sin(angle)
+                if "camera.focal_px" not in free:
+                    focal = template.camera.focal_px
+                sensor = unified_sensor(*size, xi, focal, cx, cy, template.camera.aspect)
+                bearings = unproject(sensor, corners.pixels)[0]
+                if not np.isfinite(bearings).all():
+                    continue
+                poses = poses_from_bearings(corners, bearings)
+                length = np.linalg.norm(residuals_of(parameters_of(sensor), corners, poses), axis=-1)
+                median = float(np.median(np.where(np.isfinite(length), length, np.inf)))
+                if math.isfinite(median):
+                    yield median, Start(sensor, poses)
+
+
+def unified_sensor(
+    width_px: int, height_px: int, xi: float, focal_px: float, cx_px: float, cy_px: float, aspect: float = 1.0
+) -> Sensor:
+    """A sensor of the unified model without a lens that sees whatever the model can: nothing is asked of its field."""
+    camera = Camera.model_construct(
+        width_px=width_px, height_px=height_px, focal_px=focal_px, aspect=aspect, cx_px=cx_px, cy_px=cy_px
+    )
+    model = MODELS["unified"].model_validate({"xi": xi})
+    return Sensor.model_construct(model=model, camera=camera, lens=Lens(), field=FieldOfView())
+
+
+def _adjusted_unified(corners: Corners, guess: Start, free: tuple[str, ...]) -> Adjusted | None:
+    parameters = Parameters(guess.sensor, free)
+    seen = visible(corners, guess.sensor, guess.poses)
+    if not seen:
+        return None
+    some, poses = corners.of(seen), guess.poses.of(seen)
+    found = adjust(parameters, some, parameters.vector(guess.sensor), poses, robust_px=_ROUGH_PX, rounds=40)
+    if found is None:
+        return None
+    # Once more with whichever of the two poses of each board is the better one for the sensor that was found.
+    poses = poses_for(some, parameters.sensor_at(found.vector))
+    again = adjust(parameters, some, found.vector, poses, robust_px=_ROUGH_PX, rounds=40)
+    return again if again is not None and again.cost < found.cost else found
+
+
+def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
+    """The images, by index, in which a sensor sees every corner of its board."""
+    lost = ~np.isfinite(residuals_of(parameters_of(sensor), corners, poses)).all(axis=-1)
+    return np.flatnonzero(np.bincount(corners.image, lost, minlength=len(corners.images)) == 0).tolist()
+
+
+# --- The models, from a unified one without a lens ---------------------------------------------------------------
+
+
+def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, found: Sensor) -> Sensor:
+    """A sensor of the template's kind near a unified one; the template's own where a key is not among `keys`."""
+    xi: float = found.model.xi  # type: ignore[attr-defined]
+    axial = found.camera.focal_px / (1 + xi)
+    outermost = float(np.nanmax(angles_off_axis(found, corners.pixels)))
+    theta = np.linspace(0, outermost, 200)[1:]
+    radius = axial * (1 + xi) * np.sin(theta) / (np.cos(theta) + xi)
+    new = {
+        f"model.{key}": value for key, value in _OWN_KEYS[kind_of(template.model)](template, xi, theta, radius / axial)
+    }
+    sensor = with_values(template, {key: value for key, value in new.items() if key in keys})
+    camera = {f"camera.{name}": getattr(found.camera, name) for name in ("cx_px", "cy_px")}
+    camera["camera.focal_px"] = axial / axial_slope(sensor.model)
+    return with_values(sensor, {key: value for key, value in camera.items() if key in keys})
+
+
+Own = Iterable[tuple[str, float]]
+
+
+def _of_unified(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001 - one signature
+    return [("xi", xi)]
+
+
+def _of_hyperboloid(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
+    return [("b_m", semi_axis(template.model, min(max(xi, 0.05), 0.99)))]
+
+
+def _of_eucm(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
+    return [("alpha", xi / (1 + xi)), ("beta", 1.0)]
+
+
+def _of_double_sphere(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
+    return [("xi", 0.0), ("alpha", xi / (1 + xi))]
+
+
+def _of_kannala_brandt(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
+    """The polynomial of the angle nearest to the curve, out to the last corner."""
+    powers = theta[:, None] ** np.array([3, 5, 7, 9])
+    k = np.linalg.lstsq(powers, curve - theta, rcond=None)[0].tolist()
+    return zip(("k1", "k2", "k3", "k4"), k, strict=True)
+
+
+_OWN_KEYS: dict[str, Callable[[Sensor, float, Array, Array], Own]] = {
+    "unified": _of_unified,
+    "hyperboloid": _of_hyperboloid,
+    "eucm": _of_eucm,
+    "double_sphere": _of_double_sphere,
+    "kannala_brandt": _of_kannala_brandt,
+}
+"""The keys of a model's own that come nearest to a curve: radii, of slope 1 at the axis, of angles theta off it."""

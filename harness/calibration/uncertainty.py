@@ -1,0 +1,175 @@
+"""How sure a calibration is: of its numbers, and of the rays that they stand for.
+
+Numbers trade off with each other (xi with k1 and the focal length), rays do not: compare rays. A turn of the sensor's
+own frame is taken out of them, since it turns all that is measured later alike, and the boards tell it least.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from harness.calibration.adjust import Adjusted
+from harness.calibration.parameters import intrinsic_jacobian
+from harness.camera._projection_kernels import differentiate_all, project_all
+from harness.camera.sensor import Sensor, parameters_of, unproject
+from harness.display import OneLine
+from harness.geometry.angles import Array
+
+_UNDETERMINED = 1e-13
+"""Of the normal matrix scaled to a diagonal of 1: a share of the largest eigenvalue that is rounding."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Uncertainty(OneLine):
+    """Standard deviations and covariances that follow from the scatter of the corners."""
+
+    sigma_px: float
+    """Standard deviation of a coordinate of a corner, pixels, from the residuals and their degrees of freedom."""
+    values: Array
+    """`[n]`: the numbers under the keys."""
+    covariance: Array
+    """`[n, n]`: of the numbers, in their units; infinite on the diagonal, and NaN beside it, for what the corners do
+    not tell."""
+    vector_covariance: Array
+    """`[n, n]`: of the coordinates that were adjusted."""
+    undetermined: tuple[str, ...]
+    """Keys that the corners do not tell."""
+
+    @property
+    def sigma(self) -> Array:
+        """`[n]`: standard deviations of the numbers."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """`[n, n]`."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.covariance / np.outer(self.sigma, self.sigma))
+
+
+def uncertainty_of(adjusted: Adjusted) -> Uncertainty:
+    """What an adjustment by plain least squares says of its numbers."""
+    parameters, n = adjusted.parameters, len(adjusted.vector)
+    freedom = adjusted.residuals.size - n - 6 * len(adjusted.poses.t)
+    variance = float(np.sum(adjusted.residuals**2)) / max(freedom, 1)
+    scale = np.sqrt(np.maximum(np.diag(adjusted.normal), 1e-300))
+    eigenvalue, eigenvector = np.linalg.eigh(adjusted.normal / np.outer(scale, scale))
+    weak = eigenvalue < _UNDETERMINED * eigenvalue[-1]
+    strong = eigenvector[:, ~weak] / np.sqrt(eigenvalue[~weak])
+    covariance = variance * (strong @ strong.T) / np.outer(scale, scale)
+    # A direction that is not told reaches those keys that have a part in it.
+    lost = (np.abs(eigenvector[:, weak]) > 1e-3).any(axis=1)
+    J = parameters.derivatives_of_values(adjusted.vector)
+    of_values = J @ covariance @ J.T
+    touched = (np.abs(J[:, lost]) > 0).any(axis=1) if lost.any() else lost
+    of_values[touched] = np.nan
+    of_values[:, touched] = np.nan
+    of_values[touched, touched] = np.inf
+    keys = tuple(parameters.keys[i] for i in np.flatnonzero(touched))
+    return Uncertainty(variance**0.5, parameters.values(adjusted.vector), of_values, covariance, keys)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class RayGrid(OneLine):
+    """Pixels at which rays are looked at: a lattice over the field."""
+
+    u: Array
+    """`[columns]`."""
+    v: Array
+    """`[rows]`."""
+    inside: NDArray[np.bool_]
+    """`[rows, columns]`: in the field."""
+    directions: Array
+    """`[k, 3]`: unit length, of those inside, row by row."""
+
+    def spread(self, values: Array) -> Array:
+        """Values `[k]` of the pixels inside as a map `[rows, columns]`, NaN outside."""
+        out = np.full(self.inside.shape, np.nan)
+        out[self.inside] = values
+        return out
+
+
+def ray_grid(sensor: Sensor, step_px: float | None = None) -> RayGrid:
+    """A lattice of pixels over a sensor's field, about 60 along its longer side unless a step is given."""
+    camera = sensor.camera
+    step = step_px or max(camera.width_px, camera.height_px) / 60
+    u, v = (np.arange(0.5 * (size - 1) % step, size, step) for size in (camera.width_px, camera.height_px))
+    directions, inside = unproject(sensor, np.stack(np.meshgrid(u, v), axis=-1))
+    return RayGrid(u, v, inside, np.ascontiguousarray(directions[inside]))
+
+
+def ray_sigma(adjusted: Adjusted, covariance: Array, grid: RayGrid) -> tuple[Array, Array]:
+    """Standard deviations `[k]` of where rays are seen, pixels (the root of the sum of both coordinates' variances).
+
+    A direction d is seen at u(d; s), s the adjusted coordinates. To first order an error of s moves it by G ds,
+    G = ∂u/∂s, and a turn w of the frame by D (w × d). Errors of s come with the turn that makes most of them good over
+    the field, by least squares: what remains is `(G - M M⁺ G) ds`, M the effect of turns.
+
+    Returns
+    -------
+    turned
+        Without the part that is a turn of the whole sensor.
+    fixed
+        With it.
+    """
+    G = _ray_jacobian(adjusted, grid)
+    M = _turn_jacobian(adjusted.parameters.compiled(adjusted.vector), grid.directions)
+    flat, turns = G.reshape(-1, G.shape[-1]), M.reshape(-1, 3)
+    left = (flat - turns @ np.linalg.lstsq(turns, flat, rcond=None)[0]).reshape(G.shape)
+    return _root_trace(left, covariance), _root_trace(G, covariance)
+
+
+def ray_difference(first: Sensor, second: Sensor, grid: RayGrid, *, turn: bool = True) -> Array:
+    """How far apart, in pixels, two sensors see the directions of a grid over the first one's field `[k, 2]`.
+
+    Parameters
+    ----------
+    turn
+        Turn the second sensor first so that the sum of squares is least. NaN where the second does not see a direction.
+    """
+    at = _project(parameters_of(first), grid.directions)
+    camera = parameters_of(second)
+    turned = grid.directions
+    for _ in range(10 if turn else 0):
+        r = _project(camera, turned) - at
+        known = np.isfinite(r).all(axis=-1)
+        M = _turn_jacobian(camera, turned[known])
+        w = np.linalg.lstsq(M.reshape(-1, 3), -r[known].ravel(), rcond=None)[0]
+        turned = turned @ Rotation.from_rotvec(w).as_matrix().T
+        if np.linalg.norm(w) < 1e-12:
+            break
+    return _project(camera, turned) - at
+
+
+def _ray_jacobian(adjusted: Adjusted, grid: RayGrid) -> Array:
+    steps = adjusted.parameters.steps.copy()
+    intrinsic_jacobian(
+        adjusted.parameters, adjusted.vector, grid.directions[:: max(1, len(grid.directions) // 50)], steps
+    )
+    return intrinsic_jacobian(adjusted.parameters, adjusted.vector, grid.directions, steps)
+
+
+def _turn_jacobian(camera: object, directions: Array) -> Array:
+    """Derivatives `[k, 2, 3]` of pixels by a turn of the directions."""
+    D = np.empty((len(directions), 2, 3))
+    differentiate_all(np.ascontiguousarray(directions), camera, D)
+    return np.cross(directions[:, None, :], D)
+
+
+def _root_trace(G: Array, covariance: Array) -> Array:
+    return np.sqrt(np.maximum(np.einsum("kij,jl,kil->k", G, covariance, G), 0.0))
+
+
+def _project(camera: object, directions: Array) -> Array:
+    out = np.empty((len(directions), 2))
+    project_all(np.ascontiguousarray(directions), camera, out)
+    return out
+
+
+def angles_off_axis(sensor: Sensor, pixels: Array) -> Array:
+    """Angles `[m]` of the rays of pixels `[m, 2]` off the optical axis, radians; NaN where there is no ray."""
+    axis, _ = unproject(sensor, [sensor.camera.cx_px, sensor.camera.cy_px])
+    directions, _ = unproject(sensor, pixels)
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=-1), directions @ axis))
