@@ -69,12 +69,7 @@ def rivals_of(
         When more than `MOST_PAIRS` pairs of triangles overlap.
     """
     size = float(np.abs(corners).max())
-    found = _overlapping(corners, face_of_triangle, normals, offsets, NEAR * size)
-    if len(found) > MOST_PAIRS:
-        raise InputError(
-            "more than a million pairs of its triangles lie on each other; an object or mesh is there many times",
-            file=scene,
-        )
+    found = _overlapping(corners, face_of_triangle, normals, offsets, NEAR * size, scene)
     pairs = np.unique(found, axis=0).astype(np.int32).reshape(-1, 2)
     visible = _visible_from(np.unique(pairs), corners, face_of_triangle, normals, inside_of_face)[pairs]
     pairs.flags.writeable = False
@@ -83,12 +78,9 @@ def rivals_of(
 
 
 def _overlapping(
-    corners: Array, face_of_triangle: Ints, normals: Array, offsets: Array, tolerance: float
+    corners: Array, face_of_triangle: Ints, normals: Array, offsets: Array, tolerance: float, scene: str
 ) -> NDArray[np.int64]:
-    """Pairs of faces `[n, 2]`, the earlier first and some repeatedly, of which triangles overlap in one plane.
-
-    There are no more than `MOST_PAIRS` + 1.
-    """
+    """Pairs of faces `[n, 2]`, the earlier first and some repeatedly, of which triangles overlap in one plane."""
     low, high = corners.min(axis=1) - tolerance, corners.max(axis=1) + tolerance
     faces = (corners, face_of_triangle, normals, offsets)
     tree = box_tree(low, high)
@@ -96,6 +88,11 @@ def _overlapping(
     while True:
         out = np.empty((room, 2), dtype=np.int64)
         count = overlapping(*tree, LEAF, low, high, *faces, tolerance, MOST_PAIRS, out)
+        if count > MOST_PAIRS:
+            raise InputError(
+                "more than a million pairs of its triangles lie on each other; an object or mesh is there many times",
+                file=scene,
+            )
         if count <= room:
             return out[:count]
         room = count
