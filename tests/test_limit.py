@@ -77,7 +77,7 @@ def test_a_share_within_sigma_is_freed_of_each_pixels_bias():
 
 
 def method(step="own"):
-    return MethodStyle("slanted" if step == "own" else "window", step, step, "#000000", "solid", "o", filled=True)
+    return MethodStyle("slanted" if step == "own" else "window", step, step, step, "#000000", "solid", "o", filled=True)
 
 
 def entry(sigma_grey, seeds, std):

@@ -1,5 +1,7 @@
 """The test of the sensitivity law as a whole: geometry, images, decomposition, and a verdict in words."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
@@ -71,18 +73,34 @@ def _bounded(cells: pd.DataFrame) -> pd.DataFrame:
 test_law.__test__ = False  # type: ignore[attr-defined]  # a test of physics, not one for pytest to collect
 
 
-def verdict(images: list[dict[str, Any]], cells: pd.DataFrame, *, directions: bool = True) -> str:
-    """What the slopes allow to be said, method by method; never more than their intervals.
+@dataclass(frozen=True)
+class Verdict:
+    """What the slopes of one method on one surface allow to be said."""
+
+    matcher: str
+    subpixel: str
+    surface: str
+    text: str
+    """Without the names of method and surface."""
+
+    @property
+    def sentence(self) -> str:
+        """With the names of method and surface."""
+        step = {"none": "whole pixels", "parabola": "parabola"}.get(self.subpixel, self.subpixel)
+        return f"{self.surface.capitalize()}s, {self.matcher} matcher, {step}: {self.text}."
+
+
+def verdicts(images: list[dict[str, Any]], cells: pd.DataFrame, *, directions: bool = True) -> Iterator[Verdict]:
+    """What the slopes allow to be said, method by method and surface by surface; never more than their intervals.
 
     Parameters
     ----------
+    images
+        From `law_images.fit_laws`; fits without a slope are passed over.
     directions
         Also name the directions that by themselves exclude a slope of 1.
     """
     fitted = [fit for fit in images if fit["slope"] is not None]
-    if not fitted:
-        return "Images: not tested. The law needs cells that differ in |t|/d, from several baselines or ranges."
-    sentences = []
     for fit in fitted:
         if fit["law"] != "exact":
             continue
@@ -92,13 +110,16 @@ def verdict(images: list[dict[str, Any]], cells: pd.DataFrame, *, directions: bo
             if other["law"] == "paper" and all(other[key] == fit[key] for key in ("matcher", "subpixel", "surface"))
         )
         where = _directions(fit) if directions else ""
-        sentences.append(f"{_name(fit)}: {_judged(fit)}{where}; {_rivalry(fit, rival)}{_gross(fit, cells)}.")
+        text = f"{_judged(fit)}{where}; {_rivalry(fit, rival)}{_gross(fit, cells)}"
+        yield Verdict(fit["matcher"], fit["subpixel"], fit["surface"], text)
+
+
+def verdict(images: list[dict[str, Any]], cells: pd.DataFrame) -> str:
+    """All `verdicts` in sentences."""
+    sentences = [each.sentence for each in verdicts(images, cells)]
+    if not sentences:
+        return "Images: not tested. The law needs cells that differ in |t|/d, from several baselines or ranges."
     return " ".join(sentences)
-
-
-def _name(fit: dict[str, Any]) -> str:
-    step = {"none": "whole pixels", "parabola": "parabola"}.get(fit["subpixel"], fit["subpixel"])
-    return f"{fit['surface'].capitalize()}s, {fit['matcher']} matcher, {step}"
 
 
 def _judged(fit: dict[str, Any]) -> str:

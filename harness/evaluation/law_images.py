@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
+from harness.evaluation.regions import ALPHA_1_EDGES_DEG, middle_of_range
 from harness.evaluation.statistics import resampled
 from harness.geometry.angles import Array
 
@@ -160,7 +160,7 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
                 "matcher": matcher,
                 "subpixel": subpixel,
                 "surface": surface,
-                "range_m": float(RANGE_RATIO ** (range_bin + 0.5)),
+                "range_m": middle_of_range(range_bin),
                 "baseline_m": float(baselines[np.argmin(errors)]),
                 "baseline_m_ci95": [float(q) for q in np.quantile(best, [0.025, 0.975], method="nearest")],
                 "flat_from_m": float(flat.min()),

@@ -88,12 +88,13 @@ def measure_regions(errors: Tally) -> list[dict[str, Any]]:
     Returns
     -------
     list
-        Of tables: `split` (`surface`, `alpha_1`, ...), `part`, `pixels`, and the figures of `measure`.
+        Of tables: `split` (`surface`, `alpha_1`, ...), `part`, `low` (its lower edge, None where the split is not by
+        values), `pixels`, and the figures of `measure`.
     """
     table = []
     for i, region in enumerate(errors.layout.regions):
         number = int(errors.count[i])
-        row = {"split": region.split, "part": region.part, "pixels": int(region.pixels.size)}
+        row = {"split": region.split, "part": region.part, "low": region.low, "pixels": int(region.pixels.size)}
         row["density"] = number / region.pixels.size
         if number:
             row |= _core_of(errors.sums[i] / number, errors.median_abs_px[i], errors.median_abs_m[i])

@@ -33,15 +33,23 @@ RANGE_RATIO = 2**0.5
 SURFACES = ("wall", "floor")
 """`floor` stands for ceilings too."""
 
+VISIBLE, OCCLUDED = "visible in both views", "occluded in view 2"
+WALL, FLOOR = "wall", "floor or ceiling"
+"""Parts of the splits `visibility` and `surface`."""
+
 
 @dataclass(frozen=True)
 class Region:
     """Some pixels, and their name."""
 
     split: str
+    """Which division of the picture it is part of: `surface`, `alpha_1`, ..."""
     part: str
+    """Unique within the split."""
     pixels: NDArray[np.intp]
     """Flat indices into `[height, width]`."""
+    low: float | None = None
+    """The lower edge, for a split by values, in the unit of the split: degrees, or metres for `range`."""
 
 
 @dataclass(frozen=True)
@@ -114,37 +122,38 @@ def _regions(
     reference: Reference, truth: Truth, grid: Grid, directions_world: Array
 ) -> tuple[list[Region], list[Labels]]:
     """The regions, and layers of labels `[pixels]`, which are numbers of regions, -1 for none."""
-    found: list[Region] = []
+    named: list[Region] = []
     layers = []
-    for split, parts, labels in _splits(reference, truth, grid, directions_world):
+    for split, parts, edges, labels in _splits(reference, truth, grid, directions_world):
         number = np.full(len(parts) + 1, -1, dtype=np.int16)
         for i, (part, pixels) in enumerate(zip(parts, members(labels, len(parts)), strict=True)):
             if pixels.size:
-                number[i] = len(found)
-                found.append(Region(split, part, pixels))
+                number[i] = len(named)
+                named.append(Region(split, part, pixels, edges[i] if edges else None))
         layers.append(number[labels.reshape(-1)])
-    return found, layers
+    return named, layers
 
 
 def _splits(
     reference: Reference, truth: Truth, grid: Grid, directions_world: Array
-) -> Iterator[tuple[str, tuple[str, ...], Labels]]:
-    """Every split: its name, those of its parts, and the part of each pixel, -1 for none."""
+) -> Iterator[tuple[str, tuple[str, ...], tuple[float, ...], Labels]]:
+    """Every split: its name, its parts, their edges if they are bins of values, and the part of each pixel or -1."""
     domain, wall = reference.domain, reference.wall
     looked_at = reference.sideways & np.isfinite(truth.range_m)
     # Outside the domain: there is no true match, and an estimate is an invention.
     occluded = looked_at & truth.in_field_2 & ~truth.unoccluded & ~domain
-    yield "visibility", ("visible in both views", "occluded in view 2"), _labels(domain, occluded)
-    yield "surface", ("wall", "floor or ceiling"), _labels(domain & wall, domain & ~wall)
+    yield "visibility", (VISIBLE, OCCLUDED), (), _labels(domain, occluded)
+    yield "surface", (WALL, FLOOR), (), _labels(domain & wall, domain & ~wall)
     with np.errstate(invalid="ignore"):
         towards = np.einsum("ijk,ijk->ij", truth.normal, directions_world)
         slanted = np.abs(towards) < np.cos(np.radians(SLANTED_DEG))
     none = ~(truth.discontinuity | truth.textureless | slanted)
-    yield "kind", ("discontinuity",), _labels(domain & truth.discontinuity)
-    yield "kind", ("textureless",), _labels(domain & truth.textureless)
+    yield "kind", ("discontinuity",), (), _labels(domain & truth.discontinuity)
+    yield "kind", ("textureless",), (), _labels(domain & truth.textureless)
     yield (
         "kind",
         (f"slanted by more than {SLANTED_DEG:.0f}°", "none of these"),
+        (),
         _labels(domain & slanted, domain & none),
     )
     elevation = np.broadcast_to(np.degrees(np.arctan(grid.z))[:, None], grid.shape)
@@ -153,10 +162,13 @@ def _splits(
         ("elevation", elevation, ELEVATION_EDGES_DEG, "°"),
         ("range", reference.range_m, RANGE_EDGES_M, " m"),
     ):
-        parts = tuple(f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges))
+        parts = tuple(
+            f"{low:g} to {high:g}{unit}" if np.isfinite(high) else f"over {low:g}{unit}"
+            for low, high in pairwise(edges)
+        )
         label = bins(values, edges)
         label[~domain] = -1
-        yield split, parts, label
+        yield split, parts, edges, label
 
 
 def _labels(*masks: Mask) -> Labels:
@@ -165,6 +177,11 @@ def _labels(*masks: Mask) -> Labels:
     for i, mask in enumerate(masks):
         labels[mask] = i
     return labels
+
+
+def middle_of_range(range_bin: int) -> float:
+    """The geometric middle of a cell's band of ranges, metres."""
+    return float(RANGE_RATIO ** (int(range_bin) + 0.5))
 
 
 def cell_pixels(reference: Reference) -> tuple[CellPixels, ...]:

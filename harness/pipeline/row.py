@@ -14,6 +14,7 @@ from harness.evaluation.metrics import (
     measure_regions,
     share_of_estimates,
 )
+from harness.evaluation.regions import FLOOR, VISIBLE, WALL
 from harness.evaluation.tally import tally
 from harness.matching.interface import Reason
 from harness.pipeline.sample import calibration_of, confidence_of, sampled, with_bounds
@@ -21,40 +22,39 @@ from harness.pipeline.trial import Outcome
 
 
 def row_of(outcome: Outcome) -> dict[str, Any]:
-    """Everything about a trial that the report and the law's test need, JSON-able; no arrays of pixels.
+    """All that the report and the test of the law need of a trial, JSON-able; no arrays of pixels.
 
     Returns
     -------
     dict
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
-        their `Reason`; `sample`, `confidence` and `calibration`, where there
-        is something to say: see `sample`.
+        their `Reason`; `sample`, `confidence` and `calibration`, where the trial has them: see `sample`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
     regions = measure_regions(errors)
-    beyond = {
+    optional = {
         "sample": sampled(outcome),
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
         "calibration": calibration_of(outcome),
     }
     return {
         "figures": {
-            **_figures(regions, "visible in both views"),
+            **_figures(regions, VISIBLE),
             **measure_more(errors),
-            **{f"wall_{k}": v for k, v in _figures(regions, "wall").items()},
-            **{f"floor_{k}": v for k, v in _figures(regions, "floor or ceiling").items()},
+            **{f"wall_{k}": v for k, v in _figures(regions, WALL).items()},
+            **{f"floor_{k}": v for k, v in _figures(regions, FLOOR).items()},
             **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(errors).items()},
             "refined": None if refined is None else share_of_estimates(errors, refined),
-            **_of_confidence(beyond),
+            **_of_confidence(optional),
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
         "errors": error_histograms(errors),
         "fractions": fraction_histograms(errors, outcome.k),
         "reasons": _reasons(outcome),
-        **{name: said for name, said in beyond.items() if said is not None},
+        **{name: value for name, value in optional.items() if value is not None},
     }
 
 
@@ -64,15 +64,15 @@ def _reasons(outcome: Outcome) -> dict[str, int]:
     return {reason.name: int(counts[reason]) for reason in Reason if counts[reason]}
 
 
-def _of_confidence(beyond: dict[str, Any]) -> dict[str, float | None]:
-    """What confidence and predicted standard deviations are worth, in a few figures; none where nothing is said."""
-    found: dict[str, float | None] = {}
-    if beyond["confidence"] is not None:
-        found |= {name: beyond["confidence"][name] for name in ("ause_px", "ause_over_random", "auc_1px")}
-    if beyond["calibration"] is not None:
-        within = beyond["calibration"]["within"]
-        found |= {f"within_{k}_sigma": within[k - 1] for k in (1, 2, 3)}
-    return found
+def _of_confidence(optional: dict[str, Any]) -> dict[str, float | None]:
+    """A few figures of the quality of confidences and predicted standard deviations; none without them."""
+    figures: dict[str, float | None] = {}
+    if optional["confidence"] is not None:
+        figures |= {name: optional["confidence"][name] for name in ("ause_px", "ause_over_random", "auc_1px")}
+    if optional["calibration"] is not None:
+        within = optional["calibration"]["within"]
+        figures |= {f"within_{k}_sigma": within[k - 1] for k in (1, 2, 3)}
+    return figures
 
 
 def _figures(regions: list[dict[str, Any]], part: str) -> dict[str, float | None]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,17 @@ _WINDOWS = ("window", "column")
 _STEPS = {"none": ("pixel level", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
 
 
-def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]]:
-    """Label and colour of each method, given as a matcher and its sub-pixel step.
+class Look(NamedTuple):
+    """How a method is named and coloured."""
+
+    label: str
+    step_label: str
+    """The step alone."""
+    colour: str
+
+
+def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], Look]:
+    """Labels and colour of each method, given as a matcher and its sub-pixel step.
 
     Steps of the window matchers have a colour each, and so has every other matcher with its own step.
     """
@@ -49,17 +59,20 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, str]
     colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
     several = len({matcher for matcher, _ in pairs}) > 1
     refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
-    labels = []
+    labels, steps = [], []
     for matcher, step in pairs:
-        # "Sub-pixel" says enough where there is one such step.
-        label = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
+        # "Sub-pixel" is enough where there is one such step.
+        label = short = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
         if step == "own" or (matcher not in _WINDOWS and sum(other == matcher for other, _ in pairs) == 1):
-            label = matcher
+            label = short = matcher
         elif several:
-            label = f"{matcher}, {label}"
+            label = f"{matcher}, {short}"
         labels.append(label)
-    short = told_apart(labels, _LONGEST)
-    return {pair: (label, colours[name]) for pair, label, name in zip(pairs, short, drawn_as, strict=True)}
+        steps.append(short)
+    return {
+        pair: Look(label, step, colours[name])
+        for pair, label, step, name in zip(pairs, told_apart(labels, _LONGEST), steps, drawn_as, strict=True)
+    }
 
 
 def methods_of(outcomes: list[Outcome], planned: Sequence[Planned] = ()) -> list[Method]:
@@ -74,7 +87,7 @@ def names_of(trials: list[Trial], planned: Sequence[Planned] = ()) -> list[Named
     names = names_in(trials, planned)
     named = {key: names[method_id(trials[i].matching)] for key, i in methods_in(trials, planned).items()}
     appearance = looks(list(named.values()))
-    return [Named(key, *appearance[name]) for key, name in named.items()]
+    return [Named(key, appearance[name].label, appearance[name].colour) for key, name in named.items()]
 
 
 def common(methods: list[Method]) -> NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,9 +12,10 @@ import pandas as pd
 from harness.display import told_apart
 from harness.report import theme
 from harness.report.method_styles import looks
+from harness.runs.analysis import law_condition, noise_condition
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.run import Result, Row
-from harness.runs.values import identity_of, text_of
+from harness.runs.values import Settings, identity_of, shown, text_of
 
 NOT_AN_AXIS = ("seed", *METHOD_KEYS)
 """Keys that vary, but are averaged over or drawn as methods."""
@@ -44,6 +45,8 @@ class MethodStyle:
     matcher: str
     subpixel: str
     label: str
+    step_label: str
+    """The step alone, for where the matcher is clear."""
     colour: str
     stroke: Any
     marker: str
@@ -72,8 +75,13 @@ class Axis:
         return _NAMES.get(self.key, (self.key, ""))[0]
 
     @property
+    def unit(self) -> str:
+        """Its unit as shown; empty if it has none, or none that is known here."""
+        return _NAMES.get(self.key, (self.key, ""))[1]
+
+    @property
     def label(self) -> str:
-        """With its unit."""
+        """The name with its unit."""
         return name_of(self.key)
 
     @cached_property
@@ -109,8 +117,10 @@ class Sweep:
     """One row a trial: `matcher`, `subpixel`, `seed`, all its figures, and for every axis a column, the index into
     its values."""
     payloads: list[dict[str, Any]]
-    """What is kept of each of them, see `row.row_of`."""
+    """The row of each of them, see `row.row_of`."""
     cells: pd.DataFrame
+    conditions: dict[str, Settings] = field(default_factory=dict)
+    """The coordinates that a `condition` of cells, or of the summary's `limit`, is made of."""
 
     @cached_property
     def several(self) -> bool:
@@ -162,6 +172,9 @@ def sweep_of(result: Result) -> Sweep:
         trials=trials,
         payloads=payloads,
         cells=result.cells,
+        conditions={
+            shown(each): each for row in done for each in (law_condition(row.planned), noise_condition(row.planned))
+        },
     )
 
 
@@ -191,11 +204,9 @@ def value_text(value: Any) -> str:
     return text_of(value) or "none"
 
 
-def in_words(place: str) -> str:
-    """A place on the axes with the names that people use."""
-    for key in _NAMES:
-        place = place.replace(f"{key} = ", f"{name_of(key)} = ")
-    return place
+def in_words(coordinates: Settings) -> str:
+    """Coordinates on the axes, with the names that people use."""
+    return shown({name_of(key): value for key, value in coordinates.items()})
 
 
 def name_of(key: str) -> str:
@@ -216,10 +227,10 @@ def _method_styles(trials: pd.DataFrame) -> list[MethodStyle]:
     pairs = list(dict.fromkeys(zip(trials["matcher"], trials["subpixel"], strict=True)))
     matchers, steps = (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True))
     methods = []
-    for (matcher, step), (label, colour) in looks(pairs).items():
+    for (matcher, step), look in looks(pairs).items():
         index = matchers.index(matcher)
         stroke, marker = _STROKES[index % len(_STROKES)]
-        methods.append(MethodStyle(matcher, step, label, colour, stroke, marker, filled=index % 2 == 0))
+        methods.append(MethodStyle(matcher, step, *look, stroke, marker, filled=index % 2 == 0))
     return sorted(methods, key=lambda method: (matchers.index(method.matcher), steps.index(method.subpixel)))
 
 

@@ -115,8 +115,7 @@ def _varied(axis: Axis) -> str:
         for value, text in zip(axis.values, axis.texts, strict=True)
     ]
     texts = texts if len(set(texts)) == len(texts) else axis.texts
-    unit = axis.label.removeprefix(axis.name).strip(" ()")
-    return f"{axis.name} {_few(texts)}{f' {unit}' if unit else ''}"
+    return f"{axis.name} {_few(texts)}{f' {axis.unit}' if axis.unit else ''}"
 
 
 def _few(texts: list[str]) -> str:

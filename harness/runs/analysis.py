@@ -10,7 +10,7 @@ from harness.evaluation.efficiency import GROSS_PX, efficiency, within_without_b
 from harness.evaluation.law import test_law
 from harness.runs.experiment import Planned
 from harness.runs.methods import METHOD_KEYS
-from harness.runs.values import shown
+from harness.runs.values import Settings, shown
 
 _NOISE = "noise.sigma_grey"
 _NOT_A_CONDITION = ("seed", "view_2.baseline_m", *METHOD_KEYS)
@@ -34,7 +34,7 @@ def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
             "subpixel": subpixel,
             "seed": trial.seed,
             "baseline_m": trial.view_2.baseline_m,
-            "condition": shown({key: value for key, value in planned.coordinates.items() if _is_condition(key)}),
+            "condition": shown(law_condition(planned)),
             "quiet": shown({key: value for key, value in planned.coordinates.items() if key != _NOISE}),
             "sigma_grey": trial.noise.sigma_grey,
         }
@@ -47,6 +47,16 @@ def law_of(cells: pd.DataFrame) -> dict[str, Any] | None:
     if cells.empty or cells["baseline_m"].nunique() < 3:
         return None
     return test_law(cells)
+
+
+def law_condition(planned: Planned) -> Settings:
+    """The coordinates of a trial that the law is not tested across: each combination has an intercept of its own."""
+    return {key: value for key, value in planned.coordinates.items() if _is_condition(key)}
+
+
+def noise_condition(planned: Planned) -> Settings:
+    """The coordinates of a trial without seed, noise and method: what spreads over the noise are compared within."""
+    return {key: value for key, value in planned.coordinates.items() if key not in _NOT_A_DRAW}
 
 
 def _is_condition(key: str) -> bool:
@@ -68,7 +78,7 @@ def limit_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, A
         if "sample" in payload and placement.offset_m == 0 and not placement.random_yaw:
             key = (
                 *planned.method,
-                shown({key: value for key, value in planned.coordinates.items() if key not in _NOT_A_DRAW}),
+                shown(noise_condition(planned)),
                 planned.trial.noise.sigma_grey,
             )
             groups.setdefault(key, []).append((planned, payload))

@@ -58,7 +58,7 @@ class Finished:
     """`fingerprint` of its scene."""
     state: Literal["done", "failed"]
     payload: str = "{}"
-    """JSON of `row.row_of`; of a failed trial `{}`."""
+    """JSON of `row.row_of`; of a failed trial, `refused` if it failed by an `InputError`."""
     seconds: str = "{}"
     """JSON: wall time of each stage."""
     message: str = ""
@@ -68,8 +68,7 @@ class Finished:
     @property
     def is_refused(self) -> bool:
         """Whether it failed because something given to the program is wrong, rather than the program."""
-        lines = self.traceback.strip().splitlines()
-        return bool(lines) and lines[-1].startswith(f"{InputError.__module__}.{InputError.__name__}")
+        return bool(json.loads(self.payload).get("refused", False))
 
     @property
     def figures(self) -> dict[str, float | None]:

@@ -121,8 +121,10 @@ def _finish(
         if interrupts.is_real(error):  # also one that a library has wrapped into an error of its own
             raise KeyboardInterrupt from error
         # Whatever else it is, it is this trial's alone, and kept.
-        message = str(error) if isinstance(error, InputError) else described(error)
-        return Finished(key, scene, "failed", message=message, traceback=printable(traceback.format_exc()))
+        refused = isinstance(error, InputError)
+        message = str(error) if refused else described(error)
+        trace = printable(traceback.format_exc())
+        return Finished(key, scene, "failed", json.dumps({"refused": refused}), message=message, traceback=trace)
     return Finished(key, scene, "done", payload=payload, seconds=json.dumps(outcome.seconds))
 
 

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from harness.display import told_apart
 from harness.evaluation.cells import NORMAL
-from harness.evaluation.regions import RANGE_RATIO
+from harness.evaluation.regions import middle_of_range
 from harness.evaluation.statistics import FEW_SEEDS, Curve, balanced, mean_over_seeds
 from harness.geometry.angles import Array
 from harness.report import theme
@@ -140,7 +140,7 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
 
 def _over_range(sweep: Sweep, column_deg: float) -> Swept:
     bins = sorted(sweep.cells["range_bin"].unique())
-    middle = {index: RANGE_RATIO ** (index + 0.5) for index in bins}
+    middle = {index: middle_of_range(index) for index in bins}
     axis = Axis("range_m", [round(middle[index], 2) for index in bins])
     lines = []
     shapes: dict[str, dict[str, tuple[Array, Array]]] = {}

@@ -69,7 +69,7 @@ def limit(sweep: Sweep, entries: list[Entry]) -> Limit:
         pictures=[_efficiency(of_method), _apart(of_method)],
         table=_table(sweep, entries, several=len(conditions) > 1),
         data=Data("limit", _NAMES, [[_flat(entry, name) for name in _NAMES] for entry in entries]),
-        condition=in_words(conditions[0]) if len(conditions) > 1 else "",
+        condition=in_words(sweep.conditions[conditions[0]]) if len(conditions) > 1 else "",
     )
 
 
@@ -207,7 +207,7 @@ def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
         rows.append(
             [
                 words(method.label, method.colour),
-                *([words(in_words(entry["condition"]))] if several else []),
+                *([words(in_words(sweep.conditions[entry["condition"]]))] if several else []),
                 number(entry["sigma_grey"], "g"),
                 count(entry["seeds"]),
                 number(entry["density"], ".1f", 100),

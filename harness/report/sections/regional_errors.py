@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from harness.evaluation.metric_table import METRICS
+from harness.evaluation.regions import OCCLUDED
 from harness.evaluation.statistics import mean_over_seeds, weighted_median
 from harness.geometry.angles import Array
 from harness.report import theme
@@ -55,7 +56,7 @@ def section(context: Context) -> Iterator[Block]:
     """Over all trials; then the base trial, per pixel and per solid angle."""
     several = context.sweep.several
     pictures, table = over_trials(context.sweep)
-    occluded = any(row[1].text == "occluded in view 2" for row in table.rows)
+    occluded = any(row[1].text == OCCLUDED for row in table.rows)
     caption = html(_ERRORS, several=several, seeds=len(context.sweep.seeds), occluded=occluded)
     yield Figure("figure-regions", pictures, caption, "wide", None if several else table.data)
     if several:
@@ -72,13 +73,12 @@ class _Part:
 
 def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
     """Means over all trials of each method, with intervals by bootstrap over seeds."""
-    found = [(index, region) for index, payload in enumerate(sweep.payloads) for region in payload["regions"]]
-    columns: dict[str, Any] = {name: [region[name] for _, region in found] for name in ("split", "part")}
-    columns |= {name: np.array([region[name] for _, region in found], dtype=np.float64) for name in ("pixels", *_KEYS)}
-    table = pd.DataFrame(columns | {"trial": [index for index, _ in found]})
-    names = {part: _part_text(part) for part in dict.fromkeys(columns["part"])}
-    table["part"] = table["part"].map(names)
-    table["place"], places = pd.factorize(pd.MultiIndex.from_frame(table[["split", "part"]]))
+    regions = [(index, region) for index, payload in enumerate(sweep.payloads) for region in payload["regions"]]
+    columns: dict[str, Any] = {name: [region[name] for _, region in regions] for name in ("split", "part")}
+    for name in ("low", "pixels", *_KEYS):
+        columns[name] = np.array([region[name] for _, region in regions], dtype=np.float64)
+    table = pd.DataFrame(columns | {"trial": [index for index, _ in regions]})
+    table["region"], names = pd.factorize(pd.MultiIndex.from_frame(table[["split", "part"]]))
     of_trial = sweep.trials[["matcher", "subpixel", "seed"]].iloc[table["trial"]].reset_index(drop=True)
     table = pd.concat([table, of_trial], axis=1)
     parts = _ordered(table)
@@ -88,12 +88,12 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
     for method in sweep.methods:
         mine = method.of(table)
         for key in _KEYS:
-            values = mine.pivot_table(index=["seed", "trial"], columns="place", values=key, aggfunc="mean")
+            values = mine.pivot_table(index=["seed", "trial"], columns="region", values=key, aggfunc="mean")
             if values.empty:
                 continue
             curve = mean_over_seeds(values, logarithmic=METRICS[key].geometric)
-            for place, mean, low, high in zip(values.columns, curve.mean, curve.low, curve.high, strict=True):
-                curves.setdefault((method, key), {})[_Part(*places[place])] = (float(mean), float(low), float(high))
+            for region, mean, low, high in zip(values.columns, curve.mean, curve.low, curve.high, strict=True):
+                curves.setdefault((method, key), {})[_Part(*names[region])] = (float(mean), float(low), float(high))
     pixels = table.groupby(["split", "part"])["pixels"].mean()
     for part in parts:
         for method in sweep.methods:
@@ -126,34 +126,20 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
     return [_picture(sweep, parts, curves)], Table(head, rows, data)
 
 
-def _cell(found: tuple[float, float, float] | None, form: str, scale: float) -> Cell:
-    if found is None:
+def _cell(figure: tuple[float, float, float] | None, form: str, scale: float) -> Cell:
+    if figure is None:
         return Cell("–")
-    mean, low, high = found
+    mean, low, high = figure
     return number(mean, form, scale, (low, high) if np.isfinite(low) else None)
 
 
-def _part_text(part: str) -> str:
-    """A range without an end in words."""
-    low, to, high = part.partition(" to inf")
-    return f"over {low}{high}" if to else part
-
-
 def _ordered(table: pd.DataFrame) -> list[_Part]:
-    """Parts in the order in which trials name them; those of one split together, ranges and angles ascending."""
-    found = list(dict.fromkeys(zip(table["split"], table["part"], strict=True)))
-    splits = list(dict.fromkeys([*SPLITS, *(split for split, _ in found)]))
-
-    def place(each: tuple[str, str]) -> tuple[int, float, int]:
-        split, part = each
-        first = part.removeprefix("over ").split(" ")[0]
-        try:
-            lowest = float(first)
-        except ValueError:
-            lowest = 0.0
-        return splits.index(split), lowest, found.index(each)
-
-    return [_Part(*each) for each in sorted(found, key=place)]
+    """Parts in the order in which trials name them; those of one split together, bins of values ascending."""
+    first = table.drop_duplicates(["split", "part"])
+    order = {split: i for i, split in enumerate(dict.fromkeys([*SPLITS, *first["split"]]))}
+    first = first.assign(of_split=first["split"].map(order), low=first["low"].fillna(0.0))
+    first = first.sort_values(["of_split", "low"], kind="stable")
+    return [_Part(split, part) for split, part in zip(first["split"], first["part"], strict=True)]
 
 
 @theme.panel
@@ -173,12 +159,12 @@ def _picture(
         ),
         strict=True,
     ):
-        seen = []
+        drawn = []
         for index, method in enumerate(sweep.methods):
-            found = curves.get((method, key), {})
+            values_of = curves.get((method, key), {})
             shift = 0.16 * (index - (len(sweep.methods) - 1) / 2)
-            y = np.array([gaps[i] + shift for i, part in enumerate(parts) if part in found])
-            values = scale * np.array([found[part] for part in parts if part in found]).reshape(-1, 3)
+            y = np.array([gaps[i] + shift for i, part in enumerate(parts) if part in values_of])
+            values = scale * np.array([values_of[part] for part in parts if part in values_of]).reshape(-1, 3)
             ax.hlines(y, values[:, 1], values[:, 2], color=method.colour, linewidth=1.2)
             ax.plot(
                 values[:, 0],
@@ -189,8 +175,8 @@ def _picture(
                 markerfacecolor=method.face,
                 label=theme.plain(method.label),
             )
-            seen.append(values[values > 0])
-        known = np.concatenate([np.array([]), *seen])
+            drawn.append(values[values > 0])
+        known = np.concatenate([np.array([]), *drawn])
         known = known[np.isfinite(known)]
         if known.size:
             theme.logarithmic(ax, "x", float(known.min()) / 1.2, float(known.max()) * 1.2, most=7)
@@ -211,9 +197,9 @@ def _picture(
         handletextpad=0.3,
     )
     worst = [
-        f"{method.label} largest for {_name(max(found, key=lambda part: found[part][0]))}"
-        for (method, key), found in curves.items()
-        if key == "range_median_abs_m" and found
+        f"{method.label} largest for {_name(max(means, key=lambda part: means[part][0]))}"
+        for (method, key), means in curves.items()
+        if key == "range_median_abs_m" and means
     ]
     return theme.picture(
         fig, f"Median disparity and range errors in {len(parts)} parts of the picture; range error: {'; '.join(worst)}."
@@ -240,17 +226,16 @@ def of_base_trial(methods: list[Method]) -> Table:
         for method in methods:
             weights = solid_angle[region.pixels]
             figures = [_measured(method, region.pixels), _measured(method, region.pixels, weights)]
-            part = _part_text(region.part)
             rows.append(
                 [
                     words(SPLITS.get(region.split, region.split)),
-                    words(part.replace("-", "−")),
+                    words(region.part.replace("-", "−")),
                     words(method.label, method.colour),
                     count(region.pixels.size),
                     *(number(measures["density"], ".1f", 100) for measures in figures),
                 ]
             )
-            plain.append([region.split, part, method.key, region.pixels.size, float(weights.sum())])
+            plain.append([region.split, region.part, method.key, region.pixels.size, float(weights.sum())])
             plain[-1] += [measures["density"] for measures in figures]
             for each in _MEASURES:
                 rows[-1] += [number(measures[each.name], each.form, each.scale) for measures in figures]
@@ -263,16 +248,16 @@ def of_base_trial(methods: list[Method]) -> Table:
 def _measured(method: Method, pixels: NDArray[np.intp], weights: Array | None = None) -> dict[str, float]:
     """The figures of the columns, with every pixel counted by its weight, or all alike."""
     outcome = method.outcome
-    seen = outcome.valid.ravel()[pixels]
-    disparity = np.abs(outcome.errors.disparity_px.ravel()[pixels][seen])
-    distance = np.abs(outcome.errors.range_m.ravel()[pixels][seen])
+    valid = outcome.valid.ravel()[pixels]
+    disparity = np.abs(outcome.errors.disparity_px.ravel()[pixels][valid])
+    distance = np.abs(outcome.errors.range_m.ravel()[pixels][valid])
     if not disparity.size:
         return {"density": 0.0, **dict.fromkeys((each.name for each in _MEASURES), np.nan)}
     if weights is None:
         medians = float(np.median(disparity)), float(np.median(distance))
-        shares = float(seen.mean()), float((disparity > 1).mean())
+        shares = float(valid.mean()), float((disparity > 1).mean())
     else:
-        w = weights[seen]
+        w = weights[valid]
         medians = weighted_median(disparity, w), weighted_median(distance, w)
         shares = float(w.sum() / weights.sum()), float(w[disparity > 1].sum() / w.sum())
     return {

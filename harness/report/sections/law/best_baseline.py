@@ -1,6 +1,5 @@
 """The trade-off over the baseline, and the baseline that is best for a range."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ import pandas as pd
 from matplotlib.lines import Line2D
 
 from harness.evaluation.law_images import baseline_curve
-from harness.evaluation.regions import RANGE_RATIO
+from harness.evaluation.regions import middle_of_range
 from harness.evaluation.statistics import between
 from harness.geometry.angles import Array
 from harness.report import theme
@@ -40,7 +39,7 @@ class _Curve:
     @property
     def range_m(self) -> float:
         """The middle of its band of ranges."""
-        return float(RANGE_RATIO ** (self.range_bin + 0.5))
+        return middle_of_range(self.range_bin)
 
 
 _Curves = dict[tuple[MethodStyle, str], list[_Curve]]
@@ -120,8 +119,7 @@ def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colou
     told = []
     handles: dict[int, Line2D] = {}
     for ax, (method, found) in zip(panels, curves.items(), strict=True):
-        step = method.label.split(", ")[-1]
-        ax.set_title(theme.plain(step), pad=20)
+        ax.set_title(theme.plain(method.step_label), pad=20)
         for curve in found:
             x, y, colour = curve.baselines, 1000 * curve.error, colours[curve.range_bin]
             if np.isfinite(curve.low).all():
@@ -131,7 +129,7 @@ def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colou
             ax.plot(np.where(flat, x, np.nan), np.where(flat, y, np.nan), color=colour, linewidth=4, alpha=0.45)
             best = int(np.argmin(y))
             ax.plot(x[best], y[best], "o", color=colour, markersize=6, markeredgecolor=theme.PAPER)
-            told.append(f"{step} at {curve.range_m:.1f} m best with {x[best]:g} m")
+            told.append(f"{method.step_label} at {curve.range_m:.1f} m best with {x[best]:g} m")
         theme.logarithmic(ax, "x", float(lengths.min()) / 1.12, float(lengths.max()) * 1.12, most=4)
         theme.logarithmic(ax, "y", float(spread.min()) / 1.3, float(spread.max()) * 1.3)
         ax.set_xlabel("baseline |t| (m)")
@@ -139,7 +137,7 @@ def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colou
     shown = sorted(handles)
     panels[0].legend(
         [handles[range_bin] for range_bin in shown],
-        [f"{RANGE_RATIO ** (range_bin + 0.5):.1f} m" for range_bin in shown],
+        [f"{middle_of_range(range_bin):.1f} m" for range_bin in shown],
         loc="lower left",
         bbox_to_anchor=(-0.02, 0.995),
         ncol=len(shown),
@@ -169,11 +167,10 @@ def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table
     rows = []
     for surface in sweep.surfaces:
         for method in sweep.methods:
-            costs = {curve.range_bin: float(curve.error[-1] / curve.error.min()) for curve in curves[method, surface]}
+            costs = {curve.range_m: float(curve.error[-1] / curve.error.min()) for curve in curves[method, surface]}
             for each in law["best_baseline"]:
                 if not is_of(each, method, surface):
                     continue
-                range_bin = round(math.log(each["range_m"]) / math.log(RANGE_RATIO) - 0.5)
                 low, high = each["baseline_m_ci95"]
                 rows.append(
                     [
@@ -186,7 +183,7 @@ def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table
                         number(each["flat_from_m"], ".3g"),
                         number(each["flat_to_m"], ".3g"),
                         number(each["naive_baseline_m"], ".3g"),
-                        number(costs.get(range_bin), ".2f"),
+                        number(costs.get(each["range_m"]), ".2f"),
                     ]
                 )
     return Table(headings, rows)

@@ -106,7 +106,7 @@ def condition_table(sweep: Sweep) -> Table:
                 part = method.of(cells[cells["surface"] == surface])
                 rows += [
                     [
-                        words(in_words(str(condition))),
+                        words(in_words(sweep.conditions[str(condition)])),
                         *_who(surface, method),
                         *_slope_cells(fit),
                         number(float((part["gross"] * part["pixels"]).sum() / part["pixels"].sum()), ".0f", 100),

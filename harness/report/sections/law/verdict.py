@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from harness.evaluation.law import GROSS, verdict
+from harness.evaluation.law import GROSS, verdicts
 from harness.evaluation.statistics import FEW_SEEDS
 from harness.report.data import interval
 from harness.report.markup import html
@@ -84,9 +84,9 @@ def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
             exact = next((fit for fit in fits if fit["law"] == "exact" and fit["slope"] is not None), None)
             if exact is None:
                 continue
-            said = verdict(fits, sweep.cells, directions=False).partition(": ")[2]
-            said = typeset(f"{said[:1].upper()}{said[1:]}")
-            found.append(Finding(method, surface, said, list(_reasons(sweep, method, surface, exact, law))))
+            (judged,) = verdicts(fits, sweep.cells, directions=False)
+            text = typeset(f"{judged.text[:1].upper()}{judged.text[1:]}.")
+            found.append(Finding(method, surface, text, list(_reasons(sweep, method, surface, exact, law))))
     return found
 
 
