@@ -20,7 +20,7 @@ from harness.runs.run import by_method
 
 
 def both(trial, cache=None):
-    """The trial at pixel level and sub-pixel."""
+    """The trial at whole pixels and sub-pixel."""
     cache = cache or StageCache()
     return [
         run_trial(trial.model_copy(update={"matching": trial.matching.model_copy(update={"subpixel": method})}), cache)

@@ -112,5 +112,5 @@ def test_a_setting_without_any_estimate_has_no_best_step():
     sweep = Sweep(methods, [Axis("matching.window_px", [5, 47])], [1], trials, [], pd.DataFrame())
     found = steps.steps(sweep)
     assert found.findings == [
-        "Walls, parabola: smaller median error than whole samples in 1 of 1 settings. It is the best of all in 1."
+        "Walls, parabola: smaller median error than whole pixels in 1 of 1 settings. It is the best of all in 1."
     ]

@@ -208,7 +208,7 @@ def test_worked_example_of_the_law():
 
 
 def test_pixel_level_errors_lie_within_what_the_law_allows_for_whole_steps(paper):
-    within = example.within_steps(methods_of(paper.outcomes)[0].outcome, "pixel level")
+    within = example.within_steps(methods_of(paper.outcomes)[0].outcome, "whole pixels")
     assert within.shares[0] > 0.85
     assert within.shares[-1] > 0.99
 

@@ -381,7 +381,7 @@ def test_tables_sort_by_keyboard(page_file, tmp_path):
         words.locator("button").focus()
         page.keyboard.press("Enter")
         assert heading.get_attribute("aria-sort") is None
-        assert table.locator("tbody th").all_inner_texts() == ["pixel level"] * 6 + ["sub-pixel"] * 6
+        assert table.locator("tbody th").all_inner_texts() == ["whole pixels"] * 6 + ["sub-pixel"] * 6
 
 
 @pytest.mark.browser
@@ -489,7 +489,7 @@ def test_compare_fits_a_terminal_of_80_columns(runs, tmp_path, capsys, monkeypat
     assert max(len(line.rstrip()) for line in lines if str(tmp_path) not in line) <= 80
     names = [metric(name).short.replace("\u00a0", " ") for name in COMPARED]
     rows = [line for line in lines if line.strip().startswith(tuple(names))]
-    assert len(rows) == 2 * len(names)  # for the pixel level and for the sub-pixel step
+    assert len(rows) == 2 * len(names)  # at whole pixels and with the sub-pixel step
     assert all(row.rstrip().endswith(("better", "worse", "not told apart", "the same")) for row in rows)
 
 

@@ -37,7 +37,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
         for method, m in summary[key].items():
             table.add_row(
                 where,
-                escape({"subpixel": "sub-pixel"}.get(method, method)),
+                escape({"pixel": "whole pixels", "subpixel": "sub-pixel"}.get(method, method)),
                 *(_figure(m[each.name], each) for each in columns),
             )
         table.add_section()

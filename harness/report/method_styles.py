@@ -37,7 +37,7 @@ _LONGEST = 60
 """Characters of a label."""
 
 _WINDOWS = ("window", "column")
-_STEPS = {"none": ("pixel level", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
+_STEPS = {"none": ("whole pixels", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
 
 
 class Look(NamedTuple):

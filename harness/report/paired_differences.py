@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import json
 import os
 import tomllib
@@ -18,7 +19,6 @@ from harness.errors import InputError, Notice
 from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
-from harness.pipeline.specification import Trial
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
 from harness.report.markup import template
@@ -48,7 +48,7 @@ COMPARED = (
 
 _NONE = identity_of("", None)
 _STEP = "matching.subpixel"
-_STEPS = {"none": "pixel level", "parabola": "sub-pixel"}
+_STEPS = {"none": "whole pixels", "parabola": "sub-pixel"}
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _read(folder: Path, name: str) -> Run:
         facts = json.loads(files.get(_FACTS, b"{}"))
         path = folder / "trials.csv"
         rows = list(csv.DictReader(io.StringIO(files["trials.csv"].decode(), newline="")))
-        run = _run(folder, name, str(experiment["name"]), base, rows, facts)
+        run = _run(folder, name, experiment, base, rows, facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         why = f"there is no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"cannot be read as a run's ({why})", file=path) from error
@@ -222,20 +222,25 @@ def _read(folder: Path, name: str) -> Run:
 
 
 def _run(
-    folder: Path, name: str, experiment: str, base: dict[str, str], rows: list[dict[str, str]], facts: dict[str, Any]
+    folder: Path,
+    name: str,
+    experiment: dict[str, Any],
+    base: dict[str, str],
+    rows: list[dict[str, str]],
+    facts: dict[str, Any],
 ) -> Run:
     done = [row for row in rows if row["state"] == "done"]
-    keys = [column for column in (rows[0] if rows else {}) if column.partition(".")[0] in Trial.model_fields]
+    keys = dict.fromkeys(itertools.chain(experiment.get("axes", {}), *experiment.get("cases", [])))
     settings = []
     for row in done:
         changed = {key: identity_of(key, value_of(row[key])) for key in keys}
-        # A setting that is a table or a list takes the place of all that was under it.
+        # A setting that is a table or a list replaces all that was under it.
         kept = {key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)}
         settings.append({key: value for key, value in (kept | changed).items() if value != _NONE})
     figures = [{key: _number(row.get(key)) for key in COMPARED} for row in done]
     packages = facts.pop("packages", {})
-    flat = {key: str(value) for key, value in facts.items() if key != "finished"}
-    return Run(folder, name, experiment, settings, figures, flat | {key: str(value) for key, value in packages.items()})
+    flat = {key: str(value) for key, value in (facts | packages).items() if key != "finished"}
+    return Run(folder, name, str(experiment["name"]), settings, figures, flat)
 
 
 def _number(text: str | None) -> float:

@@ -22,7 +22,7 @@ SCENES = ("box", "corridor", "room")
 
 
 def paper() -> dict[str, Any]:
-    """The comparison of pixel level and sub-pixel in every scene, as in `summary.json`."""
+    """The comparison of whole pixels and sub-pixel in every scene, as in `summary.json`."""
     summaries = {scene: run_experiment(load_experiment("paper", sets=[f"scene={scene}"])).summary for scene in SCENES}
     wanted = ("comparison", "comparison_wall")
     return {"scenes": {scene: {name: summary[name] for name in wanted} for scene, summary in summaries.items()}}

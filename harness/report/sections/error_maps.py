@@ -36,7 +36,7 @@ REASONS = {
 _ERRORS = """
 Signed range error, estimate minus truth, of every pixel of the panorama that has both. The scale is the same for all
 maps and is clipped at ±{{ "%g" | format(limit_mm) }} mm; the arrows of the colour bar stand for what lies beyond. The
-upright bands of the pixel level where walls are seen are the steps of the range profile.
+upright bands of the map at whole pixels, on walls, are the steps of the range profile.
 """
 _REASONS = """
 Why pixels have no range, with shares of the whole panorama. An epipolar curve is searched only if all of it has whole

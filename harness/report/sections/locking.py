@@ -29,7 +29,7 @@ one, where an even spread has 22.5 %, lie:
 {% set outer_last = loop.last %}
 {{ label }} {% for words, share in shares.items() %}{{ (100 * share) | figure(".1f") }} % ({{ words }})
 {{- ", " if not loop.last else ("; " if not outer_last else ". ") }}{% endfor %}{% endfor %}{{ " " }}
-Estimates of the pixel level are all whole samples, and not drawn.{% if seeds > 1 %} Bands are 95 % intervals.{% endif
+Estimates at whole pixels are all whole samples, and not drawn.{% if seeds > 1 %} Bands are 95 % intervals.{% endif
 %}
 {% else %}
 Where estimates lie between the samples of their epipolar curves.

@@ -212,7 +212,7 @@ def _around_minimum(curve: Curve, angle: str, cost: str) -> Picture:
     least = float(np.min(curve.costs[curve.near]))
     ax.plot(curve.best_deg, least, "o", color=theme.PIXEL, markersize=6.5, zorder=4)
     for where, colour, dashes, name in (
-        (curve.best_deg, theme.PIXEL, (0, (1, 1.5)), "pixel-level minimum"),
+        (curve.best_deg, theme.PIXEL, (0, (1, 1.5)), "whole-pixel minimum"),
         (curve.minimum_deg, theme.SUBPIXEL, "solid", "sub-pixel minimum"),
         (curve.true_deg, theme.TRUTH, (0, (4, 3)), "true position"),
     ):
@@ -226,7 +226,7 @@ def _around_minimum(curve: Curve, angle: str, cost: str) -> Picture:
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=2, columnspacing=1.2, borderaxespad=0.2)
     return theme.picture(
         fig,
-        f"The same cost around its minimum with a parabola fitted to {int(curve.near.sum())} samples. Pixel-level "
+        f"The same cost around its minimum with a parabola fitted to {int(curve.near.sum())} samples. Whole-pixel "
         f"minimum at {curve.best_deg:.3f} degrees, sub-pixel minimum at {curve.minimum_deg:.3f}, true position at "
         f"{curve.true_deg:.3f}.",
         "(b) around the minimum",

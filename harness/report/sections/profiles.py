@@ -28,7 +28,7 @@ Range from <i>v</i><sub>1</sub> estimated for one row of the panorama (row {{ ro
 domain have an estimate by every method.
 {% if toward is not none %}The second viewpoint lies at azimuth {{ toward | figure(".0f") }}°. {% endif %}
 {% if stepped %}The grey curves in (a) are the ranges at which whole samples of the epipolar curves lie, worked out from
-the geometry alone: the pixel-level estimates can be nowhere else, so the steps are discretisation.{% endif %}
+the geometry alone: estimates at whole pixels can be nowhere else, so the steps are discretisation.{% endif %}
  Strokes at the upper and lower edge are estimates beyond the axes. After the paper’s figure 5 (a) and (b).
 """
 _ROWS = """

@@ -1,4 +1,4 @@
-"""Whole samples against the sub-pixel steps, setting by setting: where each helps, and where it does not."""
+"""Whole pixels against the sub-pixel steps, setting by setting: where each helps, and where it does not."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ Median absolute disparity error by setting, geometric means over seeds; ◂ mark
 """
 
 
-@section_of(About.ALL_TRIALS, "steps", "Whole samples and sub-pixel steps")
+@section_of(About.ALL_TRIALS, "steps", "Whole pixels and sub-pixel steps")
 def section(context: Context) -> Iterator[Block]:
     """Where each step helps; nothing where steps were not compared over several settings."""
     compared = steps(context.sweep)
@@ -52,7 +52,7 @@ class Steps:
 
 
 def steps(sweep: Sweep) -> Steps | None:
-    """Compare; None unless a matcher was run with whole samples and with a sub-pixel step over several settings."""
+    """Compare; None unless a matcher was run at whole pixels and with a sub-pixel step over several settings."""
     matchers = {method.matcher for method in sweep.methods if method.subpixel == _WHOLE}
     refined = [method for method in sweep.methods if method.matcher in matchers and method.subpixel != _WHOLE]
     if not refined or not sweep.axes:
@@ -114,7 +114,7 @@ def _findings(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.Dat
                 continue
             helps = int((gain > 1).sum())
             text = (
-                f"{SURFACES[surface].capitalize()}, {method.label}: smaller median error than whole samples "
+                f"{SURFACES[surface].capitalize()}, {method.label}: smaller median error than whole pixels "
                 f"in {helps} of {len(gain)} settings"
             )
             if len(gain) > 1:

@@ -55,8 +55,8 @@ absolute range error of each method, and the law times a quarter of the distance
 the median that rounding to the nearest sample alone would give.
 """
 _ROUNDING = """
-<p>If rounding to whole samples were the only source of error, every pixel-level error would lie within the law times
-half a step.</p>
+<p>If rounding to whole samples were the only source of error, every error at whole pixels would lie within the law
+times half a step.</p>
 """
 _WITHIN_CAPTION = """
 Share of wall pixels of the domain whose absolute range error is at most the law times a number of steps; a step is the
