@@ -8,21 +8,22 @@ from harness.io.calibrations.camodocal import CAMODOCAL
 from harness.io.calibrations.colmap import COLMAP
 from harness.io.calibrations.kalibr import KALIBR
 from harness.io.calibrations.ocamcalib import OCAMCALIB
-from harness.io.calibrations.opencv import OPENCV
+from harness.io.calibrations.opencv import OPENCV, OPENCV_XML
 from harness.io.calibrations.parsing import read_content
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
 
 FORMATS: dict[str, Format] = {
     "camodocal": CAMODOCAL,
     "kalibr": KALIBR,
     "basalt": BASALT,
     "opencv": OPENCV,
+    "opencv-xml": OPENCV_XML,
     "ocamcalib": OCAMCALIB,
     "colmap": COLMAP,
 }
 """By name, in the order in which a file is held against them."""
 
-__all__ = ["FORMATS", "CalibratedCamera", "Calibration", "Format", "read_calibration"]
+__all__ = ["FORMATS", "CalibratedCamera", "Calibration", "Format", "calibration_in", "read_calibration"]
 
 
 def read_calibration(file: Path) -> Calibration:
@@ -33,11 +34,14 @@ def read_calibration(file: Path) -> Calibration:
     InputError
         When the file cannot be read, is of no known format, or is wrong; names the file and the key.
     """
-    content = read_content(file)
+    return calibration_in(read_content(file))
+
+
+def calibration_in(content: Content) -> Calibration:
+    """The cameras in a calibration file that has been parsed; errors as in `read_calibration`."""
     for known in FORMATS.values():
         if known.recognises(content):
             return known.read(content)
-    titles = ", ".join(each.title for each in FORMATS.values())
-    raise InputError(
-        f"is no sensor file and no calibration of a known kind; known are a sensor's TOML, {titles}", file=file
-    )
+    titles = ", ".join(each.title for name, each in FORMATS.items() if name != "opencv-xml")
+    problem = f"is no sensor file and no calibration of a known kind; known are a sensor's TOML, {titles}"
+    raise InputError(problem, file=content.file)

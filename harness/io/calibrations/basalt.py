@@ -1,14 +1,17 @@
 """basalt's calibration JSON: `value0` with lists of intrinsics, resolutions and poses on the IMU."""
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.geometry.angles import Array
 from harness.io.calibrations.opencv import PERSPECTIVE
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, focal_lengths, keys_of
 from harness.io.calibrations.values import member, number, pixels, refusal, table
 
 _OWN = {
@@ -100,4 +103,29 @@ def _pose(content: Content, value: Any, key: str) -> Array:
     return pose
 
 
-BASALT = Format("basalt (JSON)", recognises, read)
+def write(optics: Optics) -> str:
+    """A calibration of one camera; what it has to say of the IMU is zero or identity."""
+    camera, keys = optics.camera, keys_of(optics)
+    kind = {"double_sphere": "ds", "eucm": "eucm", "kannala_brandt": "kb4"}[keys["kind"]]
+    fx, fy = focal_lengths(optics)
+    intrinsics = {"fx": fx, "fy": fy, "cx": camera.cx_px, "cy": camera.cy_px}
+    intrinsics |= {name: keys[name] for name in _OWN[kind][1].values()}
+    root = {
+        "T_imu_cam": [{"px": 0.0, "py": 0.0, "pz": 0.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}],
+        "intrinsics": [{"camera_type": kind, "intrinsics": intrinsics}],
+        "resolution": [[camera.width_px, camera.height_px]],
+        "calib_accel_bias": [0.0] * 9,
+        "calib_gyro_bias": [0.0] * 12,
+        "imu_update_rate": 200.0,
+        "accel_noise_std": [0.0] * 3,
+        "gyro_noise_std": [0.0] * 3,
+        "accel_bias_std": [0.0] * 3,
+        "gyro_bias_std": [0.0] * 3,
+        "cam_time_offset_ns": 0,
+        "vignette": [],
+    }
+    return f"{json.dumps({'value0': root}, indent=4)}\n"
+
+
+_TARGETS = tuple(Target(kind, skew=False) for kind in ("double_sphere", "eucm", "kannala_brandt"))
+BASALT = Format("basalt (JSON)", recognises, read, _TARGETS, write)

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.io.calibrations.opencv import PERSPECTIVE
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, focal_lengths, keys_of
 from harness.io.calibrations.values import member, number, refusal, table, whole
 
 _LENS = ("k1", "k2", "p1", "p2")
@@ -81,4 +83,35 @@ _KEYS = {
     "camera.height_px": "image_height",
 }
 
-CAMODOCAL = Format("CamOdoCal (YAML)", recognises, read)
+
+def write(optics: Optics) -> str:
+    """A camera of `model_type` MEI or KANNALA_BRANDT."""
+    camera, lens, keys = optics.camera, optics.lens, keys_of(optics)
+    fu, fv = focal_lengths(optics)
+    is_mei = keys["kind"] == "unified"
+    head = {
+        "model_type": "MEI" if is_mei else "KANNALA_BRANDT",
+        "camera_name": "camera",
+        "image_width": camera.width_px,
+        "image_height": camera.height_px,
+    }
+    centre = {"u0": camera.cx_px, "v0": camera.cy_px}
+    tables: dict[str, dict[str, float]] = (
+        {
+            "mirror_parameters": {"xi": keys["xi"]},
+            "distortion_parameters": {name: getattr(lens, name) for name in _LENS},
+            "projection_parameters": {"gamma1": fu, "gamma2": fv} | centre,
+        }
+        if is_mei
+        else {
+            "projection_parameters": {f"k{i + 1}": keys[f"k{i}"] for i in (1, 2, 3, 4)} | {"mu": fu, "mv": fv} | centre
+        }
+    )
+    lines = ["%YAML:1.0", "---", *(f"{name}: {value}" for name, value in head.items())]
+    for name, values in tables.items():
+        lines += [f"{name}:", *(f"   {key}: {value!r}" for key, value in values.items())]
+    return "\n".join([*lines, ""])
+
+
+_TARGETS = (Target("unified", skew=False, k3=False), Target("kannala_brandt", skew=False))
+CAMODOCAL = Format("CamOdoCal (YAML)", recognises, read, _TARGETS, write)

@@ -5,8 +5,10 @@ COLMAP has the corner of the first pixel at (0, 0) where all others have its cen
 
 from typing import Any
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.io.calibrations.opencv import PERSPECTIVE
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, focal_lengths, keys_of
 from harness.io.calibrations.values import numbers, refusal, whole
 
 PARAMETERS = {
@@ -108,4 +110,21 @@ def _intrinsics(
     return {"focal_px": fx, "aspect": fy / fx, "cx_px": values["cx"] - _HALF, "cy_px": values["cy"] - _HALF}
 
 
-COLMAP = Format("COLMAP cameras.txt", recognises, read)
+def write(optics: Optics) -> str:
+    """A cameras.txt with camera 1 alone."""
+    camera, keys = optics.camera, keys_of(optics)
+    fx, fy = focal_lengths(optics)
+    values = {"fx": fx, "fy": fy, "cx": camera.cx_px + _HALF, "cy": camera.cy_px + _HALF} | keys
+    model = {"kannala_brandt": "OPENCV_FISHEYE", "eucm": "EUCM"}[keys["kind"]]
+    parameters = " ".join(repr(float(values[name])) for name in PARAMETERS[model].split())
+    lines = [
+        "# Camera list with one line of data per camera:",
+        "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
+        "# Number of cameras: 1",
+        f"1 {model} {camera.width_px} {camera.height_px} {parameters}",
+    ]
+    return "\n".join([*lines, ""])
+
+
+_TARGETS = (Target("kannala_brandt", skew=False), Target("eucm", skew=False))
+COLMAP = Format("COLMAP cameras.txt", recognises, read, _TARGETS, write)

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.io.calibrations.opencv import PERSPECTIVE
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, focal_lengths, keys_of
 from harness.io.calibrations.values import member, numbers, pixels, refusal, table, transform
 
 INTRINSICS = {
@@ -104,4 +106,41 @@ def _word(content: Content, entry: Mapping[str, Any], name: str, key: str, known
     return word
 
 
-KALIBR = Format("Kalibr camchain (YAML)", recognises, read)
+def write(optics: Optics) -> str:
+    """A camchain with cam0 alone."""
+    camera, keys = optics.camera, keys_of(optics)
+    shape = {"unified": ["xi"], "eucm": ["alpha", "beta"], "double_sphere": ["xi", "alpha"], "kannala_brandt": []}
+    intrinsics = [*(keys[name] for name in shape[keys["kind"]]), *focal_lengths(optics), camera.cx_px, camera.cy_px]
+    terms: list[float] = []
+    distortion = "none"
+    if keys["kind"] == "unified":
+        distortion, terms = "radtan", [getattr(optics.lens, name) for name in ("k1", "k2", "p1", "p2")]
+    elif keys["kind"] == "kannala_brandt":
+        distortion, terms = "equidistant", [keys[name] for name in ("k1", "k2", "k3", "k4")]
+    model = {"unified": "omni", "eucm": "eucm", "double_sphere": "ds", "kannala_brandt": "pinhole"}[keys["kind"]]
+    lines = [
+        "cam0:",
+        "  cam_overlaps: []",
+        f"  camera_model: {model}",
+        f"  distortion_coeffs: {_listed(terms)}",
+        f"  distortion_model: {distortion}",
+        f"  intrinsics: {_listed(intrinsics)}",
+        f"  resolution: [{camera.width_px}, {camera.height_px}]",
+        "  rostopic: /cam0/image_raw",
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _listed(values: list[float]) -> str:
+    """A list as YAML 1.1 reads it back: an exponent is a number's only with a point before it."""
+    words = (repr(float(value)) for value in values)
+    return f"[{', '.join(word if '.' in word else word.replace('e', '.0e') for word in words)}]"
+
+
+_TARGETS = (
+    Target("unified", skew=False, k3=False),
+    Target("eucm", skew=False),
+    Target("double_sphere", skew=False),
+    Target("kannala_brandt", skew=False),
+)
+KALIBR = Format("Kalibr camchain (YAML)", recognises, read, _TARGETS, write)

@@ -7,11 +7,15 @@ a camera's frame as all others have it is (X, Y, Z) = (y, x, -z), a rotation.
 
 import numpy as np
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.display import shortened
 from harness.geometry.angles import Array
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, keys_of
 from harness.io.calibrations.values import number, refusal, whole
 
+_MUCH_PX = 0.5
+"""RMS by which the two polynomials of a file may differ without a word of warning."""
 _MOST = 64
 """Coefficients of a polynomial; OCamCalib's own reader has room for as many."""
 DIRECT, INVERSE, CENTRE, AFFINE, SIZE = (
@@ -75,19 +79,29 @@ def inverse_radius(inverse: Array, theta: Array) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval(theta, inverse), dtype=np.float64)
 
 
+def _reach(row: float, column: float, shape: tuple[int, int]) -> float:
+    """How far the farthest corner of the image is from the centre, pixels."""
+    return max(np.hypot(row - at_row, column - at_column) for at_row in (0, shape[0]) for at_column in (0, shape[1]))
+
+
+def _one_way(direct: Array, rho: Array) -> tuple[Array, Array]:
+    """Radii, as far as the angle above the plane z = 0 grows with them, and these angles."""
+    theta = np.arctan2(np.polynomial.polynomial.polyval(rho, direct), rho)
+    grows = np.logical_and.accumulate(np.concatenate([[True], np.diff(theta) > 0]))
+    return rho[grows], theta[grows]
+
+
 def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: tuple[int, int]) -> str:
-    """How far the two polynomials of a file are apart within its image, in words."""
-    reach = max(np.hypot(row - at_row, column - at_column) for at_row in (0, shape[0]) for at_column in (0, shape[1]))
-    rho = np.linspace(1.0, reach, 400)
-    z = np.polynomial.polynomial.polyval(rho, direct)
-    theta = np.arctan2(z, rho)
-    one_way = np.concatenate([[True], np.diff(theta) > 0])
-    rho, theta = rho[np.logical_and.accumulate(one_way)], theta[np.logical_and.accumulate(one_way)]
+    """How far the two polynomials of a file are apart, in words: to the farthest side, as lenses end before corners."""
+    reach = max(row, shape[0] - 1 - row, column, shape[1] - 1 - column)
+    rho, theta = _one_way(direct, np.linspace(0.0, reach, 400))
     apart = np.abs(inverse_radius(inverse, theta) - rho)
-    return (
+    rms = float(np.sqrt(np.mean(apart**2)))
+    text = (
         f"the direct polynomial is used; the file's inverse polynomial is off by {apart.max():.2g} px at most and "
-        f"{np.sqrt(np.mean(apart**2)):.2g} px RMS up to {rho[-1]:.0f} px from the centre"
+        f"{rms:.2g} px RMS up to {rho[-1]:.0f} px from the centre"
     )
+    return text if rms < _MUCH_PX else f"{text}, and gives programs that project with it other pixels"
 
 
 def _words(content: Content) -> list[str]:
@@ -113,4 +127,41 @@ def _taken(content: Content, words: list[str], count: int, key: str) -> list[flo
     return taken
 
 
-OCAMCALIB = Format("OCamCalib (text)", recognises, read)
+def write(optics: Optics) -> str:
+    """A calib_results.txt; the inverse polynomial is fitted to the direct one as far as the image reaches."""
+    camera, keys = optics.camera, keys_of(optics)
+    direct = np.array(keys["coefficients"])
+    inverse = fitted_inverse(direct, _reach(camera.cy_px, camera.cx_px, (camera.height_px, camera.width_px)))
+    parts = {
+        "polynomial coefficients for the DIRECT mapping function (ocam_model.ss in MATLAB). "
+        "These are used by cam2world": [
+            direct.size,
+            *direct.tolist(),
+        ],
+        "polynomial coefficients for the inverse mapping function (ocam_model.invpol in MATLAB). "
+        "These are used by world2cam": [inverse.size, *inverse.tolist()],
+        'center: "row" and "column", starting from 0 (C convention)': [camera.cy_px, camera.cx_px],
+        'affine parameters "c", "d", "e"': [keys[name] for name in "cde"],
+        'image size: "height" and "width"': [camera.height_px, camera.width_px],
+    }
+    return "\n".join(f"#{title}\n\n{' '.join(map(repr, values))}\n" for title, values in parts.items())
+
+
+def fitted_inverse(direct: Array, reach: float) -> Array:
+    """The inverse polynomial up to a radius in pixels: the least degree that is right to a thousandth of a pixel, or
+    the best of at most 24.
+    """
+    rho, theta = _one_way(direct, reach * 0.5 * (1 - np.cos(np.linspace(0, np.pi, 1001))))
+    best: Array = np.zeros(1)
+    least = np.inf
+    for degree in range(3, 25):
+        found = np.asarray(np.polynomial.Polynomial.fit(theta, rho, degree).convert().coef, dtype=np.float64)
+        apart = float(np.abs(inverse_radius(found, theta) - rho).max())
+        if apart < least:
+            best, least = found, apart
+        if least < 1e-3:
+            break
+    return best
+
+
+OCAMCALIB = Format("OCamCalib (text)", recognises, read, (Target("ocam"),), write)

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.geometry.angles import Array
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, focal_lengths, keys_of
 from harness.io.calibrations.values import check_rotation, is_matrix, matrix, number, pixels, refusal, whole
 
 _STEMS = {
@@ -168,4 +170,50 @@ def _placed(content: Content, root: Mapping[str, Any], second: CalibratedCamera)
     return replace(second, T_cam_from_first=transform)
 
 
-OPENCV = Format("OpenCV FileStorage (YAML, XML or JSON)", recognises, read)
+def _values(optics: Optics) -> tuple[Array, list[float], dict[str, float]]:
+    """K, the coefficients, and the numbers beside them."""
+    camera, keys = optics.camera, keys_of(optics)
+    fx, fy = focal_lengths(optics)
+    K = np.array([[fx, camera.skew_px, camera.cx_px], [0, fy, camera.cy_px], [0, 0, 1]])
+    if keys["kind"] == "kannala_brandt":
+        return K, [keys[name] for name in ("k1", "k2", "k3", "k4")], {"fisheye_model": 1}
+    return K, [getattr(optics.lens, name) for name in _LENS[:4]], {"xi": keys["xi"]}
+
+
+def write_yaml(optics: Optics) -> str:
+    """FileStorage as YAML: `cv2.omnidir`'s K, D and xi, or `cv2.fisheye`'s K and D."""
+    K, D, more = _values(optics)
+    lines = [
+        "%YAML:1.0",
+        "---",
+        f"image_width: {optics.camera.width_px}",
+        f"image_height: {optics.camera.height_px}",
+        *(f"{name}: {value!r}" for name, value in more.items()),
+    ]
+    for name, values in (("camera_matrix", K), ("distortion_coefficients", np.array([D]))):
+        rows, columns = values.shape
+        numbers = ", ".join(map(repr, values.ravel().tolist()))
+        lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
+        lines.append(f"   data: [ {numbers} ]")
+    return "\n".join([*lines, ""])
+
+
+def write_xml(optics: Optics) -> str:
+    """FileStorage as XML."""
+    K, D, more = _values(optics)
+    plain = {"image_width": optics.camera.width_px, "image_height": optics.camera.height_px} | more
+    lines = ['<?xml version="1.0"?>', "<opencv_storage>"]
+    lines += [f"<{name}>{value!r}</{name}>" for name, value in plain.items()]
+    for name, values in (("camera_matrix", K), ("distortion_coefficients", np.array([D]))):
+        rows, columns = values.shape
+        numbers = " ".join(map(repr, values.ravel().tolist()))
+        lines.append(f'<{name} type_id="opencv-matrix">')
+        lines.append(f"  <rows>{rows}</rows>\n  <cols>{columns}</cols>\n  <dt>d</dt>")
+        lines.append(f"  <data>{numbers}</data></{name}>")
+    return "\n".join([*lines, "</opencv_storage>", ""])
+
+
+_TARGETS = (Target("unified", k3=False), Target("kannala_brandt"))
+
+OPENCV = Format("OpenCV FileStorage (YAML, XML or JSON)", recognises, read, _TARGETS, write_yaml)
+OPENCV_XML = Format("OpenCV FileStorage (XML)", recognises, read, _TARGETS, write_xml)

@@ -38,7 +38,7 @@ def read_content(file: Path) -> Content:
     InputError
         When it cannot be read, is no text, or breaks off.
     """
-    data = read_regular(file, MOST_BYTES, "calibration")
+    data = read_regular(file, MOST_BYTES, "sensor")
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
@@ -64,10 +64,12 @@ def _parsed(file: Path, text: str) -> Content:
     try:
         return Content(file, "toml", text, parse_toml(text))
     except ValueError as error:
-        if file.suffix == ".toml":  # what is in it tells nothing
-            raise InputError(f"not valid TOML: {error}") from error
+        no_toml = InputError(f"not valid TOML: {error}")
     if re.search(r"^[^\s#:][^\n:]*:(?:\s|\Z)", text, re.MULTILINE):
-        return Content(file, "yaml", text, _yaml(text))
+        try:
+            return Content(file, "yaml", text, _yaml(text))
+        except InputError as error:
+            raise (no_toml if file.suffix == ".toml" else error) from error
     return Content(file, "text", text)
 
 

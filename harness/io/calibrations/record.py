@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from harness.camera.model_fitting import Target
+from harness.camera.optics import Optics
 from harness.display import OneLine
 from harness.geometry.angles import Array
 
@@ -58,6 +60,16 @@ class Calibration(OneLine):
     cameras: tuple[CalibratedCamera, ...]
 
 
+def keys_of(optics: Optics) -> dict[str, Any]:
+    """The model's keys, `kind` among them."""
+    return optics.model.model_dump()
+
+
+def focal_lengths(optics: Optics) -> tuple[float, float]:
+    """Along u and along v, pixels."""
+    return optics.camera.focal_px, optics.camera.focal_px * optics.camera.aspect
+
+
 @dataclass(frozen=True)
 class Format:
     """A kind of calibration file."""
@@ -68,3 +80,7 @@ class Format:
     """Whether a file is of this kind, by what is in it."""
     read: Callable[[Content], Calibration]
     """Raises an `InputError` with file and key where something is missing, wrong or not supported."""
+    targets: tuple[Target, ...]
+    """The models that it can hold, and what it has room for beside them."""
+    write: Callable[[Optics], str]
+    """The text of a file with one camera, whose model is that of a target."""

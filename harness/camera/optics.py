@@ -1,0 +1,82 @@
+"""A camera model with its image and lens, without mount and field: what a calibration file describes, and converts to.
+
+All of it is in the lens's own frame: X along u, Y along v, Z along the optical axis into the scene. A mirror's frame
+looks the other way, (X, Y, Z) = (x, y, -z), see `harness.camera.conversions`.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
+from harness.camera.intrinsics import Camera
+from harness.camera.lens import Lens
+from harness.camera.models import CameraModel, Mirror
+from harness.camera.sensor import Sensor
+from harness.display import OneLine
+from harness.geometry.angles import Array
+
+
+@dataclass(frozen=True, repr=False)
+class Optics(OneLine):
+    """How directions become pixels."""
+
+    model: CameraModel
+    camera: Camera
+    lens: Lens
+
+    @property
+    def _along_axis(self) -> float:
+        """The sign of the model's own z along the optical axis; x and y are along u and v in all models."""
+        return -1.0 if isinstance(self.model, Mirror) else 1.0
+
+    def project(self, directions: ArrayLike) -> Array:
+        """Pixels `[n, 2]` of directions `[n, 3]` of any length; NaN outside the model's domain."""
+        own = self._own(directions)
+        out = np.empty((len(own), 2))
+        project_all(own, self.model.parameters(self.camera, self.lens), out)
+        return out
+
+    def jacobian(self, directions: ArrayLike) -> Array:
+        """Derivatives `[n, 2, 3]` of the pixels by the directions; NaN outside the model's domain."""
+        own = self._own(directions)
+        out = np.empty((len(own), 2, 3))
+        differentiate_all(own, self.model.parameters(self.camera, self.lens), out)
+        return out * [1.0, 1.0, self._along_axis]
+
+    def unproject(self, pixels: ArrayLike) -> Array:
+        """Unit directions `[n, 3]` of pixels `[n, 2]`; NaN where there is none."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        u, v = (np.ascontiguousarray(pixels[:, i]) for i in (0, 1))
+        rays = np.empty((3, len(pixels)))
+        parameters = self.model.parameters(self.camera, self.lens)
+        compiled_model(type(parameters)).rays(u, v, parameters, rays[0], rays[1], rays[2])
+        rays[2] *= self._along_axis
+        with np.errstate(invalid="ignore"):
+            return np.ascontiguousarray((rays / np.sqrt(np.sum(rays * rays, axis=0))).T)
+
+    def _own(self, directions: ArrayLike) -> Array:
+        return np.ascontiguousarray(np.asarray(directions, dtype=np.float64) * [1.0, 1.0, self._along_axis])
+
+    def largest_angle_on_image(self) -> float:
+        """The largest angle off the optical axis that a pixel of the image sees, radians; its corners count."""
+        edge = edge_pixels(self.camera)
+        z = self.unproject(edge)[:, 2]
+        # Where no direction belongs to a pixel, the image ends before the frame does.
+        return math.pi if np.isnan(z).any() else float(np.arccos(np.clip(z.min(), -1, 1)))
+
+
+def optics_of(sensor: Sensor) -> Optics:
+    """A sensor's optics."""
+    return Optics(sensor.model, sensor.camera, sensor.lens)
+
+
+def edge_pixels(camera: Camera, spacing_px: float = 4.0) -> Array:
+    """Points `[n, 2]` all round the border of the image, which is half a pixel outside the outermost centres."""
+    u = np.linspace(-0.5, camera.width_px - 0.5, max(3, round(camera.width_px / spacing_px)))
+    v = np.linspace(-0.5, camera.height_px - 0.5, max(3, round(camera.height_px / spacing_px)))
+    sides = [(u, np.full_like(u, v[0])), (np.full_like(v, u[-1]), v), (u[::-1], np.full_like(u, v[-1]))]
+    sides.append((np.full_like(v, u[0]), v[::-1]))
+    return np.concatenate([np.stack(side, axis=-1) for side in sides])
