@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from harness.evaluation.confidence import calibration, roc
-from harness.pipeline.sample import surest
+from harness.pipeline.sample import confidence_map
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
 from harness.runs.load import load_experiment
@@ -91,5 +91,5 @@ def test_a_wall_without_texture_is_not_confident_nonsense(run, noise):
     assert (domain & bare).sum() > 10_000
     assert found.valid[domain & bare].mean() < 0.2
     assert found.valid[domain & ~bare].mean() > 0.95
-    confidence = np.where(found.valid, surest(found), np.nan)
+    confidence = np.where(found.valid, confidence_map(found), np.nan)
     assert roc(confidence, bare, among=domain).auc > 0.95

@@ -61,15 +61,15 @@ def sparsification(error: ArrayLike, confidence: ArrayLike, *, statistic: Statis
         Of the same shape; larger is surer. Only its order counts.
     """
     error, confidence = _paired(error, confidence)
-    there = ~np.isnan(error)
-    absolute, sureness = np.abs(error[there]), _least_if_missing(confidence[there])
-    kept = np.maximum(absolute.size - np.arange(STEPS) * absolute.size // STEPS, 1)
+    has_error = ~np.isnan(error)
+    absolute, ordered_by = np.abs(error[has_error]), _least_if_missing(confidence[has_error])
+    counts = np.maximum(absolute.size - np.arange(STEPS) * absolute.size // STEPS, 1)
     if not absolute.size:
         nothing = np.full(STEPS, np.nan)
         return Sparsification(np.arange(STEPS) / STEPS, nothing, nothing, np.nan, np.nan, np.nan, 0)
-    removed = 1 - kept / absolute.size
-    remaining = _remaining(absolute, sureness, kept, statistic)
-    oracle = _remaining(absolute, -absolute, kept, statistic)
+    removed = 1 - counts / absolute.size
+    remaining = _remaining(absolute, ordered_by, counts, statistic)
+    oracle = _remaining(absolute, -absolute, counts, statistic)
     ause = float(np.trapezoid(remaining - oracle, removed))
     worst = float(np.trapezoid(remaining[0] - oracle, removed))
     return Sparsification(
@@ -111,9 +111,9 @@ def calibration(error: ArrayLike, sigma: ArrayLike) -> Calibration:
         Of the same shape and unit. One that is NaN, infinite or not above zero is no prediction.
     """
     error, sigma = _paired(error, sigma)
-    there = ~np.isnan(error)
-    counted = there & np.isfinite(sigma) & (sigma > 0)
-    share = float(counted.sum() / there.sum()) if there.any() else np.nan
+    has_error = ~np.isnan(error)
+    counted = has_error & np.isfinite(sigma) & (sigma > 0)
+    share = float(counted.sum() / has_error.sum()) if has_error.any() else np.nan
     if not counted.any():
         return Calibration((np.nan, np.nan, np.nan), np.nan, np.nan, 0, share)
     scaled = error[counted] / sigma[counted]
@@ -186,28 +186,28 @@ def _least_if_missing(confidence: Array) -> Array:
     return np.where(np.isnan(confidence), -np.inf, confidence)
 
 
-def _remaining(absolute: Array, sureness: Array, kept: NDArray[np.intp], statistic: Statistic) -> Array:
-    """The statistic over the surest, as many as `kept` says."""
-    # By sureness, and by error among the equally sure: an order that does not depend on that of the pixels.
-    order = np.lexsort((absolute, -sureness))
-    absolute, sureness = absolute[order], sureness[order]
-    first = np.concatenate([[True], sureness[1:] != sureness[:-1]])
+def _remaining(absolute: Array, ordered_by: Array, counts: NDArray[np.intp], statistic: Statistic) -> Array:
+    """The statistic over the most confident pixels, for each of `counts`."""
+    # By confidence, and by error among equal ones: an order that does not depend on that of the pixels.
+    order = np.lexsort((absolute, -ordered_by))
+    absolute, ordered_by = absolute[order], ordered_by[order]
+    first = np.concatenate([[True], ordered_by[1:] != ordered_by[:-1]])
     start = np.flatnonzero(first)
     end = np.append(start[1:], absolute.size)
     if statistic == "mean":
         # A sum grows evenly within a group.
         sums = np.cumsum(np.add.reduceat(absolute, start))
-        return np.asarray(np.interp(kept, np.append(0, end), np.append(0.0, sums)) / kept)
-    group = np.cumsum(first)[kept - 1] - 1
-    found = np.empty(kept.size)
-    for i, (count, low, high) in enumerate(zip(kept, start[group], end[group], strict=True)):
+        return np.asarray(np.interp(counts, np.append(0, end), np.append(0.0, sums)) / counts)
+    group = np.cumsum(first)[counts - 1] - 1
+    medians = np.empty(counts.size)
+    for i, (count, low, high) in enumerate(zip(counts, start[group], end[group], strict=True)):
         if count == high:
-            found[i] = np.median(absolute[:high])
+            medians[i] = np.median(absolute[:high])
         else:
             weight = np.ones(high)
             weight[low:] = (count - low) / (high - low)
-            found[i] = _weighted_median(absolute[:high], weight)
-    return found
+            medians[i] = _weighted_median(absolute[:high], weight)
+    return medians
 
 
 def _weighted_median(values: Array, weight: Array) -> float:

@@ -59,18 +59,18 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
     draws = errors_px.shape[0]
     if draws < 3 or errors_px.shape[1] == 0:
         return None
-    there = np.isfinite(errors_px)
-    fine = there & (np.abs(np.where(there, errors_px, 0.0)) <= GROSS_PX)
+    finite = np.isfinite(errors_px)
+    fine = finite & (np.abs(np.where(finite, errors_px, 0.0)) <= GROSS_PX)
     count = fine.sum(axis=0)
     enough = count >= max(3, int(np.ceil(MIN_DRAWS * draws)))
     bounded = np.ones(count.size, dtype=bool) if bound_px is None else np.isfinite(bound_px) & (bound_px > 0)
     use = enough & bounded
     if not use.any():
         return None
-    kept = np.where(fine[:, use], errors_px[:, use], 0.0)
+    used_errors = np.where(fine[:, use], errors_px[:, use], 0.0)
     n = count[use]
-    mean = kept.sum(axis=0) / n
-    variance = np.where(fine[:, use], (kept - mean) ** 2, 0.0).sum(axis=0) / (n - 1)
+    mean = used_errors.sum(axis=0) / n
+    variance = np.where(fine[:, use], (used_errors - mean) ** 2, 0.0).sum(axis=0) / (n - 1)
     # The median of a chi-squared variable lies below its mean: few draws would flatter the median spread.
     median_of_chi_2 = 2 * special.gammaincinv((n - 1) / 2, 0.5)
     std = np.sqrt(variance / (median_of_chi_2 / (n - 1)))
@@ -84,8 +84,8 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
     return Efficiency(
         draws=draws,
         pixels=int(use.sum()),
-        density=float(there.mean()),
-        gross=float((there & ~fine).sum() / max(there.sum(), 1)),
+        density=float(finite.mean()),
+        gross=float((finite & ~fine).sum() / max(finite.sum(), 1)),
         std_px=float(np.median(std)),
         bias_px=float(np.median(np.sqrt(bias_2))),
         std_over_bound=ratio,
@@ -121,10 +121,10 @@ def within_without_bias(errors_px: Array, sigma_px: Array) -> tuple[float, float
     use = count >= max(3, int(np.ceil(MIN_DRAWS * draws)))
     if not use.any():
         return None
-    there, n = fine[:, use], count[use]
-    errors = np.where(there, errors_px[:, use], 0.0)
+    finite, n = fine[:, use], count[use]
+    errors = np.where(finite, errors_px[:, use], 0.0)
     mean = errors.sum(axis=0) / n
     # The mean of n draws follows them: what is left of each has (n - 1)/n of its variance.
-    scaled = (errors - mean) / (np.where(there, sigma_px[:, use], 1.0) * np.sqrt((n - 1) / n))
-    one, two, three = (float((np.abs(scaled[there]) <= k).mean()) for k in (1, 2, 3))
+    scaled = (errors - mean) / (np.where(finite, sigma_px[:, use], 1.0) * np.sqrt((n - 1) / n))
+    one, two, three = (float((np.abs(scaled[finite]) <= k).mean()) for k in (1, 2, 3))
     return one, two, three

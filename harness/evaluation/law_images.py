@@ -44,7 +44,7 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
         Of `matcher`, `subpixel`, `surface`, `law`, `slope`, `slope_ci95`, `r2`, `cells`, `by_alpha_1`: as in
         `summary.json`. Slopes that cannot be fitted (fewer than three cells, or one law value) are None.
     """
-    found = []
+    fits = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
         y = np.log(part["spread_m"] / part["range_m"])
         for law in laws:
@@ -53,7 +53,7 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
             for index, (low, high) in enumerate(pairwise(ALPHA_1_EDGES_DEG)):
                 inside = part["alpha_bin"] == index
                 by_alpha_1.append({"from_deg": low, "to_deg": high, **_slope(x[inside], y[inside], part[inside])})
-            found.append(
+            fits.append(
                 {
                     "matcher": matcher,
                     "subpixel": subpixel,
@@ -64,7 +64,7 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
                     "by_alpha_1": by_alpha_1,
                 }
             )
-    return found
+    return fits
 
 
 def fit_law_and_bound(cells: pd.DataFrame) -> list[dict[str, Any]]:
@@ -120,10 +120,10 @@ def noise_limited(cells: pd.DataFrame) -> pd.DataFrame:
 
 def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
     """Slopes of `log sigma(alpha_2)` on `log(|t|/d)`: 0 if the angle's error does not know of baseline and range."""
-    found = []
+    slopes = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
         fit = _slope(np.log(part["baseline_m"] / part["range_m"]), np.log(part["sigma_alpha"]), part)
-        found.append(
+        slopes.append(
             {
                 "matcher": matcher,
                 "subpixel": subpixel,
@@ -132,7 +132,7 @@ def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
                 "slope_ci95": fit["slope_ci95"],
             }
         )
-    return found
+    return slopes
 
 
 def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
@@ -147,7 +147,7 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
         Of `matcher`, `subpixel`, `surface`, `range_m`, `baseline_m`, `baseline_m_ci95`, `naive_baseline_m`, and
         `flat_from_m`, `flat_to_m`: the baselines whose error is within 10 % of the best one's.
     """
-    found = []
+    best_of_range = []
     for (matcher, subpixel, surface, range_bin), part in cells.groupby([*_METHOD, "surface", "range_bin"], sort=True):
         curve = baseline_curve(part)
         if curve is None:
@@ -155,7 +155,7 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
         baselines, errors, draws = curve
         best = baselines[np.argmin(draws, axis=1)]
         flat = baselines[errors <= errors.min() + np.log(1.1)]
-        found.append(
+        best_of_range.append(
             {
                 "matcher": matcher,
                 "subpixel": subpixel,
@@ -168,7 +168,7 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
                 "naive_baseline_m": float(baselines.max()),
             }
         )
-    return found
+    return best_of_range
 
 
 def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:

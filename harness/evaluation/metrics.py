@@ -24,7 +24,7 @@ CORE = (
 )
 
 
-def measure(domain: Mask, valid: Mask, found: Errors) -> Measures:
+def measure(domain: Mask, valid: Mask, errors: Errors) -> Measures:
     """Core figures over the valid pixels of a domain; None where there are none.
 
     Parameters
@@ -41,7 +41,7 @@ def measure(domain: Mask, valid: Mask, found: Errors) -> Measures:
         errors above one pixel), `range_median_abs_m`, `range_mae_m`, `range_rmse_m`, `range_bias_m` (mean, signed).
     """
     pixels = domain & valid
-    return {"density": _share(pixels, domain), **_core(found.disparity_px[pixels], found.range_m[pixels])}
+    return {"density": _share(pixels, domain), **_core(errors.disparity_px[pixels], errors.range_m[pixels])}
 
 
 def _core(disparity: Array, distance: Array) -> Measures:
@@ -74,11 +74,11 @@ def measure_by_solid_angle(errors: Tally) -> Measures:
     A panorama's pixels do not cover the sphere evenly: near its lower border they are a fifth of those at the horizon.
     """
     sums = errors.weighted
-    seen, whole = float(sums[_kernels.COUNT]), float(sums[_kernels.NEGATIVE])
-    measures: Measures = {"density": seen / whole if whole else None}
-    if not seen:
+    matched, whole = float(sums[_kernels.COUNT]), float(sums[_kernels.NEGATIVE])
+    measures: Measures = {"density": matched / whole if whole else None}
+    if not matched:
         return measures | dict.fromkeys(CORE)
-    mean = sums / seen
+    mean = sums / matched
     return measures | _core_of(mean, errors.quantiles_px[0], errors.weighted_median_m)
 
 
@@ -141,8 +141,8 @@ def fraction_histograms(errors: Tally, k: Array) -> dict[str, list[int]]:
 def share_of_estimates(errors: Tally, flags: Mask) -> float | None:
     """Share of the domain's estimates that have a flag `[height, width]`; None where there are none."""
     layout, number = errors.layout, errors.logarithm.size
-    found = _kernels.count_flags(layout.groups.pixels, layout.surface, errors.scored, flags.ravel())
-    return float(found / number) if number else None
+    flagged = _kernels.count_flags(layout.groups.pixels, layout.surface, errors.scored, flags.ravel())
+    return float(flagged / number) if number else None
 
 
 def _share(part: Mask, whole: Mask) -> float | None:

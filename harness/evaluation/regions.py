@@ -200,12 +200,12 @@ def _cells(reference: Reference) -> tuple[tuple[CellPixels, ...], Labels]:
     # One number for range, direction and surface, in this order.
     nearest = int(range_bin.min(initial=0))
     label = ((range_bin - nearest) * len(ALPHA_1_EDGES_DEG) + alpha_bin) * 2 + wall
-    found: list[CellPixels] = []
+    cells: list[CellPixels] = []
     of_pixel = np.full(reference.domain.size, -1, dtype=np.int16)
     for number, part in enumerate(members(label, int(label.max(initial=-1)) + 1)):
         if part.size:
-            of_pixel[domain[part]] = len(found)
+            of_pixel[domain[part]] = len(cells)
             rest, surface = divmod(number, 2)
             distance, direction = divmod(rest, len(ALPHA_1_EDGES_DEG))
-            found.append(CellPixels(SURFACES[1 - surface], direction, distance + nearest, domain[part]))
-    return tuple(found), of_pixel
+            cells.append(CellPixels(SURFACES[1 - surface], direction, distance + nearest, domain[part]))
+    return tuple(cells), of_pixel

@@ -89,12 +89,12 @@ def between(draws: Array, seeds: int) -> tuple[Array, Array]:
         return nothing, nothing
     flat = draws.reshape(len(draws), -1)
     missing = np.isnan(flat)
-    found = np.full((2, flat.shape[1]), np.nan)
+    ends = np.full((2, flat.shape[1]), np.nan)
     complete = ~missing.any(axis=0)
-    found[:, complete] = np.quantile(flat[:, complete], _ENDS, axis=0)
+    ends[:, complete] = np.quantile(flat[:, complete], _ENDS, axis=0)
     for column in np.flatnonzero(~complete & ~missing.all(axis=0)):  # nanquantile takes as long for every column
-        found[:, column] = np.quantile(flat[~missing[:, column], column], _ENDS)
-    low, high = found.reshape(2, *draws.shape[1:])
+        ends[:, column] = np.quantile(flat[~missing[:, column], column], _ENDS)
+    low, high = ends.reshape(2, *draws.shape[1:])
     return low, high
 
 

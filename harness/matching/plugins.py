@@ -39,18 +39,18 @@ def find(kind: str) -> Callable[..., Any]:
         When there is no such module or function. `error.file` is the name.
     """
     module_name, attributes = _address(kind)
-    found = module = _module(module_name, kind)
+    target = module = _module(module_name, kind)
     if module_name not in _loaded:  # from now on, its files are known to be those that it was made of
         _source(kind)
     for name in attributes.split("."):
-        if not hasattr(found, name):
+        if not hasattr(target, name):
             there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
             where = getattr(module, "__file__", None) or "built in"
             raise InputError(f"the module {module_name} ({where}) has no '{name}'; {nearest(name, there)}", file=kind)
-        found = getattr(found, name)
-    if not callable(found):
-        raise InputError(f"is a {type(found).__name__}, not a function", file=kind)
-    function: Callable[..., Any] = found
+        target = getattr(target, name)
+    if not callable(target):
+        raise InputError(f"is a {type(target).__name__}, not a function", file=kind)
+    function: Callable[..., Any] = target
     return function
 
 
@@ -249,23 +249,23 @@ def _read(name: str, kind: str) -> _Source:
     importlib.invalidate_caches()
     if _spec(name) is None:
         raise _absent(name, kind)
-    own = name.partition(".")[0]
+    package = name.partition(".")[0]
     code: list[str] = []
     data: list[str] = []
     states: dict[Path, State] = {}
-    seen, waiting = {own, __package__.partition(".")[0]} | sys.stdlib_module_names, [own]
+    visited, waiting = {package, __package__.partition(".")[0]} | sys.stdlib_module_names, [package]
     while waiting:
         module = waiting.pop()
         folder, files = _files(_spec(module))
-        if module != own and {"site-packages", "dist-packages"} & set(folder.parts):
+        if module != package and {"site-packages", "dist-packages"} & set(folder.parts):
             code.append(f"{module} {_version(module)}")
             continue
         states |= {path: state_of(path) for file in files for path in (file, file.parent)}
         for file in files:
             is_code = file.name.endswith((".py", *EXTENSION_SUFFIXES))
             (code if is_code else data).append(f"{file.relative_to(folder).as_posix()} {hash_of(file)}")
-            imported = imports(file) - seen if file.suffix == ".py" else frozenset()
-            seen |= imported
+            imported = imports(file) - visited if file.suffix == ".py" else frozenset()
+            visited |= imported
             waiting.extend(imported)
     return _Source(_hash(code + data), _hash(code), states)
 
@@ -283,8 +283,8 @@ def _spec(name: str) -> ModuleSpec | None:
         full = ".".join(parts[: i + 1])
         if i and path is None:
             return None
-        found = (finder.find_spec(full, path) for finder in sys.meta_path if hasattr(finder, "find_spec"))
-        spec = next((each for each in found if each is not None), None)
+        specs = (finder.find_spec(full, path) for finder in sys.meta_path if hasattr(finder, "find_spec"))
+        spec = next((each for each in specs if each is not None), None)
         if spec is None:
             return None
         path = spec.submodule_search_locations

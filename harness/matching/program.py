@@ -180,8 +180,8 @@ def digest(program: Program) -> str:
         When a file cannot be read, or a pattern of `files` names none or too many.
     """
     words = [Path(word) for word in program.command if Path(word).is_file()]
-    if not words and (found := shutil.which(program.command[0])):
-        words = [Path(found)]
+    if not words and (executable := shutil.which(program.command[0])):
+        words = [Path(executable)]
     lines = []
     for word in words:
         beside = script_files(word) if is_python(word) else []
@@ -194,16 +194,16 @@ def digest(program: Program) -> str:
 
 def _matching_files(patterns: Sequence[str]) -> list[Path]:
     """The files that patterns name."""
-    found: dict[Path, None] = {}
+    known: dict[Path, None] = {}
     for pattern in patterns:
         paths = itertools.islice(glob.iglob(pattern, recursive=True), _MOST_FILES + 1)  # noqa: PTH207 - absolute patterns
         files = [path for path in map(Path, paths) if path.is_file()]
         if not files:
             raise InputError(f"no file matches '{pattern}'", key="files")
-        found |= dict.fromkeys(files)
-        if len(found) > _MOST_FILES:
+        known |= dict.fromkeys(files)
+        if len(known) > _MOST_FILES:
             raise InputError(f"more than {_MOST_FILES} files match '{pattern}'", key="files")
-    return sorted(found)
+    return sorted(known)
 
 
 def with_absolute_files(command: Sequence[Any], folder: Path, *, patterns: bool = False) -> list[Any]:
@@ -241,7 +241,7 @@ def filled_in(program: Program, folder: Path) -> list[str]:
     """The command with the folders `input` and `output` of a folder, and with the parameters filled in."""
     values = {name: _word(value) for name, value in program.parameters.items()}
     values |= {part: str(folder / part) for part in ("input", "output")}
-    return [re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), word) for word in program.command]
+    return [re.sub(r"\{(\w+)\}", lambda name: values.get(name[1], name[0]), word) for word in program.command]
 
 
 def _word(value: Any) -> str:

@@ -57,10 +57,10 @@ def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
         return dict(settings)
     same = BUILT_IN.get(str(settings.get("kind", "window")), Plugin) is model
     known = model.model_fields if same else MatcherSettings.model_fields
-    kept = {key: value for key, value in settings.items() if key in known} | {"kind": kind}
-    if same and model is Plugin and isinstance(kept.get("parameters"), Mapping):
-        kept["parameters"] = {name: value for name, value in kept["parameters"].items() if plugins.takes(kind, name)}
-    return kept
+    taken = {key: value for key, value in settings.items() if key in known} | {"kind": kind}
+    if same and model is Plugin and isinstance(taken.get("parameters"), Mapping):
+        taken["parameters"] = {name: value for name, value in taken["parameters"].items() if plugins.takes(kind, name)}
+    return taken
 
 
 def knows(kind: Any, key: str) -> bool:

@@ -26,11 +26,11 @@ def state_of(path: Path) -> State:
         When it is not there.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
-    is_old = time.time_ns() - max(found.st_mtime_ns, found.st_ctime_ns) > _JUST_NOW_NS
-    return (found.st_size, found.st_ino, found.st_mtime_ns, found.st_ctime_ns) if is_old else None
+    is_old = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _JUST_NOW_NS
+    return (status.st_size, status.st_ino, status.st_mtime_ns, status.st_ctime_ns) if is_old else None
 
 
 def hash_of(path: Path) -> str:
@@ -74,13 +74,13 @@ def is_python(path: Path) -> bool:
 
 def script_files(script: Path) -> list[Path]:
     """What a Python script imports from its own folder, directly or not: modules, and packages whole."""
-    found, waiting = {script}, [script]
+    files, waiting = {script}, [script]
     while waiting:
         for name in imports(waiting.pop()):
-            new = set(_beside(script.parent, name)) - found
-            found |= new
+            new = set(_beside(script.parent, name)) - files
+            files |= new
             waiting += [each for each in new if each.suffix == ".py"]
-    return sorted(found - {script})
+    return sorted(files - {script})
 
 
 def package_files(package: Path) -> list[Path]:

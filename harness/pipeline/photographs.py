@@ -135,7 +135,7 @@ def estimate(
     )
 
 
-def write_estimate(found: Estimate, folder: Path) -> None:
+def write_estimate(result: Estimate, folder: Path) -> None:
     """Write all that is `WRITTEN`.
 
     `range_mm.png` has 16 bits: millimetres, 0 where there is no range, 65535 from 65.535 m on. `points.ply` holds the
@@ -148,17 +148,17 @@ def write_estimate(found: Estimate, folder: Path) -> None:
     """
     make_folder(folder)
     for name, array in (
-        ("range.npy", found.range_m),
-        ("sigma_m.npy", found.sigma_m),
-        ("alpha_2.npy", found.matches.alpha_2),
-        ("reason.npy", found.reason),
+        ("range.npy", result.range_m),
+        ("sigma_m.npy", result.sigma_m),
+        ("alpha_2.npy", result.matches.alpha_2),
+        ("reason.npy", result.reason),
     ):
         stream = io.BytesIO()
         np.save(stream, array, allow_pickle=False)
         write(folder / name, stream.getvalue())
-    millimetres = np.clip(np.rint(1000 * np.where(found.valid, found.range_m, 0.0)), 0, 65535).astype(np.uint16)
+    millimetres = np.clip(np.rint(1000 * np.where(result.valid, result.range_m, 0.0)), 0, 65535).astype(np.uint16)
     stream = io.BytesIO()
     Image.fromarray(millimetres).save(stream, format="PNG")
     write(folder / "range_mm.png", stream.getvalue())
-    cloud = trimesh.PointCloud(found.points_m, colors=found.colours)  # type: ignore[no-untyped-call]
+    cloud = trimesh.PointCloud(result.points_m, colors=result.colours)  # type: ignore[no-untyped-call]
     write(folder / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]

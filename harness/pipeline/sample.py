@@ -42,7 +42,7 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
 
 def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
     """Whether the matcher's confidence puts its errors in order, and tells large ones; None without a confidence."""
-    confidence = surest(outcome)
+    confidence = confidence_map(outcome)
     if confidence is None or not (outcome.valid & outcome.reference.domain).any():
         return None
     error = domain_errors_px(outcome)
@@ -64,10 +64,10 @@ def calibration_of(outcome: Outcome) -> dict[str, Any] | None:
     sigma = outcome.matches.sigma_alpha_2
     if sigma is None:
         return None
-    found = calibration(_errors(outcome, outcome.errors.alpha_2), sigma)
-    if not found.pixels:
+    fit = calibration(_errors(outcome, outcome.errors.alpha_2), sigma)
+    if not fit.pixels:
         return None
-    return {"within": list(found.within), "spread": found.spread, "bias": found.bias, "predicted": found.predicted}
+    return {"within": list(fit.within), "spread": fit.spread, "bias": fit.bias, "predicted": fit.predicted}
 
 
 def domain_errors_px(outcome: Outcome) -> Array:
@@ -89,16 +89,16 @@ def with_bounds(outcome: Outcome, cells: list[dict[str, Any]]) -> list[dict[str,
         return cells
     bound = (sigma_grey * outcome.trial.panorama.phi_pitch) * outcome.bound_px.ravel()
     matched = outcome.valid.ravel()
-    found = {}
+    bounds = {}
     for part in outcome.layout.cells:
         mine = bound[part.pixels[matched[part.pixels]]]
         known = mine[np.isfinite(mine)]
         enough = known.size and 2 * known.size >= mine.size
-        found[part.surface, part.alpha_bin, part.range_bin] = float(np.median(known)) if enough else None
-    return [each | {"bound_alpha": found[each["surface"], each["alpha_bin"], each["range_bin"]]} for each in cells]
+        bounds[part.surface, part.alpha_bin, part.range_bin] = float(np.median(known)) if enough else None
+    return [each | {"bound_alpha": bounds[each["surface"], each["alpha_bin"], each["range_bin"]]} for each in cells]
 
 
-def surest(outcome: Outcome) -> Array | None:
+def confidence_map(outcome: Outcome) -> Array | None:
     """The matcher's confidence; the inverse of its predicted standard deviation if that is all it says."""
     matches = outcome.matches
     if matches.confidence is not None:

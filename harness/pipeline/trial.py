@@ -86,8 +86,8 @@ class Outcome(OneLine):
     @property
     def k(self) -> Array:
         """The matches in samples of `curves`, with fractions; NaN where there is no match."""
-        found = self.matches
-        return sample_at(self.curves, found.alpha_2) if found.k is None else found.k
+        matches = self.matches
+        return sample_at(self.curves, matches.alpha_2) if matches.k is None else matches.k
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -161,7 +161,7 @@ NOISE = Stage("noise", _add_noise, _noise_settings, after=(EXPOSURE,), per_view=
 def _truth(work: Work, _view: int) -> Truth:
     trial, setup = work.trial, work.setup
     looking = directions(trial.panorama)
-    seen = truth(
+    result = truth(
         trial.scene,
         setup.poses[0],
         looking,
@@ -171,7 +171,7 @@ def _truth(work: Work, _view: int) -> Truth:
         threads=work.threads,
     )
     _refuse_changed_scene(work)
-    return seen
+    return result
 
 
 TRUTH = Stage(
@@ -346,7 +346,7 @@ def _outcome_of(work: Work, answer: Matches | None) -> Outcome:
     if answer is not None:
         work.give(MATCH, answer)
     work.both(RENDER)
-    pair, seen, matches = work(PAIR), work(TRUTH), work(MATCH)
+    pair, true_view, matches = work(PAIR), work(TRUTH), work(MATCH)
     range_m, reason = work(RANGE)
     scored = work(SCORE)
     expected, parts = work(REFERENCE)
@@ -354,7 +354,7 @@ def _outcome_of(work: Work, answer: Matches | None) -> Outcome:
         trial=trial,
         pair=pair,
         clean=work.both(EXPOSURE),
-        truth=seen,
+        truth=true_view,
         curves=_curves(trial, work.setup.motion),
         matches=matches,
         range_m=range_m,

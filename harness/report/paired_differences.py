@@ -235,8 +235,10 @@ def _run(
     for row in done:
         changed = {key: identity_of(key, value_of(row[key])) for key in keys}
         # A setting that is a table or a list replaces all that was under it.
-        kept = {key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)}
-        settings.append({key: value for key, value in (kept | changed).items() if value != _NONE})
+        unchanged = {
+            key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)
+        }
+        settings.append({key: value for key, value in (unchanged | changed).items() if value != _NONE})
     figures = [{key: _number(row.get(key)) for key in COMPARED} for row in done]
     packages = facts.pop("packages", {})
     flat = {key: str(value) for key, value in (facts | packages).items() if key != "finished"}
@@ -268,7 +270,7 @@ def _pair(first: Run, second: Run) -> Pairing:
     why = ""
     if not (first.settings and second.settings):
         why = "One of the runs has no trial that is done."
-    elif any(len(found) < len(run.settings) for found, run in zip(by_settings, (first, second), strict=True)):
+    elif any(len(distinct) < len(run.settings) for distinct, run in zip(by_settings, (first, second), strict=True)):
         several = [name_of(key) for key in differing if len(_values(first, key)) > 1 or len(_values(second, key)) > 1]
         why = (
             f"Nothing can be paired: {listed(several)} {'varies' if len(several) == 1 else 'vary'} within a run and "
@@ -422,7 +424,7 @@ def _picture(shown: list[Difference]) -> Picture:
     fig = theme.figure(WIDE, 24 * len(names) + 100)
     ax = theme.axes(fig, 250, 34, WIDE - 290, 24 * len(names) + 10)
     ax.axvline(0, color=theme.TRUTH, linewidth=0.9)
-    told = []
+    described = []
     spare = iter(theme.SPARE)
     for index, step in enumerate(steps):
         mine = [each for each in shown if each.step == step]
@@ -438,7 +440,7 @@ def _picture(shown: list[Difference]) -> Picture:
         label = _STEPS.get(step, step) or "all pairs"
         ax.hlines(y, spans[:, 0], spans[:, 1], color=colour, linewidth=1.6)
         ax.plot(share, y, "o", color=colour, markersize=5, label=theme.plain(label))
-        told += [
+        described += [
             f"{metric(each.figure).heading}, {label} {figure(value, '+.0f')} %"
             for each, value in zip(mine, share, strict=True)
         ]
@@ -450,7 +452,7 @@ def _picture(shown: list[Difference]) -> Picture:
     ax.set_xlabel("second run against the first (% of the first run’s mean)")
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:+g}".replace("-", "−") if value else "0")
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=len(steps), borderaxespad=0.3)
-    return theme.picture(fig, f"Paired differences as shares of the first run’s mean: {'; '.join(told)}.")
+    return theme.picture(fig, f"Paired differences as shares of the first run’s mean: {'; '.join(described)}.")
 
 
 def _fact_table(runs: list[Run]) -> Table:

@@ -20,43 +20,45 @@ _NOTHING = "#D4D4D4"
 """Where there is no estimate."""
 
 
-def build_page(found: Estimate) -> str:
+def build_page(estimate: Estimate) -> str:
     """The page, one self-contained HTML file."""
-    predicted = found.sigma_m[np.isfinite(found.sigma_m)]
-    share = found.sigma_m / found.range_m
+    predicted = estimate.sigma_m[np.isfinite(estimate.sigma_m)]
+    share = estimate.sigma_m / estimate.range_m
     with theme.style():
         pictures = {
-            "photographs": [_photograph(found, view) for view in range(2)],
-            "panorama": [_panorama(found)],
-            "range": [_map(found, found.range_m, "range (m)", "Range from view 1")],
-            "sigma": [_map(found, found.sigma_m, "standard deviation (m)", "Predicted standard deviation of the range")]
+            "photographs": [_photograph(estimate, view) for view in range(2)],
+            "panorama": [_panorama(estimate)],
+            "range": [_map(estimate, estimate.range_m, "range (m)", "Range from view 1")],
+            "sigma": [
+                _map(estimate, estimate.sigma_m, "standard deviation (m)", "Predicted standard deviation of the range")
+            ]
             if predicted.size
             else [],
-            "reasons": [reasons_picture(found.reason, found.pair.grid)],
+            "reasons": [reasons_picture(estimate.reason, estimate.pair.grid)],
         }
     return template("photographs.html.j2").render(
-        found=found,
-        names=_names(found),
+        estimate=estimate,
+        names=_names(estimate),
         pictures=pictures,
-        matcher=" ".join(each for each in method_of(found.matcher) if each not in {"own", "none"}),
-        density=float(found.valid.mean()),
-        median_m=_median(found.range_m),
-        span_m=_span(found.range_m),
-        median_sigma_m=_median(found.sigma_m),
+        matcher=" ".join(each for each in method_of(estimate.matcher) if each not in {"own", "none"}),
+        density=float(estimate.valid.mean()),
+        median_m=_median(estimate.range_m),
+        span_m=_span(estimate.range_m),
+        median_sigma_m=_median(estimate.sigma_m),
         median_share=_median(share),
-        own_sigma=found.matches.sigma_alpha_2 is not None,
-        settings=dump_toml(found.matcher),
-        sizes=image_sizes(found.pair.sensors),
-        sensors=[dump_toml(each) for each in dict.fromkeys(found.pair.sensors)],
-        grid=dump_toml(found.pair.grid),
-        t=[float(each) for each in found.pair.t_v1],
-        turned=not np.allclose(found.pair.motion.R_v2_from_v1, np.eye(3)),
+        own_sigma=estimate.matches.sigma_alpha_2 is not None,
+        settings=dump_toml(estimate.matcher),
+        sizes=image_sizes(estimate.pair.sensors),
+        sensors=[dump_toml(each) for each in dict.fromkeys(estimate.pair.sensors)],
+        grid=dump_toml(estimate.pair.grid),
+        t=[float(each) for each in estimate.pair.t_v1],
+        turned=not np.allclose(estimate.pair.motion.R_v2_from_v1, np.eye(3)),
     )
 
 
-def _names(found: Estimate) -> tuple[str, str]:
+def _names(estimate: Estimate) -> tuple[str, str]:
     """The files' names, with their folders where they are alike."""
-    first, second = (each.file for each in found.photographs)
+    first, second = (each.file for each in estimate.photographs)
     if first.name != second.name:
         return first.name, second.name
     return f"{first.parent.name}/{first.name}", f"{second.parent.name}/{second.name}"
@@ -77,8 +79,8 @@ def _span(values: Array) -> tuple[float, float] | None:
 
 
 @theme.panel
-def _photograph(found: Estimate, view: int) -> Picture:
-    colour: NDArray[np.uint8] = found.photographs[view].colour
+def _photograph(estimate: Estimate, view: int) -> Picture:
+    colour: NDArray[np.uint8] = estimate.photographs[view].colour
     rows, columns = colour.shape[:2]
     scale = min((HALF - 60) / columns, 350 / rows)
     w, h = columns * scale, rows * scale
@@ -94,13 +96,13 @@ def _photograph(found: Estimate, view: int) -> Picture:
         ax.imshow(shown, extent=extent, aspect="auto")
     ax.set_xlabel("$u$ (px)")
     ax.set_ylabel("$v$ (px)")
-    name = _names(found)[view]
+    name = _names(estimate)[view]
     return theme.picture(fig, f"Mirror image of view {view + 1}, {name}.", f"({'ab'[view]}) view {view + 1}: {name}")
 
 
 @theme.panel
-def _panorama(found: Estimate) -> Picture:
-    grid, view = found.pair.grid, found.pair.panoramas()[0]
+def _panorama(estimate: Estimate) -> Picture:
+    grid, view = estimate.pair.grid, estimate.pair.panoramas()[0]
     fig, ax, bar = panorama_axes(grid)
     values = np.where(view.valid, view.values, np.nan)
     drawn = ax.imshow(unmirrored(values), cmap="gray", vmin=0, vmax=255, extent=extent_of(grid), aspect="auto")
@@ -109,9 +111,9 @@ def _panorama(found: Estimate) -> Picture:
 
 
 @theme.panel
-def _map(found: Estimate, values: Array, label: str, title: str) -> Picture:
+def _map(estimate: Estimate, values: Array, label: str, title: str) -> Picture:
     """Positive values over the panorama on a logarithmic scale of colours."""
-    grid = found.pair.grid
+    grid = estimate.pair.grid
     fig, ax, bar = panorama_axes(grid)
     ax.patch.set(facecolor=_NOTHING, edgecolor="#A8A8A8", hatch="/////")
     known = values[np.isfinite(values) & (values > 0)]

@@ -180,11 +180,11 @@ def sweep_of(result: Result) -> Sweep:
 
 def values_of(rows: Iterable[Row]) -> dict[str, list[Any]]:
     """The keys that vary between trials, and the values that each takes, in the order in which they come."""
-    found: dict[str, dict[str, Any]] = {}
+    values: dict[str, dict[str, Any]] = {}
     for row in rows:
         for key, value in row.coordinates.items():
-            found.setdefault(key, {}).setdefault(identity_of(key, value), value)
-    return {key: list(values.values()) for key, values in found.items()}
+            values.setdefault(key, {}).setdefault(identity_of(key, value), value)
+    return {key: list(of_key.values()) for key, of_key in values.items()}
 
 
 def texts_of(values: Sequence[Any]) -> list[str]:

@@ -274,13 +274,13 @@ def pair(
     """A figure of half the page's width with axes beside each other that share their ordinate."""
     fig = figure(HALF, height)
     width = (HALF - left - 12 - gap * (count - 1)) / count
-    found = [axes(fig, left + i * (width + gap), top, width, height - top - 46) for i in range(count)]
-    for ax in found:
+    panels = [axes(fig, left + i * (width + gap), top, width, height - top - 46) for i in range(count)]
+    for ax in panels:
         ax.grid(color="#E8E8E8", linewidth=0.5)
         ax.set_axisbelow(True)
-    for ax in found[1:]:
+    for ax in panels[1:]:
         ax.tick_params(labelleft=False)
-    return fig, found
+    return fig, panels
 
 
 def shade(ax: Axes, x: NDArray[np.floating], where: NDArray[np.bool_], colour: str) -> None:

@@ -96,7 +96,7 @@ def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:
     errors = np.array([payload["sample"]["error_px"] for _, payload in trials], dtype=np.float64)
     unit = np.array(trials[0][1]["sample"]["bound_px"], dtype=np.float64)
     bound = unit * sigma_grey if sigma_grey and np.isfinite(unit).any() else None
-    found = efficiency(errors, bound) if sigma_grey else None
+    spread = efficiency(errors, bound) if sigma_grey else None
     sigma = np.array([payload["sample"]["sigma_px"] for _, payload in trials], dtype=np.float64)
     without_bias = within_without_bias(errors, sigma) if sigma_grey else None
     absolute = np.abs(errors[np.isfinite(errors)])
@@ -108,11 +108,11 @@ def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:
         "bad_3px": float(np.mean(absolute > GROSS_PX)) if absolute.size else None,
         "density": float(np.isfinite(errors).mean()) if errors.size else None,
         "bound_px": float(np.nanmedian(bound)) if bound is not None else None,
-        "std_px": None if found is None else found.std_px,
-        "bias_px": None if found is None else found.bias_px,
-        "std_over_bound": None if found is None else found.std_over_bound,
-        "std_over_bound_quartiles": None if found is None else found.std_over_bound_quartiles,
-        "rms_over_bound": None if found is None else found.rms_over_bound,
+        "std_px": None if spread is None else spread.std_px,
+        "bias_px": None if spread is None else spread.bias_px,
+        "std_over_bound": None if spread is None else spread.std_over_bound,
+        "std_over_bound_quartiles": None if spread is None else spread.std_over_bound_quartiles,
+        "rms_over_bound": None if spread is None else spread.rms_over_bound,
         "within_sigma": np.mean([each["within"] for each in calibrated], axis=0).tolist() if calibrated else None,
         "within_sigma_without_bias": None if without_bias is None else list(without_bias),
     }

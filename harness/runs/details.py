@@ -75,24 +75,24 @@ def details_of(
     run_code
         Whether matchers may be run that are not part of this program.
     """
-    memory = _Memory(experiment, store)
+    stored = _Stored(experiment, store)
     methods: dict[MethodName, Trial] = {}
     for each in experiment.planned:
         methods.setdefault(each.method, each.trial)
     chosen = list(methods.values())[:MOST_DETAILS]
-    found = Details([], [], [], [], None)
+    details = Details([], [], [], [], None)
     for base in dict.fromkeys((experiment.trial, done[0].trial)):
         trials = [with_method(base, trial) for trial in chosen]
-        looks = [memory.look(trial, run_code=run_code) for trial in trials]
-        seen = [look for look in looks if not isinstance(look, LeftOut)]
-        missing = [look for look in looks if isinstance(look, LeftOut)]
-        if seen or not found.trials:
-            found = Details(trials, [key for key, _ in seen], [outcome for _, outcome in seen], missing, None)
-        if seen:
+        attempts = [stored.outcome_of(trial, run_code=run_code) for trial in trials]
+        shown = [attempt for attempt in attempts if not isinstance(attempt, LeftOut)]
+        missing = [attempt for attempt in attempts if isinstance(attempt, LeftOut)]
+        if shown or not details.trials:
+            details = Details(trials, [key for key, _ in shown], [outcome for _, outcome in shown], missing, None)
+        if shown:
             break
-    if found.left_out and memory.comparison:
-        found = Details(found.trials, found.keys, found.outcomes, found.left_out, memory.comparison)
-    return found
+    if details.left_out and stored.comparison:
+        details = Details(details.trials, details.keys, details.outcomes, details.left_out, stored.comparison)
+    return details
 
 
 def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, store: Store) -> None:
@@ -110,7 +110,7 @@ def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, s
         store.set_fact(_FACT, fact)
 
 
-class _Memory:
+class _Stored:
     """What a run's file holds of the trials shown in detail."""
 
     def __init__(self, experiment: Experiment, store: Store | None) -> None:
@@ -130,16 +130,16 @@ class _Memory:
                 ]
                 self.comparison = fact["comparison"] if self._recorded else None
 
-    def look(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:
+    def outcome_of(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:
         """A trial's key and outcome, or why there is none."""
         name = " ".join(each for each in method_of(trial.matching) if each not in {"own", "none"})
-        kept = next(((key, scene) for each, key, scene in self._kept if each == trial), None)
+        earlier = next(((key, scene) for each, key, scene in self._kept if each == trial), None)
         try:
             scene = fingerprint(trial.scene)
-            if self._recorded and (scene != kept[1] if kept else scene not in self._scenes):
+            if self._recorded and (scene != earlier[1] if earlier else scene not in self._scenes):
                 return LeftOut(name, "the files of its scene are not what they were when the run was made")
-            key = kept[0] if kept and self._recorded else trial.key
-            answer = self._answer(key, trial.panorama) if kept and kept[0] == key else None
+            key = earlier[0] if earlier and self._recorded else trial.key
+            answer = self._answer(key, trial.panorama) if earlier and earlier[0] == key else None
             if answer is None and trial.matching.runs_foreign_code and not run_code:
                 why = "its matcher is not part of omnirange and its answer is not kept; --run-code lets it be run"
                 return LeftOut(name, why)
@@ -192,7 +192,7 @@ def unpacked(data: bytes, grid: Grid) -> Matches | None:
             if any(each.file_size > 8 * grid.shape[0] * grid.shape[1] + 4096 for each in archive.infolist()):
                 return None
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            found = {name: arrays[name] for name in _ARRAYS if name in arrays.files}
-        return as_matches(Matches(**found), grid, "the answer")
+            known = {name: arrays[name] for name in _ARRAYS if name in arrays.files}
+        return as_matches(Matches(**known), grid, "the answer")
     except (zipfile.BadZipFile, OSError, ValueError, TypeError, EOFError, MemoryError, InputError, KeyError):
         return None

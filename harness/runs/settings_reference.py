@@ -88,16 +88,16 @@ def find_settings(key: str | None = None) -> tuple[Setting, ...]:
     wanted = re.sub(r"\[(\d+)\]", r".\1", key.strip()).removeprefix("trial.")
     wanted = up_to_date_key(Trial, wanted)
     wanted = ".".join(ITEM if part.isdecimal() else part for part in wanted.split("."))
-    found = [each for each in every if f"{each.key}.".startswith(f"{wanted}.")]
-    found = found or [each for each in every if each.key.endswith(f".{wanted}")]
-    if not found:
+    matching = [each for each in every if f"{each.key}.".startswith(f"{wanted}.")]
+    matching = matching or [each for each in every if each.key.endswith(f".{wanted}")]
+    if not matching:
         keys = dict.fromkeys(each.key for each in every)
         last = dict.fromkeys(name.rpartition(".")[2] for name in keys)
         hint = nearest(wanted, [*keys, *last])
         if hint.startswith("valid"):
             hint = "omnirange settings lists them all"
         raise InputError(f"unknown key '{key}'; {hint}", key="KEY")
-    return tuple(found)
+    return tuple(matching)
 
 
 def settings_markdown(settings: Sequence[Setting]) -> str:
@@ -172,8 +172,8 @@ def _of_tables(tables: Sequence[Any], stem: str, expanded: dict[Any, str]) -> It
             merged.setdefault(bare, []).extend(kinds)
     order = list(dict.fromkeys(each.key for each in merged))
     for bare in sorted(merged, key=lambda each: order.index(each.key)):
-        found = tuple(dict.fromkeys(merged[bare]))
-        yield Setting(bare.key, found, bare.type, bare.unit, bare.default, bare.meaning)
+        kinds = tuple(dict.fromkeys(merged[bare]))
+        yield Setting(bare.key, kinds, bare.type, bare.unit, bare.default, bare.meaning)
 
 
 def _kinds_of(table: Any) -> tuple[str, ...]:
@@ -187,8 +187,8 @@ def _tables_in(annotation: Any) -> tuple[tuple[Any, ...], bool]:
     if isinstance(plain, type) and issubclass(plain, BaseModel):
         return (plain,), False
     if get_origin(plain) in (Union, types.UnionType):
-        found = [_tables_in(member)[0] for member in get_args(plain) if member is not type(None)]
-        return tuple(each for tables in found for each in tables), False
+        tables = [_tables_in(member)[0] for member in get_args(plain) if member is not type(None)]
+        return tuple(each for of_member in tables for each in of_member), False
     if get_origin(plain) in (tuple, list):
         return _tables_in(get_args(plain)[0])[0], True
     return (), False
@@ -246,11 +246,11 @@ def _described(annotation: Any, metadata: Sequence[Any] = ()) -> str:
 
 
 def _limits(metadata: Sequence[Any]) -> dict[str, float]:
-    found: dict[str, float] = {}
+    bounds: dict[str, float] = {}
     for each in metadata:
         for part in getattr(each, "metadata", [each]):
-            found |= {name: getattr(part, name) for name in _BOUNDS if getattr(part, name, None) is not None}
-    return found
+            bounds |= {name: getattr(part, name) for name in _BOUNDS if getattr(part, name, None) is not None}
+    return bounds
 
 
 def _range_text(limits: dict[str, float]) -> list[str]:

@@ -36,10 +36,10 @@ def assert_within_law(outcome: Outcome, *, half_steps: float, share: float, surf
     truth = outcome.reference
     pixels = _domain(outcome, surface) & outcome.valid
     within = np.abs(outcome.errors.range_m) <= half_steps * truth.law * truth.half_step
-    found = _mean(within, pixels)
-    if not found >= share:
-        claim = f"{found:.3f} of the {surface} pixels are within law x {half_steps:g} half steps, asked {share:g}"
-        _fail(outcome, claim, share - found, reason, _worst(outcome, pixels, ~within))
+    measured = _mean(within, pixels)
+    if not measured >= share:
+        claim = f"{measured:.3f} of the {surface} pixels are within law x {half_steps:g} half steps, asked {share:g}"
+        _fail(outcome, claim, share - measured, reason, _worst(outcome, pixels, ~within))
 
 
 def assert_density(outcome: Outcome, *, at_least: float, surface: str = "all", reason: str) -> None:
@@ -50,10 +50,10 @@ def assert_density(outcome: Outcome, *, at_least: float, surface: str = "all", r
     AssertionError
     """
     domain = _domain(outcome, surface)
-    found = _mean(outcome.valid, domain)
-    if not found >= at_least:
-        claim = f"the density on {surface} pixels is {found:.3f}, asked {at_least:g}"
-        _fail(outcome, claim, at_least - found, reason, _worst(outcome, domain, ~outcome.valid))
+    measured = _mean(outcome.valid, domain)
+    if not measured >= at_least:
+        claim = f"the density on {surface} pixels is {measured:.3f}, asked {at_least:g}"
+        _fail(outcome, claim, at_least - measured, reason, _worst(outcome, domain, ~outcome.valid))
 
 
 def assert_unbiased(outcome: Outcome, *, at_most_px: float, surface: str = "all", reason: str) -> None:
@@ -67,11 +67,11 @@ def assert_unbiased(outcome: Outcome, *, at_most_px: float, surface: str = "all"
     """
     for side, sign in (("phi > 0", 1), ("phi < 0", -1)):
         pixels = _domain(outcome, surface) & outcome.valid & (np.sign(outcome.trial.panorama.phi)[None, :] == sign)
-        found = _median(outcome.errors.disparity_px, pixels)
-        if not abs(found) <= at_most_px:
-            claim = f"the median signed error at {side} is {found:+.3f} px, asked at most {at_most_px:g}"
+        measured = _median(outcome.errors.disparity_px, pixels)
+        if not abs(measured) <= at_most_px:
+            claim = f"the median signed error at {side} is {measured:+.3f} px, asked at most {at_most_px:g}"
             off = np.abs(outcome.errors.disparity_px) > at_most_px
-            _fail(outcome, claim, abs(found) - at_most_px, reason, _worst(outcome, pixels, off))
+            _fail(outcome, claim, abs(measured) - at_most_px, reason, _worst(outcome, pixels, off))
 
 
 def assert_median_error(outcome: Outcome, *, at_most_px: float, surface: str = "all", reason: str) -> None:
@@ -83,10 +83,10 @@ def assert_median_error(outcome: Outcome, *, at_most_px: float, surface: str = "
     """
     pixels = _domain(outcome, surface) & outcome.valid
     absolute = np.abs(outcome.errors.disparity_px)
-    found = _median(absolute, pixels)
-    if not found <= at_most_px:
-        claim = f"the median disparity error on {surface} pixels is {found:.3f} px, asked at most {at_most_px:g}"
-        _fail(outcome, claim, found - at_most_px, reason, _worst(outcome, pixels, absolute > at_most_px))
+    measured = _median(absolute, pixels)
+    if not measured <= at_most_px:
+        claim = f"the median disparity error on {surface} pixels is {measured:.3f} px, asked at most {at_most_px:g}"
+        _fail(outcome, claim, measured - at_most_px, reason, _worst(outcome, pixels, absolute > at_most_px))
 
 
 def assert_improves(outcome: Outcome, over: Outcome, *, ratio: float, surface: str = "all", reason: str) -> None:
@@ -100,11 +100,13 @@ def assert_improves(outcome: Outcome, over: Outcome, *, ratio: float, surface: s
     ours, theirs = (measure(domain, valid, each.errors) for each in (outcome, over))
     for figure in ("disparity_median_abs_px", "range_median_abs_m"):
         mine, yours = ours[figure], theirs[figure]
-        found = np.nan if mine is None or not yours else mine / yours
-        if not found <= ratio:
-            claim = f"{figure} on {surface} pixels is {found:.3f} times that of trial {over.trial.key}, asked {ratio:g}"
+        measured = np.nan if mine is None or not yours else mine / yours
+        if not measured <= ratio:
+            claim = (
+                f"{figure} on {surface} pixels is {measured:.3f} times that of trial {over.trial.key}, asked {ratio:g}"
+            )
             worse = np.abs(outcome.errors.disparity_px) > np.abs(over.errors.disparity_px)
-            _fail(outcome, claim, found - ratio, reason, _worst(outcome, domain & valid, worse))
+            _fail(outcome, claim, measured - ratio, reason, _worst(outcome, domain & valid, worse))
 
 
 def _domain(outcome: Outcome, surface: str) -> Mask:

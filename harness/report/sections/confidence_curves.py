@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from harness.evaluation.confidence import EXPECTED_WITHIN, Roc, calibration, exceeding, roc, sparsification
 from harness.geometry.angles import Array
-from harness.pipeline.sample import BAD_PX, domain_errors_px, surest
+from harness.pipeline.sample import BAD_PX, confidence_map, domain_errors_px
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.markup import html
@@ -39,11 +39,11 @@ Within 1, 2, 3σ: share of errors within so many predicted standard deviations.
 @section_of(About.BASE_TRIAL, "confidence", "Confidence", needs_pixels=True)
 def section(context: Context) -> Iterator[Block]:
     """How sure the methods are; nothing when none says so."""
-    sure = confidences(context.methods)
-    if sure.pictures and sure.table:
-        caption = html(_CURVES, several=context.sweep.several, panels=len(sure.pictures))
-        yield Figure("figure-confidence", sure.pictures, caption, data=sure.data)
-        yield TableBlock("table-confidence", sure.table, html(_FIGURES))
+    with_confidence = confidences(context.methods)
+    if with_confidence.pictures and with_confidence.table:
+        caption = html(_CURVES, several=context.sweep.several, panels=len(with_confidence.pictures))
+        yield Figure("figure-confidence", with_confidence.pictures, caption, data=with_confidence.data)
+        yield TableBlock("table-confidence", with_confidence.table, html(_FIGURES))
 
 
 @dataclass(frozen=True)
@@ -57,19 +57,21 @@ class Confidences:
 
 def confidences(methods: list[Method]) -> Confidences:
     """Draw and tabulate."""
-    sure = [(method, confidence) for method in methods if (confidence := surest(method.outcome)) is not None]
-    if not sure:
+    with_confidence = [
+        (method, confidence) for method in methods if (confidence := confidence_map(method.outcome)) is not None
+    ]
+    if not with_confidence:
         return Confidences([], None, None)
     rows: list[list[Any]] = []
-    pictures = [_sparsification(sure, rows)]
-    predicting = [method for method, _ in sure if method.outcome.matches.sigma_alpha_2 is not None]
+    pictures = [_sparsification(with_confidence, rows)]
+    predicting = [method for method, _ in with_confidence if method.outcome.matches.sigma_alpha_2 is not None]
     if predicting:
         pictures.append(_calibration(predicting, rows))
-    warned = _blank_walls(sure)
-    if warned:
-        pictures.append(_roc(warned, rows, f"({'abc'[len(pictures)]}) telling what has no texture"))
+    blank_rocs = _blank_walls(with_confidence)
+    if blank_rocs:
+        pictures.append(_roc(blank_rocs, rows, f"({'abc'[len(pictures)]}) telling what has no texture"))
     data = Data("confidence", ["method", "curve", "x", "y"], rows)
-    return Confidences(pictures, _table(sure), data)
+    return Confidences(pictures, _table(with_confidence), data)
 
 
 def _axes(title_of_x: str, title_of_y: str) -> tuple[Any, Any]:
@@ -87,10 +89,10 @@ def _domain_error(method: Method) -> Array:
 
 
 @theme.panel
-def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> Picture:
+def _sparsification(with_confidence: list[tuple[Method, Array]], rows: list[list[Any]]) -> Picture:
     fig, ax = _axes("least confident pixels left out (%)", "mean |disparity error| of the rest (px)")
-    told, values = [], []
-    for method, confidence in sure:
+    described, values = [], []
+    for method, confidence in with_confidence:
         curve = sparsification(_domain_error(method), confidence)
         if not curve.pixels:
             continue
@@ -99,16 +101,16 @@ def _sparsification(sure: list[tuple[Method, Array]], rows: list[list[Any]]) -> 
         for name, line in (("remaining_px", curve.remaining), ("oracle_px", curve.oracle)):
             rows += [[method.label, name, *each] for each in zip(curve.removed[::5], line[::5], strict=True)]
         values.append(curve.remaining)
-        told.append(f"{method.label} from {curve.remaining[0]:.3g} to {curve.remaining[50]:.3g} px at half")
+        described.append(f"{method.label} from {curve.remaining[0]:.3g} to {curve.remaining[50]:.3g} px at half")
     ax.set_xlim(0, 99)
     known = np.concatenate([each[each > 0] for each in values]) if values else np.array([0.1, 1.0])
     if known.size and known.min() < known.max():
         theme.logarithmic(ax, "y", max(float(known.min()) / 1.3, float(known.max()) / 1000), 1.3 * float(known.max()))
-    if told:
+    if described:
         theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     else:
         theme.note(ax, "no pixel has an estimate")
-    shown = "; ".join(told) or "no estimate"
+    shown = "; ".join(described) or "no estimate"
     alt = f"Mean absolute disparity error of the pixels that remain as the least confident go: {shown}."
     return theme.picture(fig, alt, "(a) sparsification (dashed: in the order of the true errors)")
 
@@ -121,7 +123,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
     fig, ax = _axes("|error| / predicted standard deviation", "share of pixels below (%)")
     x = np.linspace(0, 4, 81)
     ax.plot(x, 100 * (2 * stats.norm.cdf(x) - 1), color=theme.FAINT, linestyle=(0, (3, 2)), label="normal")
-    told = []
+    described = []
     for method in predicting:
         outcome = method.outcome
         domain = outcome.reference.domain & outcome.valid
@@ -133,46 +135,45 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
         share = np.searchsorted(scaled, x, side="right") / scaled.size
         ax.plot(x, 100 * share, color=method.colour, label=theme.plain(method.label))
         rows += [[method.label, "below_sigmas", *each] for each in zip(x[::4], share[::4], strict=True)]
-        told.append(f"{method.label} {100 * share[20]:.0f} % within one")
+        described.append(f"{method.label} {100 * share[20]:.0f} % within one")
     ax.set_xlim(0, 4)
     ax.set_ylim(0, 100)
     theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
-    alt = (
-        f"Share of errors within so many predicted standard deviations, beside a normal variable's: {'; '.join(told)}."
-    )
+    shares = "; ".join(described)
+    alt = f"Share of errors within so many predicted standard deviations, beside a normal variable's: {shares}."
     return theme.picture(fig, alt, "(b) calibration of the predicted standard deviation")
 
 
-def _blank_walls(sure: list[tuple[Method, Array]]) -> list[tuple[Method, Roc]]:
+def _blank_walls(with_confidence: list[tuple[Method, Array]]) -> list[tuple[Method, Roc]]:
     """How well confidence tells pixels without texture; a pixel without a match has the least of all."""
-    found = []
-    for method, confidence in sure:
+    rocs = []
+    for method, confidence in with_confidence:
         outcome = method.outcome
         bare: NDArray[np.bool_] = outcome.truth.textureless
         domain = outcome.reference.domain
         if (domain & bare).sum() >= _LEAST and (domain & ~bare).sum() >= _LEAST:
-            found.append((method, roc(np.where(outcome.valid, confidence, np.nan), bare, among=domain)))
-    return found
+            rocs.append((method, roc(np.where(outcome.valid, confidence, np.nan), bare, among=domain)))
+    return rocs
 
 
 @theme.panel
-def _roc(warned: list[tuple[Method, Roc]], rows: list[list[Any]], title: str) -> Picture:
+def _roc(blank_rocs: list[tuple[Method, Roc]], rows: list[list[Any]], title: str) -> Picture:
     fig, ax = _axes("pixels with texture left out (%)", "pixels without texture left out (%)")
     ax.plot([0, 100], [0, 100], color=theme.FAINT, linewidth=0.8, linestyle=(0, (3, 2)), label="chance")
-    told = []
-    for method, found in warned:
-        some = np.unique(np.linspace(0, found.lost.size - 1, 300).astype(int))
-        ax.plot(100 * found.lost[some], 100 * found.caught[some], color=method.colour, label=theme.plain(method.label))
+    described = []
+    for method, curve in blank_rocs:
+        some = np.unique(np.linspace(0, curve.lost.size - 1, 300).astype(int))
+        ax.plot(100 * curve.lost[some], 100 * curve.caught[some], color=method.colour, label=theme.plain(method.label))
         few = some[::10]
-        rows += [[method.label, "roc", *each] for each in zip(found.lost[few], found.caught[few], strict=True)]
-        told.append(f"{method.label} area {found.auc:.3f}")
+        rows += [[method.label, "roc", *each] for each in zip(curve.lost[few], curve.caught[few], strict=True)]
+        described.append(f"{method.label} area {curve.auc:.3f}")
     ax.set_xlim(0, 100)
     ax.set_ylim(0, 100)
     theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
-    return theme.picture(fig, f"Receiver operating characteristic: {'; '.join(told)}.", title)
+    return theme.picture(fig, f"Receiver operating characteristic: {'; '.join(described)}.", title)
 
 
-def _table(sure: list[tuple[Method, Array]]) -> Table:
+def _table(with_confidence: list[tuple[Method, Array]]) -> Table:
     headings = [
         Heading("Method", text=True),
         Heading("AUSE", "px"),
@@ -184,7 +185,7 @@ def _table(sure: list[tuple[Method, Array]]) -> Table:
         ),
     ]
     rows = []
-    for method, confidence in sure:
+    for method, confidence in with_confidence:
         error = _domain_error(method)
         curve = sparsification(error, confidence)
         bad, among = exceeding(error, BAD_PX)

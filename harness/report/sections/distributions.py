@@ -63,12 +63,12 @@ def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
     fig = theme.figure(HALF, 320)
     ax = theme.axes(fig, 58, 12, HALF - 70, 258)
     reference = methods[0].outcome.reference
-    there = common(methods) & reference.domain & (reference.wall == wall)
+    compared_here = common(methods) & reference.domain & (reference.wall == wall)
     surface = "wall" if wall else "floor or ceiling"
     means = []
     edges = SIGNED_EDGES_PX
     for method in methods:
-        error = method.outcome.errors.disparity_px[there]
+        error = method.outcome.errors.disparity_px[compared_here]
         if error.size:
             share, _ = np.histogram(error, edges)
             ax.stairs(
@@ -92,12 +92,12 @@ def signed(methods: list[Method], title: str, *, wall: bool) -> Picture:
 def curves(methods: list[Method]) -> Iterator[list[Any]]:
     """The numbers of the cumulative distributions, a hundred points a curve."""
     reference = methods[0].outcome.reference
-    found = common(methods) & reference.domain
+    compared = common(methods) & reference.domain
     share = np.linspace(0, 1, 101)
     for name, unit in (("disparity_px", "disparity_px"), ("range_m", "range_m")):
         for where, surface in ((reference.wall, "wall"), (~reference.wall, "floor")):
             for method in methods:
-                error = np.abs(getattr(method.outcome.errors, name)[found & where])
+                error = np.abs(getattr(method.outcome.errors, name)[compared & where])
                 if error.size:
                     values = np.quantile(error, share, method="inverted_cdf")
                     yield from (
@@ -109,9 +109,9 @@ def histograms(methods: list[Method]) -> Iterator[list[Any]]:
     """The numbers of the histograms of signed errors; the value is the middle of a bin."""
     reference = methods[0].outcome.reference
     for wall, surface in ((True, "wall"), (False, "floor")):
-        there = common(methods) & reference.domain & (reference.wall == wall)
+        compared_here = common(methods) & reference.domain & (reference.wall == wall)
         for method in methods:
-            error = method.outcome.errors.disparity_px[there]
+            error = method.outcome.errors.disparity_px[compared_here]
             if error.size:
                 share = np.histogram(error, SIGNED_EDGES_PX)[0] / error.size
                 middle = (SIGNED_EDGES_PX[:-1] + SIGNED_EDGES_PX[1:]) / 2
@@ -127,14 +127,14 @@ def _cumulative(methods: list[Method], name: str, scale: float, unit: str, title
     fig = theme.figure(HALF, 320)
     ax = theme.axes(fig, 58, 50 if many else 12, HALF - 70, 220 if many else 258)
     reference = methods[0].outcome.reference
-    found = common(methods) & reference.domain
+    compared = common(methods) & reference.domain
     lowest, medians = np.inf, []
     for where, surface, dashes in (
         (reference.wall, "walls", "solid"),
         (~reference.wall, "floor, ceiling", (0, (3, 1.6))),
     ):
         for method in methods:
-            error = np.sort(scale * np.abs(getattr(method.outcome.errors, name)[found & where]))
+            error = np.sort(scale * np.abs(getattr(method.outcome.errors, name)[compared & where]))
             if not error.size:
                 continue
             said = method.label if many else f"{method.label}, {surface}"

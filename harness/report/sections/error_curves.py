@@ -157,8 +157,7 @@ def _over_range(sweep: Sweep, column_deg: float) -> Swept:
                 x = [middle[index] for index in table.columns]
                 texts = [f"{each:.2f}" for each in x]
                 lines.append(_Line(method, surface, name, x, texts, mean_over_seeds(table, logarithmic=True)))
-        found = [sweep.cells_of(method, surface) for method in sweep.methods]
-        largest = max(found, key=len)
+        largest = max((sweep.cells_of(method, surface) for method in sweep.methods), key=len)
         shapes[surface] = {
             law: _shape(
                 _pivot(largest, "range_bin", largest[law]), [middle[i] for i in sorted(largest["range_bin"].unique())]
@@ -216,7 +215,7 @@ def _picture(
     span = [scale * each for line in mine for each in (line.curve.low, line.curve.high, line.curve.mean)]
     known = np.concatenate(span) if span else np.array([])
     known = known[np.isfinite(known) & (known > 0)]
-    told = []
+    described = []
     for ax, (surface, words) in zip(panels, SURFACES.items(), strict=True):
         here = [line for line in mine if line.surface == surface]
         _abscissa(ax, axis, label)
@@ -229,7 +228,9 @@ def _picture(
         for line in here:
             draw_line(ax, line.method, line.x, line.curve, scale)
             first, last = (f"{scale * line.curve.mean[i]:.3g}" for i in (0, -1))
-            told.append(f"{line.method.label} on {words} from {first} at {line.texts[0]} to {last} at {line.texts[-1]}")
+            described.append(
+                f"{line.method.label} on {words} from {first} at {line.texts[0]} to {last} at {line.texts[-1]}"
+            )
         level = np.exp(np.mean([np.mean(np.log(scale * line.curve.mean)) for line in here]))
         for law, (x, shape) in shapes.get(surface, {}).items():
             if name == "range":
@@ -238,7 +239,7 @@ def _picture(
         if name == "disparity" and shapes:
             ax.axhline(level, color=FAINT, linestyle=LAWS["law_exact"][1], linewidth=1.0, zorder=1)
     panels[0].set_ylabel(ordinate)
-    return theme.picture(fig, f"{ordinate} against {axis.label}: {'; '.join(told) or 'no estimate'}.", title)
+    return theme.picture(fig, f"{ordinate} against {axis.label}: {'; '.join(described) or 'no estimate'}.", title)
 
 
 def draw_line(ax: Axes, method: MethodStyle, x: "list[float] | Array", curve: Curve, scale: float = 1.0) -> None:

@@ -30,13 +30,13 @@ def failures(result: Result) -> Table:
         if row.state == "failed":
             failed.setdefault(row.finished.message, []).append(row)
     rows = [
-        [words(message), count(len(found)), words(shown(found[0].coordinates)), words(found[0].planned.key)]
-        for message, found in failed.items()
+        [words(message), count(len(trials)), words(shown(trials[0].coordinates)), words(trials[0].planned.key)]
+        for message, trials in failed.items()
     ]
     data = Data(
         "failures",
         ["key", "settings", "message"],
-        [[row.planned.key, shown(row.coordinates), message] for message, found in failed.items() for row in found],
+        [[row.planned.key, shown(row.coordinates), message] for message, trials in failed.items() for row in trials],
     )
     head = [
         Heading("Message", text=True),

@@ -92,7 +92,7 @@ def _histogram(curves: dict[MethodStyle, Curve], top: float, words: str, letter:
     edges = np.append(at - 0.5 / FRACTION_BINS, 0.5 + 0.5 / FRACTION_BINS)
     fig = theme.figure(HALF, 280)
     ax = theme.axes(fig, 56, 12, HALF - 70, 220)
-    told = []
+    described = []
     for method, curve in curves.items():
         mean, low, high = (100 * each[order] for each in (curve.mean, curve.low, curve.high))
         if np.isfinite(low).all():
@@ -100,20 +100,20 @@ def _histogram(curves: dict[MethodStyle, Curve], top: float, words: str, letter:
             ax.fill_between(edges, lower, upper, step="post", color=method.colour, alpha=0.2, linewidth=0)
         label = theme.plain(method.label)
         ax.stairs(mean, edges, color=method.colour, linestyle=method.stroke, linewidth=1.2, baseline=None, label=label)
-        told.append(f"{method.label} {100 * _near_whole_samples(curve):.0f} %")
+        described.append(f"{method.label} {100 * _near_whole_samples(curve):.0f} %")
     ax.axhline(100 / FRACTION_BINS, color=FAINT, linestyle=(0, (5, 2)), linewidth=1.0)
     ax.set_xlim(-0.5, 0.5)
     ax.set_xticks([-0.5, -0.25, 0, 0.25, 0.5], ["−½", "−¼", "0", "¼", "½"])
     ax.set_ylim(0, 1.25 * top if top else 5)
     ax.set_xlabel("distance from the nearest whole sample (samples)")
     ax.set_ylabel(f"share of estimates (% per {1 / FRACTION_BINS:g})")
-    if told:
+    if described:
         ax.legend(loc="upper left", ncol=2)
     else:
         theme.note(ax, "no sub-pixel estimate")
     alt = (
         f"Histogram of the distance of sub-pixel estimates on {words} from the nearest whole sample. Shares within "
-        f"0.11 samples, 22.5 % if spread evenly: {', '.join(told) or 'none'}."
+        f"0.11 samples, 22.5 % if spread evenly: {', '.join(described) or 'none'}."
     )
     return theme.picture(fig, alt, f"({letter}) {words}")
 

@@ -117,11 +117,11 @@ def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
     complete &= refine(costs, "parabola")[1]
     for candidates in (complete & outcome.reference.wall, complete):
         if candidates.any():
-            apart = np.zeros(candidates.shape)
+            deviation = np.zeros(candidates.shape)
             for method in methods:
                 error = np.abs(method.outcome.errors.disparity_px)
-                apart += np.abs(error - np.median(error[candidates]))
-            row, column = np.unravel_index(np.argmin(np.where(candidates, apart, np.inf)), candidates.shape)
+                deviation += np.abs(error - np.median(error[candidates]))
+            row, column = np.unravel_index(np.argmin(np.where(candidates, deviation, np.inf)), candidates.shape)
             return int(row), int(column)
     return None
 
@@ -130,7 +130,7 @@ def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
     """What the matcher saw along one pixel's curve."""
     matcher, whole = _window_matcher(outcome), _search(outcome)
     curves = whole.curves
-    inside, found = costs_along_curve(outcome.filtered[0], outcome.filtered[1], whole, matcher, row, column)
+    inside, costs_inside = costs_along_curve(outcome.filtered[0], outcome.filtered[1], whole, matcher, row, column)
     step = float(curves.step[row, column])
     if curves.sampling == "phi":
         start = float(curves.grid.phi[column])
@@ -144,7 +144,7 @@ def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
     # The parabola's neighbours may lie beyond the ends of the search interval.
     ks = np.arange(min(inside[0], best + x[0]), max(inside[-1], best + x[-1]) + 1)
     costs = np.full(ks.size, np.nan)
-    costs[inside - ks[0]] = found
+    costs[inside - ks[0]] = costs_inside
     costs[best + x - ks[0]] = around
     offset = float(refine(around, "parabola")[0])
     return Curve(

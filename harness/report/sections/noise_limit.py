@@ -124,7 +124,7 @@ def _line(entries: list[Entry], value: Callable[[Entry], float | None]) -> tuple
 def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
     fig, ax = _axes("standard deviation / bound")
     ax.axhline(1, color=theme.TRUTH, linewidth=1.0, zorder=1)
-    told, values = [], [1.0]
+    described, values = [], [1.0]
     for method, entries in of_method:
         x, y = _line(entries, lambda entry: entry["std_over_bound"])
         if not x:
@@ -142,21 +142,21 @@ def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
         low, high = (np.array([end[i] for end in ends]) for i in (0, 1))
         ax.vlines(x, low, high, color=method.colour, linewidth=0.8, alpha=0.6)
         values += [*low[low > 0], *high]
-        told.append(f"{method.label} {y[0]:.2f} to {y[-1]:.2f}")
+        described.append(f"{method.label} {y[0]:.2f} to {y[-1]:.2f}")
     theme.logarithmic(ax, "y", 0.85 * min(values), 1.2 * max(values))
     ax.set_xlim(0, None)
-    if told:
+    if described:
         theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     else:
         theme.note(ax, "no method with a window of its own was run with noise and three seeds")
-    alt = f"Standard deviation over the bound against the noise: {'; '.join(told) or 'nothing drawn'}."
+    alt = f"Standard deviation over the bound against the noise: {'; '.join(described) or 'nothing drawn'}."
     return theme.picture(fig, alt, "(a) efficiency: medians, strokes from quartile to quartile")
 
 
 @theme.panel
 def _apart(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
     fig, ax = _axes("disparity (px)")
-    told, values = [], []
+    described, values = [], []
     for method, entries in of_method:
         x, std = _line(entries, lambda entry: entry["std_px"])
         if not x:
@@ -169,14 +169,14 @@ def _apart(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
         if bound:
             ax.plot(x_bound, bound, color=method.colour, linewidth=0.6, alpha=0.7)
         values += [*std, *bias, *bound]
-        told.append(f"{method.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
+        described.append(f"{method.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
     if values:
         theme.logarithmic(ax, "y", max(min(values) / 1.3, max(values) / 1000), 1.3 * max(values))
         theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     else:
         theme.note(ax, "no method was run with noise and three seeds")
     ax.set_xlim(0, None)
-    ends = "; ".join(told) or "nothing drawn"
+    ends = "; ".join(described) or "nothing drawn"
     alt = f"Spread and bias of the disparity against the noise; at the last point drawn of each {ends}."
     return theme.picture(fig, alt, "(b) spread (marked lines), bias (dotted), bound (thin)")
 

@@ -84,9 +84,15 @@ def _numbers(name: str, methods: list[Method], rows: list[int], every: int = 1) 
     for index in rows:
         described = row_at(methods, index)
         for column in range(0, phi.size, every):
-            found = [float(method.outcome.range_m[index, column]) for method in methods]
+            estimates = [float(method.outcome.range_m[index, column]) for method in methods]
             lines.append(
-                [index, described.elevation_deg, phi[column], float(outcome.reference.range_m[index, column]), *found]
+                [
+                    index,
+                    described.elevation_deg,
+                    phi[column],
+                    float(outcome.reference.range_m[index, column]),
+                    *estimates,
+                ]
             )
     return Data(
         name, ["row", "elevation_deg", "azimuth_deg", "true_m", *(f"{method.key}_m" for method in methods)], lines
@@ -227,8 +233,8 @@ def _share(row: Row) -> str:
 
 
 def _median_mm(method: Method, methods: list[Method], row: int) -> str:
-    there = common(methods)[row] & method.outcome.reference.domain[row]
-    error = np.abs(method.outcome.errors.range_m[row][there])
+    compared = common(methods)[row] & method.outcome.reference.domain[row]
+    error = np.abs(method.outcome.errors.range_m[row][compared])
     return f"{1000 * np.median(error):.0f}\u00a0mm" if error.size else "none"
 
 
@@ -241,13 +247,15 @@ def _background(ax: Axes, outcome: Outcome, row: int, phi: Array) -> None:
 def _estimate(ax: Axes, method: Method, row: int, span: tuple[float, float], size: float) -> int:
     """Dots, and strokes at the edge for those beyond it; how many of the latter lie in the domain."""
     outcome = method.outcome
-    phi, found = np.degrees(outcome.trial.panorama.phi), outcome.range_m[row]
+    phi, range_m = np.degrees(outcome.trial.panorama.phi), outcome.range_m[row]
     low, high = span
-    inside = (found >= low) & (found <= high)
-    theme.dots(ax, phi[inside], found[inside], method.colour, size)
-    for beyond, edge, way in ((found > high, high, -1), (found < low, low, 1)):
-        theme.dots(ax, phi[beyond], np.full(beyond.sum(), edge), method.colour, 0.8, length=way * 0.03 * (high - low))
-    return int((outcome.reference.domain[row] & np.isfinite(found) & ~inside).sum())
+    inside = (range_m >= low) & (range_m <= high)
+    theme.dots(ax, phi[inside], range_m[inside], method.colour, size)
+    for clipped, edge, sign in ((range_m > high, high, -1), (range_m < low, low, 1)):
+        theme.dots(
+            ax, phi[clipped], np.full(clipped.sum(), edge), method.colour, 0.8, length=sign * 0.03 * (high - low)
+        )
+    return int((outcome.reference.domain[row] & np.isfinite(range_m) & ~inside).sum())
 
 
 def _levels(outcome: Outcome, row: int, span: tuple[float, float]) -> tuple[Array, Array]:
@@ -261,12 +269,12 @@ def _levels(outcome: Outcome, row: int, span: tuple[float, float]) -> tuple[Arra
     k = np.broadcast_to(samples[:, None], shape).astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         alpha_2 = alpha_2_at(curves, k, where)
-    found, _ = triangulate(curves.alpha_1[where], alpha_2, float(np.linalg.norm(curves.t)))
-    seen = (k >= first) & (k <= last) & outcome.reference.domain[row, columns] & (found < 1.3 * span[1])
-    found = np.where(seen, found, np.nan)
+    range_m, _ = triangulate(curves.alpha_1[where], alpha_2, float(np.linalg.norm(curves.t)))
+    shown = (k >= first) & (k <= last) & outcome.reference.domain[row, columns] & (range_m < 1.3 * span[1])
+    range_m = np.where(shown, range_m, np.nan)
     gap = np.full((samples.size, 1), np.nan)
     x = np.broadcast_to(np.degrees(curves.grid.phi[columns]), shape)
-    return np.hstack([x, gap]).ravel(), np.hstack([found, gap]).ravel()
+    return np.hstack([x, gap]).ravel(), np.hstack([range_m, gap]).ravel()
 
 
 def _key(ax: Axes, method: Method) -> None:

@@ -68,8 +68,8 @@ def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
     }
     rows = [
         [method.matcher, method.subpixel, surface, curve.range_m, *each]
-        for (method, surface), found in curves.items()
-        for curve in found
+        for (method, surface), of_method in curves.items()
+        for curve in of_method
         for each in zip(curve.baselines, curve.error, curve.low, curve.high, strict=True)
     ]
     headings = ["matcher", "subpixel", "surface", "range_m", "baseline_m", "spread_m", "ci95_low", "ci95_high"]
@@ -87,17 +87,17 @@ def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
 
 def _trade_off(sweep: Sweep, curves: _Curves) -> list[Picture]:
     """Error against the baseline, a curve for each range: a picture for each surface and matcher."""
-    bins = sorted({curve.range_bin for found in curves.values() for curve in found})
+    bins = sorted({curve.range_bin for of_method in curves.values() for curve in of_method})
     colours = {range_bin: _RANGES[index % len(_RANGES)] for index, range_bin in enumerate(bins)}
     matchers = list(dict.fromkeys(method.matcher for method in sweep.methods))
     pictures = []
     for matcher in matchers:
         for surface in sweep.surfaces:
             methods = [method for method in sweep.methods if method.matcher == matcher][:3]
-            here = {method: curves[method, surface] for method in methods}
-            if any(here.values()):
+            of_matcher = {method: curves[method, surface] for method in methods}
+            if any(of_matcher.values()):
                 name = f"{matcher}, {SURFACES[surface]}" if len(matchers) > 1 else SURFACES[surface]
-                pictures.append(_trade_off_picture(name, here, colours))
+                pictures.append(_trade_off_picture(name, of_matcher, colours))
     return pictures
 
 
@@ -113,14 +113,14 @@ def _curves(cells: pd.DataFrame) -> Iterator[_Curve]:
 @theme.panel
 def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colours: dict[int, str]) -> Picture:
     fig, panels = theme.pair(len(curves), height=330, top=46)
-    every = [curve for found in curves.values() for curve in found]
+    every = [curve for of_method in curves.values() for curve in of_method]
     spread = 1000 * np.concatenate([curve.error for curve in every])
     lengths = np.concatenate([curve.baselines for curve in every])
-    told = []
+    described = []
     handles: dict[int, Line2D] = {}
-    for ax, (method, found) in zip(panels, curves.items(), strict=True):
+    for ax, (method, of_method) in zip(panels, curves.items(), strict=True):
         ax.set_title(theme.plain(method.step_label), pad=20)
-        for curve in found:
+        for curve in of_method:
             x, y, colour = curve.baselines, 1000 * curve.error, colours[curve.range_bin]
             if np.isfinite(curve.low).all():
                 ax.fill_between(x, 1000 * curve.low, 1000 * curve.high, color=colour, alpha=0.15, linewidth=0)
@@ -129,7 +129,7 @@ def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colou
             ax.plot(np.where(flat, x, np.nan), np.where(flat, y, np.nan), color=colour, linewidth=4, alpha=0.45)
             best = int(np.argmin(y))
             ax.plot(x[best], y[best], "o", color=colour, markersize=6, markeredgecolor=theme.PAPER)
-            told.append(f"{method.step_label} at {curve.range_m:.1f} m best with {x[best]:g} m")
+            described.append(f"{method.step_label} at {curve.range_m:.1f} m best with {x[best]:g} m")
         theme.logarithmic(ax, "x", float(lengths.min()) / 1.12, float(lengths.max()) * 1.12, most=4)
         theme.logarithmic(ax, "y", float(spread.min()) / 1.3, float(spread.max()) * 1.3)
         ax.set_xlabel("baseline |t| (m)")
@@ -147,7 +147,7 @@ def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colou
         borderaxespad=0.2,
     )
     return theme.picture(
-        fig, f"Spread of the range against the baseline for several ranges, {name}: {'; '.join(told)}.", name
+        fig, f"Spread of the range against the baseline for several ranges, {name}: {'; '.join(described)}.", name
     )
 
 

@@ -133,7 +133,7 @@ def _against(
     scale: float = 1.0,
 ) -> Picture:
     fig, panels = theme.pair()
-    told, seen = [], []
+    described, drawn = [], []
     for ax, (surface, surface_words) in zip(panels, SURFACES.items(), strict=True):
         ax.set_title(surface_words)
         for method in sweep.methods:
@@ -148,8 +148,8 @@ def _against(
             curve = mean_over_seeds(table, logarithmic=log_y)
             at = [float(value) for value in table.columns]
             draw_line(ax, method, at, curve, scale)
-            seen += [scale * curve.mean, scale * curve.low, scale * curve.high]
-            told.append(
+            drawn += [scale * curve.mean, scale * curve.low, scale * curve.high]
+            described.append(
                 f"{method.label} on {surface_words} from {scale * curve.mean[0]:.3g} to {scale * curve.mean[-1]:.3g}"
             )
             against = "t_over_d" if log_x else "alpha_1_deg"
@@ -157,7 +157,7 @@ def _against(
                 [method.matcher, method.subpixel, surface, name, against, *each]
                 for each in zip(at, curve.mean, curve.low, curve.high, strict=True)
             ]
-    known = np.concatenate(seen)
+    known = np.concatenate(drawn)
     known = known[np.isfinite(known)]
     for ax in panels:
         if log_x:
@@ -172,7 +172,7 @@ def _against(
         ax.set_xlabel(label)
     panels[0].set_ylabel(ordinate)
     plain = ordinate.replace("$\\sigma(\\alpha_2)$", "sigma of alpha 2")
-    return theme.picture(fig, f"{plain} against {'|t|/d' if log_x else 'alpha 1'}: {'; '.join(told)}.", title)
+    return theme.picture(fig, f"{plain} against {'|t|/d' if log_x else 'alpha 1'}: {'; '.join(described)}.", title)
 
 
 def _sigma_table(sweep: Sweep, law: dict[str, Any]) -> Table:

@@ -180,24 +180,25 @@ def measured_chart(methods: list[Method]) -> Picture:
     fig = theme.figure(HALF, 320)
     ax = theme.axes(fig, 58, 12, HALF - 70, 258)
     middle = (EDGES_DEG[:-1] + EDGES_DEG[1:]) / 2
-    told = []
+    described = []
     for method in methods:
         median = _measured(method)
         ax.plot(middle, median, "o-", color=method.colour, markersize=4, label=theme.plain(f"measured, {method.label}"))
         if np.isfinite(median).any():
-            told.append(f"{method.label} between {np.nanmin(median):.0f} and {np.nanmax(median):.0f} mm")
+            described.append(f"{method.label} between {np.nanmin(median):.0f} and {np.nanmax(median):.0f} mm")
     ax.plot(middle, _expected(methods[0]), color=FAINT, linestyle=(0, (4, 2)), label=r"law $\times$ ¼ step")
     ax.set_xlim(30, 150)
     ax.set_xticks(range(30, 151, 20))
     ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
     ax.set_ylabel("median absolute range error, walls (mm)")
-    if told:
+    if described:
         ax.set_ylim(0, 1.3 * np.nanmax(np.concatenate([line.get_ydata() for line in ax.get_lines()])))
         ax.legend(loc="upper center")
     else:
         theme.note(ax, "no wall pixel has an estimate")
     alt = (
-        f"Median absolute range error on walls in bins of 10 degrees of alpha 1: {'; '.join(told) or 'no estimate'}; "
+        "Median absolute range error on walls in bins of 10 degrees of alpha 1: "
+        f"{'; '.join(described) or 'no estimate'}; "
         "beside the median that rounding to the nearest whole sample alone would give."
     )
     return theme.picture(fig, alt, "(b) measured on walls")

@@ -155,7 +155,7 @@ def _regression(
     limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in there])), 0.003)
     limits_x = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
     fig, panels = theme.pair(height=330, top=46, left=70)
-    told = []
+    described = []
     for ax, law in zip(panels, LAWS, strict=True):
         theme.logarithmic(ax, "x", *limits_x, most=4)
         theme.logarithmic(ax, "y", *limits_y)
@@ -194,10 +194,12 @@ def _regression(
         ci = fit["slope_ci95"]
         words_of_fit = f"slope {figure(fit['slope'], '.2f')}{'' if ci is None else ' ' + interval(ci, '.2f')}"
         ax.set_title(f"{words_of_fit}\nR² {fit['r2']:.2f}", fontsize=9.5)
-        told.append(f"{'exact law' if law == 'exact' else 'short form'} {words_of_fit}, R² {fit['r2']:.2f}")
+        described.append(f"{'exact law' if law == 'exact' else 'short form'} {words_of_fit}, R² {fit['r2']:.2f}")
     panels[0].set_ylabel("spread / $d$, conditions aligned")
     name = f"{method.label}, {SURFACES[surface]}"
-    return theme.picture(fig, f"Relative range error against the law over the range, {name}: {'; '.join(told)}.", name)
+    return theme.picture(
+        fig, f"Relative range error against the law over the range, {name}: {'; '.join(described)}.", name
+    )
 
 
 def _around(values: "pd.Series[float]", cut: float) -> tuple[float, float]:
@@ -225,7 +227,7 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
     fig, panels = theme.pair()
     there = [sweep.cells_of(each, surface) for each in sweep.methods]
     limits = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
-    told, reach = [], [0.5]
+    described, reach = [], [0.5]
     for ax, law in zip(panels, LAWS, strict=True):
         theme.logarithmic(ax, "x", *limits, most=4)
         ax.axhline(0, color=FAINT, linewidth=0.8)
@@ -261,7 +263,7 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
             )
             rows += [[method.matcher, method.subpixel, surface, law, *each] for each in points]
             reach += [float(np.abs([low, high]).max())] if points else []
-            told.append(
+            described.append(
                 f"{method.label} {PLAIN_NAMES[law]}: medians within {figure(float(middle.min()), '+.2f')} to "
                 f"{figure(float(middle.max()), '+.2f')}"
             )
@@ -270,5 +272,7 @@ def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: l
     panels[0].set_ylabel("residual, ln(measured / fitted)")
     name = SURFACES[surface]
     return theme.picture(
-        fig, f"Residuals of the fits on {name} against the law over the range: {'; '.join(told)}.", f"({letter}) {name}"
+        fig,
+        f"Residuals of the fits on {name} against the law over the range: {'; '.join(described)}.",
+        f"({letter}) {name}",
     )

@@ -121,7 +121,7 @@ def _ratios(
     fig = theme.figure(HALF, 300)
     ax = theme.axes(fig, 56, 30, HALF - 70, 224)
     ax.axhline(1, color=FAINT, linewidth=0.8)
-    told = []
+    described = []
     for (name, colour), marker in zip(drawn.items(), "oD", strict=False):
         values = kinds[name]
         inside = np.clip(values, *span)
@@ -137,7 +137,7 @@ def _ratios(
             label=name,
         )
         ax.plot(100 * relative[beyond], inside[beyond], "|", color=colour, markersize=6)
-        told.append(f"{name} median {np.nanmedian(values):.3f}, largest {np.nanmax(values):.2f}")
+        described.append(f"{name} median {np.nanmedian(values):.3f}, largest {np.nanmax(values):.2f}")
     theme.logarithmic(ax, "x", 100 * float(relative.min()) / 1.2, 100 * float(relative.max()) * 1.2)
     ax.set_ylim(*span)
     ax.set_xlabel("predicted spread, law × σ / d (% of the range)")
@@ -146,6 +146,6 @@ def _ratios(
     return theme.picture(
         fig,
         f"{title[4:].capitalize()} of the range measured over predicted, against the predicted relative spread: "
-        f"{'; '.join(told)}.",
+        f"{'; '.join(described)}.",
         title,
     )

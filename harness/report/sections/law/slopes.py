@@ -21,8 +21,8 @@ def by_direction(sweep: Sweep, fits: list[Fit], surface: str, letter: str) -> Pi
     """Slopes within each sixth of the directions."""
     fig, panels = theme.pair()
     middle = np.array([(low + high) / 2 for low, high in pairwise(ALPHA_1_EDGES_DEG)])
-    told = []
-    seen = [1.0]
+    described = []
+    drawn = [1.0]
     for ax, law in zip(panels, LAWS, strict=True):
         ax.axhline(1, color=theme.TRUTH, linestyle=(0, (4, 2.5)), linewidth=0.9)
         ax.set_title(LAW_NAMES[law])
@@ -40,17 +40,19 @@ def by_direction(sweep: Sweep, fits: list[Fit], surface: str, letter: str) -> Pi
             ax.plot(x, slopes, method.marker, color=method.colour, markersize=4.6, markerfacecolor=method.face)
             known = slopes[np.isfinite(slopes)]
             if known.size:
-                seen += [float(known.min()), float(known.max())]
-                told.append(
+                drawn += [float(known.min()), float(known.max())]
+                described.append(
                     f"{method.label} {PLAIN_NAMES[law]} {figure(float(known.min()), '.2f')} to "
                     f"{figure(float(known.max()), '.2f')}"
                 )
-    low, high = min(0.0, *seen), max(seen)
+    low, high = min(0.0, *drawn), max(drawn)
     for ax in panels:
         ax.set_ylim(low - 0.12 * (high - low), high + 0.2 * (high - low))
     panels[0].set_ylabel("slope")
     name = SURFACES[surface]
-    return theme.picture(fig, f"Slopes on both laws by direction, {name}: {'; '.join(told)}.", f"({letter}) {name}")
+    return theme.picture(
+        fig, f"Slopes on both laws by direction, {name}: {'; '.join(described)}.", f"({letter}) {name}"
+    )
 
 
 _SURFACE_AND_METHOD = (Heading("Surface", text=True), Heading("Method", text=True))

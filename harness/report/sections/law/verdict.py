@@ -55,12 +55,12 @@ def section(context: Context) -> Iterator[Block]:
     """What the law says, how it is tested, and what came of it, which the page's abstract says too."""
     if not context.law:
         return
-    found = findings(context.sweep, context.law)
+    judged = findings(context.sweep, context.law)
     seeds = len(context.sweep.seeds)
     yield Paragraph(html(INTRO) + html(_WORDS, seeds=seeds, few_seeds=seeds < FEW_SEEDS))
-    yield Paragraph(html(_FINDINGS, findings=found, surfaces=SURFACES, reasons=True))
+    yield Paragraph(html(_FINDINGS, findings=judged, surfaces=SURFACES, reasons=True))
     yield Paragraph(html(_NOTE))
-    yield InAbstract(html(_IN_ABSTRACT) + html(_FINDINGS, findings=found, surfaces=SURFACES, reasons=False))
+    yield InAbstract(html(_IN_ABSTRACT) + html(_FINDINGS, findings=judged, surfaces=SURFACES, reasons=False))
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Finding:
 
 def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
     """The verdict for every method and surface, with where the law fails."""
-    found = []
+    listed = []
     for surface in sweep.surfaces:
         for method in sweep.methods:
             fits = [fit for fit in law["images"] if is_of(fit, method, surface)]
@@ -86,8 +86,8 @@ def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
                 continue
             (judged,) = verdicts(fits, sweep.cells, directions=False)
             text = typeset(f"{judged.text[:1].upper()}{judged.text[1:]}.")
-            found.append(Finding(method, surface, text, list(_reasons(sweep, method, surface, exact, law))))
-    return found
+            listed.append(Finding(method, surface, text, list(_reasons(sweep, method, surface, exact, law))))
+    return listed
 
 
 def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: dict[str, Any]) -> Iterator[str]:
