@@ -1,5 +1,6 @@
-"""What many tests share: the paper's experiment, run once; and the rule that long tests are marked."""
+"""What many tests share: the paper's experiment, modules to import, and the rule that long tests are marked."""
 
+import itertools
 import os
 
 import pytest
@@ -11,6 +12,8 @@ settings.register_profile("same", derandomize=True)
 settings.register_profile("explore", print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
+_numbers = itertools.count()
+
 
 @pytest.fixture(scope="session")
 def paper():
@@ -20,6 +23,20 @@ def paper():
     from harness.runs.run import run_experiment
 
     return run_experiment(load_experiment("paper"))
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Writes a module that can be imported, and gives its name: a new one each time, as modules are loaded once."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def write(source):
+        name = f"mine_{next(_numbers)}"
+        (tmp_path / f"{name}.py").write_text(source, encoding="utf-8")
+        return name
+
+    return write
 
 
 # --- A test is slow by measured time ------------------------------------------------------------------------------

@@ -1,9 +1,11 @@
 """The house in order: what is tracked by git, the lock, the version, and the tools' settings."""
 
+import ast
 import os
 import re
 import subprocess
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -72,6 +74,37 @@ def test_tracked_text_is_utf8_with_a_last_newline() -> None:
         if (text := text_of(path)) and (not text.endswith("\n") or "\r" in text)
     ]
     assert not wrong
+
+
+def sources() -> list[Path]:
+    return [path for path in tracked() if path.suffix == ".py"]
+
+
+def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(text_of(path))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    asked = function.args
+    return len([*asked.posonlyargs, *asked.args, *asked.kwonlyargs, *filter(None, (asked.vararg, asked.kwarg))])
+
+
+def test_files_fit_a_sitting() -> None:
+    assert not {str(path.relative_to(ROOT)): n for path in sources() if (n := text_of(path).count("\n")) > 500}
+
+
+def test_functions_fit_a_screen_and_take_a_dozen_parameters() -> None:
+    """But for compiled loops, which live in `_*_kernels.py`: what they call is inlined, and they take arrays."""
+    checked = [path for path in sources() if not path.name.endswith("_kernels.py")]
+    long = [
+        f"{path.relative_to(ROOT)}: {each.name}: {lines} lines, {parameters(each)} parameters"
+        for path in checked
+        for each in functions(path)
+        if (lines := each.end_lineno - each.lineno + 1) > 80 or parameters(each) > 12
+    ]
+    assert not long
 
 
 def test_nothing_tracked_is_large() -> None:

@@ -116,15 +116,7 @@ def cramer_rao(
     ValueError
         When sizes do not fit, the window is even or less than 3, or sigma is not above zero.
     """
-    if truth.range_m.shape != grid.shape:
-        raise ValueError(f"the truth is {truth.range_m.shape}, the panorama {grid.shape} (rows, columns)")
-    if window_px < 3 or window_px % 2 == 0 or window_px > min(grid.shape):
-        raise ValueError(f"window_px must be odd, at least 3, within the panorama; found {window_px}")
-    if not sigma_grey > 0:
-        raise ValueError(f"sigma_grey must be above zero; found {sigma_grey}")
-    if model not in {"slanted", "frontal"}:
-        raise ValueError(f"model must be slanted or frontal; found {model!r}")
-
+    _check(grid, truth, window_px, sigma_grey, model)
     x = directions(grid)
     planes = _planes(truth, x, np.asarray(R_world_from_v1, dtype=np.float64))
     visible = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
@@ -160,6 +152,17 @@ def cramer_rao(
     for array in vars(bound).values():
         array.flags.writeable = False
     return bound
+
+
+def _check(grid: Grid, truth: Truth, window_px: int, sigma_grey: float, model: str) -> None:
+    if truth.range_m.shape != grid.shape:
+        raise ValueError(f"the truth is {truth.range_m.shape}, the panorama {grid.shape} (rows, columns)")
+    if window_px < 3 or window_px % 2 == 0 or window_px > min(grid.shape):
+        raise ValueError(f"window_px must be odd, at least 3, within the panorama; found {window_px}")
+    if not sigma_grey > 0:
+        raise ValueError(f"sigma_grey must be above zero; found {sigma_grey}")
+    if model not in {"slanted", "frontal"}:
+        raise ValueError(f"model must be slanted or frontal; found {model!r}")
 
 
 def least_std(s_1: Array, s_2: Array, towards: Array, sigma_grey: float) -> float:
