@@ -34,8 +34,9 @@ run, open_results
     An experiment's trials: `RunResult` with `trials`, `summary`, `settings`, `outcome(...)`, `report(...)`.
 load_experiment, load_scene, load_sensor
     From shipped names, files or tables: `Experiment`, `Scene`, `Sensor`.
-render, estimate_range
-    `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images.
+render, estimate_range, estimate_motion
+    `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images. `MotionEstimate`: how they
+    stand to each other, and its `Status`.
 run_trial
     One trial with all that its stages made, an `Outcome`: what `harness.testing.assertions` takes.
 settings
@@ -59,6 +60,7 @@ from harness.version import __version__
 
 if TYPE_CHECKING:
     from harness.api.loading import load_experiment, load_scene, load_sensor
+    from harness.api.motion import MotionEstimate, Status, estimate_motion
     from harness.api.ranging import RangeEstimate, estimate_range
     from harness.api.results import RunResult, open_results
     from harness.api.running import run
@@ -90,6 +92,7 @@ __all__ = [
     "Matches",
     "Mirror",
     "Motion",
+    "MotionEstimate",
     "Outcome",
     "Pair",
     "Panorama",
@@ -100,9 +103,11 @@ __all__ = [
     "RunResult",
     "Scene",
     "Sensor",
+    "Status",
     "Trial",
     "TrialMaps",
     "__version__",
+    "estimate_motion",
     "estimate_range",
     "load_experiment",
     "load_scene",
@@ -119,6 +124,7 @@ __all__ = [
 
 _MODULES = {
     "api.loading": ("load_experiment", "load_scene", "load_sensor"),
+    "api.motion": ("MotionEstimate", "Status", "estimate_motion"),
     "api.ranging": ("RangeEstimate", "estimate_range"),
     "api.results": ("RunResult", "open_results"),
     "api.running": ("run",),

@@ -9,21 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from harness.api.loading import load_sensor
+from harness.api.photographs import Image, photographs_of
 from harness.camera.sensor import Sensor
 from harness.display import brief, coloured, grey, html_figure
 from harness.errors import InputError
 from harness.files import write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion
-from harness.images import Picture
 from harness.matching.interface import MatcherSettings
 from harness.pipeline.maps import range_limits
-from harness.pipeline.photographs import Estimate, Photograph, estimate, read_photograph, write_estimate
+from harness.pipeline.photographs import Estimate, estimate, write_estimate
 from harness.runs.photograph_settings import OwnSettings
 from harness.spec import parse
-
-Image = str | Path | NDArray[Any]
-"""The path of an image file, or grey levels or colours: `[height, width]` or `[height, width, 3]`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,9 +115,7 @@ def estimate_range(
     """
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
-    if isinstance(left, np.ndarray) and isinstance(right, np.ndarray) and left.dtype != right.dtype:
-        raise InputError(f"must be of one type; found {left.dtype} and {right.dtype}", key="left, right")
-    first, second = _photograph(left, sensors[0], "left", bits), _photograph(right, sensors[1], "right", bits)
+    first, second = photographs_of(left, right, sensors, bits)
     found = estimate(first, second, sensors, _motion(motion), _matcher(matcher), grid)
     return RangeEstimate(**{each.name: getattr(found, each.name) for each in fields(found)})
 
@@ -151,31 +146,3 @@ def _vector(given: Any) -> NDArray[np.float64]:
         text = f"must be a Motion, a Pose or three finite numbers, metres; found {brief(given)}"
         raise InputError(text, key="motion")
     return vector
-
-
-def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Photograph:
-    """An image from a file, or from an array that was checked."""
-    if isinstance(image, str | Path):
-        option = "--sensor" if name == "left" else "--sensor-2"
-        return read_photograph(Path(image), sensor, bits, option=option)
-    if not isinstance(image, np.ndarray):
-        raise InputError(f"must be a path or an array; found {type(image).__name__}", key=name)
-    rows, columns = sensor.camera.height_px, sensor.camera.width_px
-    if image.shape not in ((rows, columns), (rows, columns, 3)):
-        raise InputError(
-            f"must have the sensor's shape, ({rows}, {columns}) or ({rows}, {columns}, 3); found {image.shape}",
-            key=name,
-        )
-    if image.dtype not in (np.uint8, np.uint16) and not np.issubdtype(image.dtype, np.floating):
-        raise InputError(
-            f"must be of type uint8, uint16, or floats of grey levels 0 .. 255; found {image.dtype}", key=name
-        )
-    white = 255.0 if image.dtype != np.uint16 else 65535.0 if bits is None else 2.0**bits - 1
-    if not np.isfinite(image).all() or image.min() < 0 or image.max() > white:
-        raise InputError(f"grey levels must be finite and lie within 0 .. {white:g}", key=name)
-    if np.issubdtype(image.dtype, np.floating) and 0 < image.max() <= 1:
-        raise InputError("grey levels are of 0 .. 255, and none here is above 1; multiply by 255", key=name)
-    picture = Picture(image, white, f"an array of {image.dtype}, white is {white:g}")
-    grey_levels = picture.grey()
-    grey_levels.flags.writeable = False
-    return Photograph(Path(name), grey_levels, picture.colour(), picture.scale)

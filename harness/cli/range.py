@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 from harness.cli import completers
 from harness.cli.options import Commands, add_out
@@ -31,11 +32,15 @@ def add(commands: Commands) -> None:
         help="white is the level 2^N - 1 in both images, N from 8 to 16, as 10 or 12 for raw images in 16-bit files "
         "(default: by the file's type, 255 for 8 bits, 65535 for 16 bits, 1 for floating point)",
     )
-    command.add_argument(
+    where = command.add_mutually_exclusive_group(required=True)
+    pose = where.add_argument(
+        "--pose", type=Path, metavar="FILE", help="view 2's pose in view 1's frame, TOML as omnirange motion writes it"
+    )
+    completers.offer(pose, completers.files(".toml"))
+    where.add_argument(
         "--baseline",
         type=float,
         nargs=3,
-        required=True,
         metavar=("X", "Y", "Z"),
         help="viewpoint 2 seen from viewpoint 1, in view 1's frame, metres",
     )
@@ -43,9 +48,8 @@ def add(commands: Commands) -> None:
         "--rotation-deg",
         type=float,
         nargs=3,
-        default=(0.0, 0.0, 0.0),
         metavar=("YAW", "PITCH", "ROLL"),
-        help="how view 2 is turned against view 1: about z, then y, then x (0 0 0)",
+        help="with --baseline: how view 2 is turned against view 1, about z, then y, then x (0 0 0)",
     )
     matcher = command.add_argument(
         "--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)"
@@ -67,18 +71,13 @@ def run(options: Namespace) -> None:
     import harness
     from harness.errors import InputError
     from harness.runs.photograph_settings import own_settings
-    from harness.spec import parse
 
     sensor = harness.load_sensor(options.sensor)
-    yaw, pitch, roll = options.rotation_deg
-    second = parse(
-        harness.Pose,
-        {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll},
-        file="--baseline",
-    )
+    second = _second_pose(options)
     motion = harness.relative_motion(harness.Pose(), second)
     if not motion.baseline_m > 0:
-        raise InputError("must not be zero: two views from one place tell no range", file="--baseline")
+        source = "--baseline" if options.pose is None else options.pose
+        raise InputError("must not be zero: two views from one place tell no range", file=source)
     settings = own_settings(options.matcher, options.set)
     estimate = harness.estimate_range(
         options.left,
@@ -94,3 +93,21 @@ def run(options: Namespace) -> None:
     for photograph in estimate.photographs:
         print(f"{photograph.file}: {photograph.scale}")
     print(f"{estimate.valid.mean():.1%} of the panorama has a range; {options.out / 'range.html'}")
+
+
+def _second_pose(options: Namespace) -> Any:
+    """View 2's pose in view 1's frame, as it was given."""
+    import harness
+    from harness.errors import InputError
+    from harness.spec import load, parse
+
+    if options.pose is not None:
+        if options.rotation_deg is not None:
+            raise InputError("the rotation is in the file of --pose; leave one of them out", file="--rotation-deg")
+        return load(harness.Pose, options.pose)
+    yaw, pitch, roll = options.rotation_deg or (0.0, 0.0, 0.0)
+    return parse(
+        harness.Pose,
+        {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll},
+        file="--baseline",
+    )

@@ -1,0 +1,229 @@
+"""Motion from two images."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.api.loading import load_sensor
+from harness.api.photographs import Image, photographs_of
+from harness.camera.sensor import Sensor
+from harness.errors import InputError
+from harness.files import write
+from harness.geometry.pose import Motion, Pose
+from harness.io.view_folder import pose_in
+from harness.motion.estimate import EstimatedMotion, estimate
+from harness.motion.sparse import Freedom
+from harness.motion.verdict import Status
+from harness.spec import dump_toml
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionEstimate(EstimatedMotion):
+    """The motion from view 1 to view 2, and how far it can be trusted.
+
+    `status` ("ok", "weak", "no parallax", "failed") with `reasons` in words; `R_v2_from_v1` and the unit
+    `direction_v1` of t, with `covariance`; `motion` for `estimate_range`.
+    """
+
+    baseline_m: float | None
+    """|t| in metres as it was given; None where it is not known, which two images do not tell."""
+
+    def __repr__(self) -> str:
+        words = [f"'{self.status}'"]
+        if self.R_v2_from_v1 is not None:
+            angles = self.angles_deg
+            words.append(f"yaw {angles['yaw']:.3f}, pitch {angles['pitch']:.3f}, roll {angles['roll']:.3f} deg")
+        if self.direction_v1 is not None:
+            words.append(f"t at azimuth {angles['azimuth']:.2f}, elevation {angles['elevation']:.2f} deg")
+        return f"MotionEstimate({'; '.join(words)})"
+
+    @property
+    def angles_deg(self) -> dict[str, float]:
+        """`yaw`, `pitch` and `roll` of view 2 in view 1's frame; `azimuth` and `elevation` of viewpoint 2 seen from
+        viewpoint 1; degrees. Only those that are known.
+        """
+        if self.R_v2_from_v1 is None:
+            return {}
+        direction = np.array([1.0, 0.0, 0.0]) if self.direction_v1 is None else self.direction_v1
+        pose = pose_in(Motion(self.R_v2_from_v1, direction))
+        angles = {"yaw": pose.yaw_deg, "pitch": pose.pitch_deg, "roll": pose.roll_deg}
+        if self.direction_v1 is not None:
+            x, y, z = self.direction_v1.tolist()
+            angles |= {
+                "azimuth": math.degrees(math.atan2(y, x)),
+                "elevation": math.degrees(math.atan2(z, math.hypot(x, y))),
+            }
+        return angles
+
+    @property
+    def sigmas_deg(self) -> dict[str, float]:
+        """Standard deviations of the angles by which `rotation` and `direction` are off, degrees; see `covariance`."""
+        if self.covariance is None:
+            return {}
+        return {
+            name: math.degrees(math.sqrt(np.trace(self.covariance[part, part])))
+            for name, part in (("rotation", slice(0, 3)), ("direction", slice(3, 6)))
+        }
+
+    @property
+    def motion(self) -> Motion:
+        """What `estimate_range` takes; |t| is the baseline that was given, or 1.
+
+        Raises
+        ------
+        InputError
+            When the images do not tell where view 2 stands.
+        """
+        if self.R_v2_from_v1 is None or self.direction_v1 is None:
+            raise InputError(f"there is no motion to go on with: {self.status}; {'; '.join(self.reasons)}")
+        return Motion(self.R_v2_from_v1, (self.baseline_m or 1.0) * self.direction_v1)
+
+    @property
+    def pose(self) -> Pose:
+        """View 2's pose in view 1's frame; the same errors as `motion`."""
+        return pose_in(self.motion)
+
+    def summary(self) -> dict[str, Any]:
+        """Everything but arrays of pairs, as plain values: what `--json` writes."""
+        known = self.R_v2_from_v1 is not None
+        return {
+            "status": str(self.status),
+            "reasons": list(self.reasons),
+            "angles_deg": self.angles_deg,
+            "sigmas_deg": {name: _finite(each) for name, each in self.sigmas_deg.items()},
+            "R_v2_from_v1": self.R_v2_from_v1.tolist() if self.R_v2_from_v1 is not None else None,
+            "direction_v1": self.direction_v1.tolist() if self.direction_v1 is not None else None,
+            "baseline_m": self.baseline_m,
+            "covariance": None if self.covariance is None else [[_finite(x) for x in row] for row in self.covariance],
+            "pairs": len(self.pairs),
+            "pairs_agreeing": int(self.sparse.inlier.sum()) if self.sparse is not None else 0,
+            "residual_px": self.sparse.scale_px if self.sparse is not None else None,
+            "rotation_alone_px": self.rotation_px if known else None,
+            "iterations": self.iterations,
+        }
+
+    def lines(self) -> list[str]:
+        """What the command prints: the motion in plain words."""
+        angles, sigmas, told = self.angles_deg, self.sigmas_deg, []
+        if angles:
+            sigma = f"; sigma {sigmas['rotation']:.2g}" if sigmas else ""
+            told.append(
+                f"rotation   yaw {angles['yaw']:.3f}, pitch {angles['pitch']:.3f}, roll {angles['roll']:.3f} degrees"
+                f"{sigma}"
+            )
+        if "azimuth" in angles:
+            told.append(
+                f"direction  azimuth {angles['azimuth']:.2f}, elevation {angles['elevation']:.2f} degrees; "
+                f"sigma {sigmas['direction']:.2g}"
+            )
+            told.append(
+                f"baseline   {self.baseline_m:g} m, as given"
+                if self.baseline_m is not None
+                else "baseline   not known from images; 1 stands for it, and ranges will be in units of it"
+            )
+        agreeing = "" if self.sparse is None else f", {self.sparse.inlier.sum()} agree"
+        residual = "" if self.sparse is None else f" to {self.sparse.scale_px:.2g} px"
+        told.append(f"pairs      {len(self.pairs)} keypoints look alike{agreeing}{residual}")
+        told.append(f"status     {self.status}")
+        told += [f"           {reason}" for reason in self.reasons]
+        if sigmas:
+            told.append("Sigmas take the calibration for exact: a wrong one moves the motion, and does not show.")
+        return told
+
+    def write(self, path: str | Path) -> None:
+        """Write the pose of view 2 in view 1's frame as TOML, which `omnirange range --pose` reads.
+
+        Raises
+        ------
+        InputError
+            When there is no motion, or the file cannot be written.
+        """
+        comments = [*self.lines()]
+        if self.baseline_m is None:
+            comments.append("position_m has length 1, which is not metres.")
+        text = "".join(f"# {line}\n" for line in comments)
+        write(Path(path), f"{text}\n{dump_toml(self.pose)}")
+
+    def write_json(self, path: str | Path) -> None:
+        """Write `summary()` as JSON.
+
+        Raises
+        ------
+        InputError
+            When the file cannot be written.
+        """
+        write(Path(path), json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def estimate_motion(
+    left: Image,
+    right: Image,
+    sensor: str | Path | Mapping[str, Any] | Sensor,
+    sensor_2: str | Path | Mapping[str, Any] | Sensor | None = None,
+    *,
+    freedom: Freedom = "free",
+    baseline_m: float | None = None,
+    bits: int | None = None,
+    seed: int = 0,
+) -> MotionEstimate:
+    """Estimate the rotation between two views and the direction from one to the other, from their images alone.
+
+    Needs the extra: `pip install 'omnirange[motion]'`.
+
+    Parameters
+    ----------
+    left, right
+        Images of view 1 and view 2: paths, or arrays as in `estimate_range`.
+    sensor
+        The sensor of both views: the path of a TOML file, a table, or a sensor.
+    sensor_2
+        The sensor of view 2 where it is another one, likewise.
+    freedom
+        `free`; `upright`, where the sensor's z is vertical in both views; `planar`, where it also moves horizontally.
+    baseline_m
+        Distance of the viewpoints, metres, which images do not tell; 1 stands for it when None.
+    bits
+        White is 2^bits - 1; see `estimate_range`.
+    seed
+        Of the random samples; the same gives the same answer to the last bit.
+
+    Returns
+    -------
+    MotionEstimate
+        `status` and `reasons`, `R_v2_from_v1`, `direction_v1`, `covariance`, `motion`, `pose`; `write(path)`.
+
+    Raises
+    ------
+    InputError
+        One line that names the argument or the file and what would be right.
+
+    Examples
+    --------
+    >>> import harness
+    >>> left, right = (harness.render("box", position_m=(x, 0, 1), yaw_deg=40 * x, samples=4) for x in (0, 0.5))
+    >>> estimate = harness.estimate_motion(left.image, right.image, left.sensor, baseline_m=0.5)
+    >>> estimate.status, round(estimate.angles_deg["yaw"], 1), round(estimate.angles_deg["azimuth"], 1) + 0
+    (<Status.OK: 'ok'>, 20.0, 0.0)
+    """
+    if freedom not in ("free", "upright", "planar"):
+        raise InputError(f"must be 'free', 'upright' or 'planar'; found {freedom!r}", key="freedom")
+    if baseline_m is not None and not 0 < baseline_m < math.inf:
+        raise InputError(f"must be a length above 0, metres; found {baseline_m:g}", key="baseline_m")
+    first_sensor = load_sensor(sensor)
+    sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
+    first, second = photographs_of(left, right, sensors, bits)
+    found = estimate((first.grey, second.grey), sensors, freedom=freedom, seed=seed)
+    values = {each.name: getattr(found, each.name) for each in fields(found)}
+    return MotionEstimate(**values, baseline_m=None if baseline_m is None else float(baseline_m))
+
+
+__all__ = ["MotionEstimate", "Status", "estimate_motion"]

@@ -1,0 +1,77 @@
+"""`omnirange motion`: how two photographs of one's own stand to each other."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from harness.cli import completers
+from harness.cli.exits import FAILED, OK
+from harness.cli.options import Commands, add_out
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "motion",
+        run,
+        brief="rotation and direction between two images of your own",
+        description="Estimate from two images how view 2 is turned and in which direction it stands, and say whether "
+        "that can be trusted. Needs pip install 'omnirange[motion]'.",
+        epilog="Exit code 1 where the images do not tell where view 2 stands.",
+    )
+    command.add_argument("left", type=Path, metavar="LEFT", help="image of view 1 (PNG, JPEG, TIFF ...)")
+    command.add_argument("right", type=Path, metavar="RIGHT", help="image of view 2")
+    command.add_argument("--sensor", type=Path, required=True, metavar="FILE", help="sensor TOML of both views")
+    command.add_argument(
+        "--sensor-2", type=Path, metavar="FILE", help="sensor TOML of view 2, if another sensor took it"
+    )
+    command.add_argument(
+        "--bits",
+        type=int,
+        choices=range(8, 17),
+        metavar="N",
+        help="white is the level 2^N - 1 in both images (default: by the file's type)",
+    )
+    held = command.add_mutually_exclusive_group()
+    held.add_argument("--upright", action="store_true", help="the sensor's z is vertical in both views")
+    held.add_argument("--planar", action="store_true", help="and the sensor has moved horizontally")
+    command.add_argument(
+        "--baseline-length",
+        type=float,
+        metavar="M",
+        help="distance of the viewpoints, metres, which images do not tell (default: 1 stands for it)",
+    )
+    command.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random samples (0)")
+    add_out(command, "write view 2's pose in view 1's frame, TOML for omnirange range --pose", metavar="FILE")
+    report = command.add_argument("--json", type=Path, metavar="FILE", help="write all figures as JSON")
+    completers.offer(report, completers.files(".json"))
+
+
+def run(options: Namespace) -> int:
+    """Estimate, print, and write what is asked for."""
+    import harness
+    from harness.errors import InputError
+
+    if options.baseline_length is not None and not 0 < options.baseline_length < float("inf"):
+        raise InputError(f"must be above 0; found {options.baseline_length:g}", file="--baseline-length")
+    if options.seed < 0:
+        raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
+    found = harness.estimate_motion(
+        options.left,
+        options.right,
+        options.sensor,
+        options.sensor_2,
+        freedom="planar" if options.planar else "upright" if options.upright else "free",
+        baseline_m=options.baseline_length,
+        bits=options.bits,
+        seed=options.seed,
+    )
+    for line in found.lines():
+        print(line)
+    if options.json is not None:
+        found.write_json(options.json)
+    if found.direction_v1 is None:
+        return FAILED
+    if options.out is not None:
+        found.write(options.out)
+        print(f"{options.out}: view 2's pose in view 1's frame")
+    return OK

@@ -1,0 +1,1 @@
+"""Motion from two images: features, a robust start, least squares on bearings, and a verdict."""

@@ -1,0 +1,104 @@
+"""From two images to a motion: keypoints, the motion that most agree on, least squares, and a verdict."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.sensor import Sensor
+from harness.display import OneLine
+from harness.geometry.angles import Array
+from harness.motion.features import Correspondences, find_features, is_mirrored, match_features
+from harness.motion.robust import agree
+from harness.motion.sparse import Fit, Freedom, fit, fit_rotation
+from harness.motion.verdict import Status, rival_of, why_failed, why_no_parallax, why_weak
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True, repr=False)
+class EstimatedMotion(OneLine):
+    """A motion but for its length, and how far it can be trusted."""
+
+    status: Status
+    reasons: tuple[str, ...]
+    """Why it is not `ok`, in words."""
+    R_v2_from_v1: Array | None
+    """`[3, 3]`; None where nothing was found."""
+    direction_v1: Array | None
+    """`[3]`, unit direction of t_v1; None where there is no parallax."""
+    covariance: Array | None
+    """`[6, 6]`, radians squared: of omega in `R exp([omega]×)` and of the change of the unit t, both in v1's frame;
+    singular along t. It takes the calibration for exact. None where there is no direction."""
+    pairs: Correspondences
+    """Keypoints that look alike."""
+    sparse: Fit | None
+    """The motion fitted to them; None where nothing was found."""
+    rotation_px: float
+    """What a rotation alone leaves, the median in pixels; NaN where nothing was found."""
+    iterations: int
+    """Samples drawn."""
+
+
+def estimate(
+    images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], *, freedom: Freedom = "free", seed: int = 0
+) -> EstimatedMotion:
+    """Estimate the motion from view 1 to view 2 from two images.
+
+    Parameters
+    ----------
+    images
+        `[sensor height, sensor width]` each, grey levels of 0 .. 255.
+    freedom
+        `upright`: the turn is about z; `planar`: and t is at right angles to z.
+    seed
+        Of the samples drawn; the same gives the same bits.
+
+    Raises
+    ------
+    InputError
+        When the extra `motion` is not installed.
+    """
+    mirrored = [is_mirrored(each) for each in sensors]
+    first = find_features(images[0], sensors[0])
+    second = find_features(images[1], sensors[1], flip=mirrored[0] != mirrored[1])
+    return estimate_from_pairs(match_features(first, second), freedom=freedom, seed=seed)
+
+
+def estimate_from_pairs(pairs: Correspondences, *, freedom: Freedom = "free", seed: int = 0) -> EstimatedMotion:
+    """The same from pairs of bearing vectors.
+
+    Raises
+    ------
+    InputError
+        When PoseLib is not installed.
+    """
+    if reason := why_failed(len(pairs), None):
+        return _failed(pairs, reason, 0)
+    consensus = agree(pairs, freedom=freedom, seed=seed)
+    if consensus is None:
+        return _failed(pairs, "no sample of pairs gives a motion", 0)
+    found = fit(pairs, consensus.turn, freedom)
+    if reason := why_failed(len(pairs), int(found.inlier.sum())):
+        return _failed(pairs, reason, consensus.iterations)
+    R_alone, rotation_px = fit_rotation(pairs.at(found.inlier), found.turn.R)
+    if reason := why_no_parallax(found, rotation_px):
+        return EstimatedMotion(
+            Status.NO_PARALLAX, (reason,), R_alone, None, None, pairs, found, rotation_px, consensus.iterations
+        )
+    reasons = why_weak(found, rival_of(pairs, consensus, found, freedom))
+    return EstimatedMotion(
+        status=Status.WEAK if reasons else Status.OK,
+        reasons=tuple(reasons),
+        R_v2_from_v1=found.turn.R,
+        direction_v1=found.turn.t,
+        covariance=found.covariance,
+        pairs=pairs,
+        sparse=found,
+        rotation_px=rotation_px,
+        iterations=consensus.iterations,
+    )
+
+
+def _failed(pairs: Correspondences, reason: str, iterations: int) -> EstimatedMotion:
+    return EstimatedMotion(Status.FAILED, (reason,), None, None, None, pairs, None, np.nan, iterations)

@@ -1,0 +1,160 @@
+"""The motion that most pairs of bearing vectors agree on: MSAC over minimal samples.
+
+Minimal solvers are PoseLib's, which take rays in any direction: five points (Nistér), three for a turn about a known
+vertical, two for one in a plane. Samples are drawn from a seeded generator: the same pairs give the same bits.
+"""
+
+import importlib
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.display import OneLine
+from harness.errors import InputError
+from harness.geometry.angles import Array, angle_between
+from harness.motion import _bearing_kernels as _kernels
+from harness.motion.features import Correspondences
+from harness.motion.residuals import Turn, bearings_of, slack
+from harness.motion.sparse import Freedom, fit
+
+LIMIT_PX = 2.0
+"""Sampson distance above which a pair is a false one."""
+MOST_ITERATIONS = 50_000
+"""Enough for one sample of five true pairs among 80 % false ones, with a probability beyond doubt."""
+_MISS = 1e-5
+"""Probability of never having drawn a sample of true pairs alone."""
+_LEAST_ITERATIONS = 200
+"""A sample of true pairs may still be a bad one, of points that lie close together."""
+_RIVALS = 8
+"""Motions kept beside the best, each in another direction."""
+_APART = math.radians(5.0)
+"""Motions whose directions of t, or whose rotations, are closer are one."""
+
+_SIZES = {"free": 5, "upright": 3, "planar": 2}
+_SOLVERS = {
+    "free": "relpose_5pt",
+    "upright": "relpose_upright_3pt",
+    "planar": "relpose_upright_planar_2pt",
+}
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""PoseLib's upright solvers turn about y: (x, -z, y) of our frame, a proper rotation."""
+
+
+@dataclass(frozen=True, repr=False)
+class Consensus(OneLine):
+    """The motion with the least truncated cost, and those that come after it."""
+
+    turn: Turn
+    cost: float
+    """Sum of squared Sampson distances, each at most `LIMIT_PX`², over that of a false pair: pairs not explained."""
+    rivals: list[tuple[float, Turn]]
+    """The best of other motions and their costs."""
+    iterations: int
+
+
+def agree(pairs: Correspondences, *, freedom: Freedom = "free", seed: int = 0) -> Consensus | None:
+    """The motion that most pairs agree on; None where no sample gives any.
+
+    Raises
+    ------
+    InputError
+        When PoseLib is not installed.
+    """
+    size, draws = _SIZES[freedom], np.random.default_rng(seed)
+    if len(pairs) <= size:
+        return None
+    solver = getattr(_poselib(), _SOLVERS[freedom])
+    order = draws.permutation(len(pairs))  # a cost is given up early, so neighbours must not stand together
+    shuffled = pairs.at(order)
+    search = _Search(shuffled)
+    wanted = MOST_ITERATIONS
+    iteration = 0
+    while iteration < wanted:
+        iteration += 1
+        chosen = draws.choice(len(pairs), size, replace=False)
+        better = False
+        for turn in _solved(solver, shuffled.x_1[chosen], shuffled.x_2[chosen], freedom):
+            better |= search.tried(turn)
+        if better:
+            search.tried(fit(shuffled, search.best, freedom, limit_px=LIMIT_PX).turn)
+            wanted = min(wanted, max(_LEAST_ITERATIONS, _needed(1 - search.cost / len(pairs), size)))
+    if search.best is None:
+        return None
+    return Consensus(search.best, search.cost, search.rivals(), iteration)
+
+
+def _poselib() -> Any:
+    try:
+        return importlib.import_module("poselib")
+    except ImportError as error:
+        raise InputError("needs the extra: pip install 'omnirange[motion]'", file="motion") from error
+
+
+def _needed(share: float, size: int) -> int:
+    """Iterations after which a sample of true pairs has been drawn but for a probability of `_MISS`."""
+    hit = max(share, 1e-3) ** size
+    return MOST_ITERATIONS if hit < 1e-12 else math.ceil(math.log(_MISS) / math.log1p(-min(hit, 1 - 1e-12)))
+
+
+def _solved(solver: Any, x_1: Array, x_2: Array, freedom: Freedom) -> list[Turn]:
+    """The motions that a minimal sample allows. PoseLib's pose is `p_2 = R p_1 + t'`, so that t = -R^T t'."""
+    turned = freedom != "free"
+    if turned:
+        x_1, x_2 = x_1 @ _Y_UP.T, x_2 @ _Y_UP.T
+    turns = []
+    for pose in solver(np.ascontiguousarray(x_1), np.ascontiguousarray(x_2)):
+        R = np.asarray(pose.R)
+        t = -R.T @ np.asarray(pose.t)
+        if turned:
+            R, t = _Y_UP.T @ R @ _Y_UP, _Y_UP.T @ t
+        length = float(np.linalg.norm(t))
+        if length > 0 and np.isfinite(R).all() and math.isfinite(length):
+            turns.append(Turn(np.ascontiguousarray(R), t / length))
+    return turns
+
+
+class _Search:
+    """The best motions so far."""
+
+    def __init__(self, pairs: Correspondences) -> None:
+        self._bearings = bearings_of(pairs)
+        self._slack = slack(pairs)
+        self._found: list[tuple[float, Turn]] = []
+
+    @property
+    def best(self) -> Any:
+        """The motion of least cost; None at first."""
+        return self._found[0][1] if self._found else None
+
+    @property
+    def cost(self) -> float:
+        """Its cost."""
+        return self._found[0][0] if self._found else math.inf
+
+    def tried(self, turn: Turn) -> bool:
+        """Keep a motion if it is among the best; whether it is the best of all."""
+        full = len(self._found) > _RIVALS
+        most = self._found[-1][0] if full else math.inf
+        cost = _kernels.truncated_cost(*self._bearings, self._slack, turn.R, turn.t, LIMIT_PX, most * LIMIT_PX**2)
+        cost /= LIMIT_PX**2
+        if cost > most:
+            return False
+        is_best = cost < self.cost
+        if is_best:
+            self._found = [(c, each) for c, each in self._found if not alike(each, turn)]
+        elif any(alike(each, turn) and c <= cost for c, each in self._found):
+            return False
+        self._found = sorted([*self._found, (cost, turn)], key=lambda each: each[0])[: _RIVALS + 1]
+        return is_best
+
+    def rivals(self) -> list[tuple[float, Turn]]:
+        """The others."""
+        return [each for each in self._found[1:] if not alike(each[1], self.best)]
+
+
+def alike(one: Turn, other: Turn) -> bool:
+    """Whether two motions are within 5 degrees of each other."""
+    turned = np.trace(one.R.T @ other.R)
+    return bool(angle_between(one.t, other.t) < _APART and turned > 1 + 2 * math.cos(_APART))

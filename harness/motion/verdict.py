@@ -1,0 +1,120 @@
+"""Whether an estimated motion can be trusted, and why not, in words."""
+
+import math
+from enum import StrEnum
+
+import numpy as np
+
+from harness.motion.features import Correspondences
+from harness.motion.residuals import sampson
+from harness.motion.robust import Consensus, alike
+from harness.motion.sparse import CAUCHY, Fit, Freedom, fit
+
+LEAST_PAIRS = 30
+"""Pairs without which nothing is estimated."""
+LEAST_AGREEING = 15
+"""Pairs that have to agree: a false motion finds one in fifty near its epipolar lines, and those of its sample."""
+LEAST_SHARE = 0.08
+"""Their share of all, at least, for the same reason."""
+SURE_AGREEING = 60
+"""With fewer, one motion in seven is off by more than 2 degrees, and its sigma does not tell."""
+PARALLAX = 3.0
+"""Residual of a rotation alone over that of the motion, at least."""
+MOST_SIGMA_T_DEG = 0.25
+MOST_SIGMA_R_DEG = 0.05
+"""Standard deviations of a trusted motion, at most."""
+
+
+class Status(StrEnum):
+    """What an estimated motion is good for."""
+
+    FAILED = "failed"
+    """Nothing was found."""
+    NO_PARALLAX = "no parallax"
+    """A rotation alone explains the images: there is no direction of t, and there will be no range."""
+    WEAK = "weak"
+    """There is a motion, and reasons not to trust it."""
+    OK = "ok"
+
+
+def why_failed(pairs: int, agreeing: int | None) -> str | None:
+    """Why there is no motion; None where there is one.
+
+    Parameters
+    ----------
+    pairs
+        Keypoints that look alike.
+    agreeing
+        How many of them agree on one motion; None before that is known.
+    """
+    if pairs < LEAST_PAIRS:
+        return f"only {pairs} keypoints look alike in both images; at least {LEAST_PAIRS} are needed"
+    least = max(LEAST_AGREEING, math.ceil(LEAST_SHARE * pairs))
+    if agreeing is not None and agreeing < least:
+        return f"only {agreeing} of {pairs} pairs agree on a motion, as many as may by chance; {least} are needed"
+    return None
+
+
+def why_no_parallax(found: Fit, rotation_px: float) -> str | None:
+    """Why a rotation alone is as good a motion; None where it is not."""
+    if rotation_px >= PARALLAX * found.scale_px:
+        return None
+    return (
+        f"a rotation alone leaves {rotation_px:.2g} px, the motion {found.scale_px:.2g} px: the views are too close to "
+        "each other, or all is too far away, to tell where view 2 stands"
+    )
+
+
+def why_weak(found: Fit, rival: Fit | None) -> list[str]:
+    """Reasons not to trust a motion that was found; none where it can be trusted.
+
+    Parameters
+    ----------
+    rival
+        Another motion that explains the pairs as well.
+    """
+    reasons = []
+    agreeing = int(found.inlier.sum())
+    if agreeing < SURE_AGREEING:
+        reasons.append(f"only {agreeing} pairs agree on it; below {SURE_AGREEING} the sigmas are not to be relied on")
+    reasons += too_uncertain(found.sigma_rotation, found.sigma_direction)
+    if rival is not None:
+        x, y, z = rival.turn.t
+        azimuth, elevation = math.degrees(math.atan2(y, x)), math.degrees(math.asin(z))
+        reasons.append(
+            "two motions explain the pairs alike, as they do where all is on one plane: the other has t at azimuth "
+            f"{azimuth:.1f}, elevation {elevation:.1f} degrees"
+        )
+    return reasons
+
+
+def too_uncertain(sigma_rotation: float, sigma_direction: float) -> list[str]:
+    """Reasons against standard deviations, radians, that are large or not known."""
+    reasons = []
+    for name, sigma, most in (
+        ("the direction of t", sigma_direction, MOST_SIGMA_T_DEG),
+        ("the rotation", sigma_rotation, MOST_SIGMA_R_DEG),
+    ):
+        degrees = math.degrees(sigma)
+        if not degrees <= most:
+            told = f"{degrees:.2g} degrees" if math.isfinite(degrees) else "not known"
+            reasons.append(f"the sigma of {name} is {told}; up to {most:g} is trusted")
+    return reasons
+
+
+def rival_of(pairs: Correspondences, consensus: Consensus, found: Fit, freedom: Freedom) -> Fit | None:
+    """Another motion that explains the pairs as well as the one that was found, if there is any."""
+    least = _loss(pairs, found, found.scale_px)
+    for _, turn in consensus.rivals:
+        other = fit(pairs, turn, freedom)
+        # Twice the difference of log-likelihoods is a chi square: 25 is beyond doubt, but neighbours share noise.
+        if not alike(other.turn, found.turn) and _loss(pairs, other, found.scale_px) < 1.05 * least + 25:
+            return other
+    return None
+
+
+def _loss(pairs: Correspondences, found: Fit, scale: float) -> float:
+    e = sampson(pairs, found.turn)
+    behind = ~found.inlier & (np.abs(e) < 3 * scale)  # near its line, and behind a view
+    ratio = np.where(behind, 10 * scale, e) / (CAUCHY * scale)
+    return float(CAUCHY**2 * np.sum(np.log1p(np.minimum(ratio, 20.0) ** 2)))
