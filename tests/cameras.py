@@ -6,7 +6,15 @@ import numpy as np
 
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens, fold_radius
-from harness.camera.models import CameraModel, DoubleSphere, ExtendedUnified, KannalaBrandt, OCam, Unified
+from harness.camera.models import (
+    CameraModel,
+    DoubleSphere,
+    Equirectangular,
+    ExtendedUnified,
+    KannalaBrandt,
+    OCam,
+    Unified,
+)
 from harness.camera.models.axial import AxialModel
 from harness.camera.sensor import Sensor, unproject
 
@@ -18,6 +26,17 @@ def random_ocam(rng: np.random.Generator) -> OCam:
     a_0 = -rng.uniform(100, 200)
     a = [a_0, 0.0, *(-a_0 * rng.uniform([0.2, -0.2, -0.1], [1.0, 0.2, 0.1]) / 200.0 ** np.array([2, 3, 4]))]
     return OCam(coefficients=a, c=rng.uniform(0.9, 1.1), d=rng.uniform(-0.02, 0.02), e=rng.uniform(-0.02, 0.02))
+
+
+def random_equirectangular(rng: np.random.Generator) -> Sensor:
+    """Half of them of 360 degrees, the others of less; rarely up to a pole."""
+    focal, aspect = 640 / (2 * np.pi) * rng.choice([1.0, rng.uniform(1, 3)]), rng.uniform(0.8, 1.25)
+    above, below = rng.uniform(0.3, 1, 2) * focal * aspect * np.pi / 2
+    camera = Camera(
+        focal_px=focal, aspect=aspect, cx_px=rng.uniform(0, 639), cy_px=above - 0.5, height_px=int(above + below)
+    )
+    field = FieldOfView(elevation_min_deg=rng.uniform(-90, -40), elevation_max_deg=rng.uniform(40, 90))
+    return sensor_of(Equirectangular(), camera, field=field)
 
 
 AXIAL: dict[str, Draw] = {
@@ -35,6 +54,9 @@ AXIAL: dict[str, Draw] = {
 }
 """A random model of each kind."""
 
+KINDS = [*AXIAL, "equirectangular"]
+"""All but the hyperboloid, whose tests are in `test_camera.py`."""
+
 
 def sensor_of(model: CameraModel, camera: Camera, lens: Lens | None = None, field: FieldOfView | None = None) -> Sensor:
     return Sensor(model=model, camera=camera, lens=lens or Lens(), field=field or FieldOfView())
@@ -43,6 +65,8 @@ def sensor_of(model: CameraModel, camera: Camera, lens: Lens | None = None, fiel
 def random_sensor(kind: str, seed: int, *, lens: bool = False, skew: bool = False) -> Sensor:
     """A sensor of a kind; its lens up to a tenth of the radius at the rim, its skew up to 2 % of the focal length."""
     rng = np.random.default_rng([seed, sum(map(ord, kind)), lens, skew])
+    if kind == "equirectangular":
+        return random_equirectangular(rng)
     while True:
         model = AXIAL[kind](rng)
         assert isinstance(model, AxialModel)

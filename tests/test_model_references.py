@@ -6,7 +6,7 @@ from cameras import random_sensor, seen_pixels, sensor_of
 
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.models import DoubleSphere, ExtendedUnified, KannalaBrandt, OCam, Unified
+from harness.camera.models import DoubleSphere, Equirectangular, ExtendedUnified, KannalaBrandt, OCam, Unified
 from harness.camera.sensor import project
 
 PIXELS = 1e-9
@@ -221,3 +221,44 @@ class TestOCam:
         domain = OCam(coefficients=[-100, 0, -1 / 400]).domain(Camera(), Lens())
         assert domain.radius == pytest.approx(200, abs=1e-9)
         assert domain.angle_rad == pytest.approx(np.pi / 4, abs=1e-12)
+
+
+class TestEquirectangular:
+    SENSOR = sensor_of(
+        Equirectangular(),
+        Camera(width_px=360, height_px=180, focal_px=180 / np.pi, cx_px=179.5, cy_px=89.5),
+        field=FieldOfView(elevation_min_deg=-90, elevation_max_deg=90),
+    )
+    """A pixel is a degree."""
+
+    def test_degrees_by_hand(self):
+        """Forward is in the middle; from there to the left is 90 degrees to the left on the image, above is above."""
+        up_40 = [np.cos(np.radians(40)), 0, np.sin(np.radians(40))]
+        pixels, valid = project(self.SENSOR, [[1, 0, 0], [0, 1, 0], [0, -1, 0], up_40, [1, 1, -np.sqrt(2)]])
+        expected = [[179.5, 89.5], [89.5, 89.5], [269.5, 89.5], [179.5, 49.5], [134.5, 134.5]]
+        np.testing.assert_allclose(pixels, expected, rtol=0, atol=1e-12)
+        assert valid.all()
+
+    def test_seam_is_behind_and_belongs_to_the_image(self):
+        """Rounding must not push a direction off either end: straight behind, or a hair to either side."""
+        aside = np.array([0.0, -0.0, 1e-300, -1e-300, 1e-17, -1e-17, 1e-9])
+        behind = np.stack([-np.ones(7), aside, np.zeros(7)], axis=-1)
+        pixels, valid = project(self.SENSOR, behind)
+        assert valid.all()
+        assert np.minimum(np.abs(pixels[:, 0] + 0.5), np.abs(pixels[:, 0] - 359.5)).max() < 1e-6
+        assert project(self.SENSOR, [-1, 1e-9, 0])[0][0] < 0
+        assert project(self.SENSOR, [-1, -1e-9, 0])[0][0] > 359
+
+    @pytest.mark.parametrize("seed", range(20))
+    def test_astronomers_formula(self, seed):
+        """Longitude and latitude as complex arguments, the image's turn by a remainder about its middle."""
+        sensor = random_sensor("equirectangular", seed)
+        camera = sensor.camera
+        d = field_directions(sensor) * [1, 1, -1]
+        turn = 2 * np.pi * camera.focal_px
+        u = camera.cx_px - camera.focal_px * np.angle(d[:, 0] + 1j * d[:, 1])
+        middle = (camera.width_px - 1) / 2
+        u = middle + np.remainder(u - middle + turn / 2, turn) - turn / 2
+        v = camera.cy_px - camera.focal_px * camera.aspect * np.arcsin(d[:, 2])
+        away = np.abs(d[:, 2]) < 0.999  # an arcsin loses half the digits next to the poles
+        assert np.abs(project(sensor, d)[0] - np.stack([u, v], axis=-1))[away].max() < PIXELS

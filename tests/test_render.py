@@ -119,7 +119,7 @@ def test_edges_are_marked_where_the_sensor_projects_them(sensor):
     marks = np.zeros((240, 320), dtype=bool)
     step = 0.9 * rendering._corners_of(sensor).finest_rad
     lowest, highest = np.sin(np.radians([-77, 22]))
-    mark_edges(edges, origin, rotation, parameters_of(sensor), lowest, highest, step, marks)
+    mark_edges(edges, origin, rotation, parameters_of(sensor), lowest, highest, step, False, marks)
     share = np.linspace(0, 1, 20_000)[:, None, None]
     points = (edges[:, 0] * (1 - share) + edges[:, 1] * share).reshape(-1, 3)
     pixels, valid = project(sensor, (points - origin) @ rotation)

@@ -122,7 +122,7 @@ def test_holes_in_the_start_are_filled():
 
 
 def warped(sensor, there, image, w):
-    warp = _warp(sensor, sensor, there, pixel_directions(sensor)[1])
+    warp = _warp((sensor, sensor), (0, 0), there, pixel_directions(sensor)[1])
     coefficients = ndimage.spline_filter(image, 3, output=np.float64, mode="mirror")
     known = np.zeros(w.shape, bool)
     value, slope, moved = np.zeros((3, *w.shape))
@@ -190,7 +190,7 @@ def test_slope_is_the_derivative(lens):
 def test_a_window_is_the_least_squares_solution(far):
     """Against numpy's solver, sample by sample, on random fields with holes."""
     draws = np.random.default_rng(5)
-    warp = _warp(SENSOR, SENSOR, motion(), pixel_directions(SENSOR)[1])
+    warp = _warp((SENSOR, SENSOR), (0, 0), motion(), pixel_directions(SENSOR)[1])
     shape, half = warp.valid.shape, 5
     w = draws.uniform(0.4, 0.8, shape)
     known = warp.valid & (draws.random(shape) < 0.8)

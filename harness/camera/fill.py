@@ -1,6 +1,9 @@
 """Images continued where nothing is known: black beyond what a sensor sees would ring into the picture through a
-spline's prefilter, and a grey level that is not a number would spread without end.
+spline's prefilter, and a grey level that is not a number would spread without end. And across the seam of images that
+go round.
 """
+
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +11,16 @@ from scipy import ndimage
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+S = TypeVar("S", bound=np.generic)
 Indices = tuple[NDArray[np.int32], NDArray[np.int32]]
+
+
+def across_seam(values: NDArray[S], columns: int) -> NDArray[S]:
+    """Values `[height, width, ...]` with the last columns once more before the first, and the first after the last.
+
+    With no columns the array itself. How many there are to be for a sensor: `harness.camera.sensor.seam_px`.
+    """
+    return values if columns == 0 else np.concatenate([values[:, -columns:], values, values[:, :columns]], axis=1)
 
 
 def nearest_known(known: NDArray[np.bool_]) -> Indices:

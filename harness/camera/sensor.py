@@ -157,6 +157,15 @@ def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
     return directions, valid
 
 
+def seam_px(sensor: Sensor, reach_px: int = 32) -> int:
+    """How many columns of an image to repeat beyond its left and right borders, for what reaches `reach_px` pixels.
+
+    0 unless the image goes round: neighbours are on the image then, or there are none. 32 are enough for a spline's
+    prefilter, which lets 1e-12 of what is beyond through.
+    """
+    return min(reach_px, sensor.camera.width_px) if sensor.model.goes_round(sensor.camera) else 0
+
+
 @lru_cache(maxsize=64)
 def parameters_of(sensor: Sensor) -> Any:
     """What the compiled projection is given: the named tuple of the sensor's camera model."""

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera import _sampling_kernels
-from harness.camera.fill import nearest_known, touches, without_gaps
-from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.camera.fill import across_seam, nearest_known, touches, without_gaps
+from harness.camera.sensor import Sensor, pixel_directions, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, cylinder
 
@@ -49,8 +49,8 @@ def unwrap(
     rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
     order = {"bilinear": 1, "cubic": 3}[interpolation]
     coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
-    seen = pixel_directions(sensor)[1]
-    image, known = without_gaps(image, seen)
+    seen = _seen(sensor)
+    image, known = without_gaps(across_seam(image, seam_px(sensor)), seen)
     if known is not seen:
         valid = valid & ~touches(seen & ~known, coordinates, order)
         valid.flags.writeable = False
@@ -67,14 +67,23 @@ def unwrap(
 
 @lru_cache(maxsize=8)
 def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Where on the mirror image each pixel of the panorama is sampled, (rows, columns), and whether it can be."""
+    """Where each pixel of the panorama is sampled on the mirror image, continued across its seam if it has one, (rows,
+    columns); and whether it can be.
+    """
     R = np.frombuffer(rotation).reshape(3, 3)
     pixels, in_view = project(sensor, cylinder(grid) @ R.T)
     coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
-    valid = in_view & _all_taps_seen(pixel_directions(sensor)[1], coordinates, order)
+    coordinates[1] += seam_px(sensor)
+    valid = in_view & _all_taps_seen(_seen(sensor), coordinates, order)
     coordinates.flags.writeable = False
     valid.flags.writeable = False
     return coordinates, valid
+
+
+@lru_cache(maxsize=8)
+def _seen(sensor: Sensor) -> NDArray[np.bool_]:
+    """The pixels that the sensor sees, continued across the image's seam if it has one."""
+    return across_seam(pixel_directions(sensor)[1], seam_px(sensor))
 
 
 def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:

@@ -34,8 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.fill import Indices, nearest_known
-from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, unproject
+from harness.camera.fill import Indices, across_seam, nearest_known
+from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, seam_px, unproject
 from harness.display import OneLine
 from harness.evaluation import _bound_kernels
 from harness.geometry.angles import Array, angle_between
@@ -128,7 +128,8 @@ def cramer_rao(
         towards, _ = pixel_directions(sensors[0])
         cell = np.ravel_multi_index((raw.pixel[:, 0], raw.pixel[:, 1]), towards.shape[:2])
         planes, visible = (_scattered(each, raw, cell, towards.shape[:2]) for each in (planes, visible))
-    pixels = _on_one_plane(visible, planes, window_px, goes_round=frame == "panorama")
+    goes_round = frame == "panorama" or seam_px(sensors[0]) > 0
+    pixels = _on_one_plane(visible, planes, window_px, goes_round=goes_round)
     cells = _cells(images, sensors, motion, raw, cell, planes)
     informations, counts = np.zeros((2, *pixels.shape)), np.full((2, *pixels.shape), np.nan)
     for view in range(2):
@@ -138,6 +139,8 @@ def cramer_rao(
     if frame == "mirror":
         nearest, valid_1 = project(sensors[0], x)
         column, row = np.moveaxis(np.rint(np.where(valid_1[..., None], nearest, 0)).astype(np.intp), -1, 0)
+        # The border itself is half a pixel from the last centre, and rounds to one beyond.
+        row, column = np.minimum(row, towards.shape[0] - 1), np.minimum(column, towards.shape[1] - 1)
         pixels = pixels[row, column] & valid_1
         informations, counts = informations[:, row, column], np.where(pixels, counts[:, row, column], np.nan)
     with np.errstate(divide="ignore"):
@@ -252,7 +255,7 @@ def _cells(
     _bound_kernels.add_raw_pixels(
         _spline(images[0], first),
         _spline(images[1], second),
-        raw.pixel,
+        raw.pixel + np.array([0, seam_px(first)]),
         cell,
         omega,
         raw.omega_u,
@@ -260,7 +263,7 @@ def _cells(
         plane,
         R,
         t,
-        pixel_2,
+        pixel_2 + np.array([seam_px(second), 0.0]),
         rays_of(second, u, v),
         (rays_of(second, u + _STEP_PX, v) - rays_of(second, u - _STEP_PX, v)) / (2 * _STEP_PX),
         (rays_of(second, u, v + _STEP_PX) - rays_of(second, u, v - _STEP_PX)) / (2 * _STEP_PX),
@@ -307,14 +310,15 @@ def _raw_pixels(sensor: Sensor, grid: Grid) -> _RawPixels:
 
 
 def _spline(image: Image, sensor: Sensor) -> Array:
-    """Coefficients of the quintic B-spline through an image; pixels that the sensor does not see are filled in.
+    """Coefficients of the quintic B-spline through an image, continued across its seam if it has one; pixels that the
+    sensor does not see are filled in.
 
     Black beyond the rim would ring into the picture.
     """
     shape = (sensor.camera.height_px, sensor.camera.width_px)
     if image.shape != shape:
         raise ValueError(f"the image is {image.shape}, the sensor {shape} (rows, columns)")
-    filled = np.asarray(image, dtype=np.float64)[_nearest_valid(sensor)]
+    filled = across_seam(np.asarray(image, dtype=np.float64)[_nearest_valid(sensor)], seam_px(sensor))
     return np.asarray(ndimage.spline_filter(filled, order=5, mode="mirror"))
 
 

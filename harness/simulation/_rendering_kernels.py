@@ -96,8 +96,9 @@ def rotate_rays(rays, rotation, out):
 
 
 @kernel
-def mark_edges(edges, viewpoint, rotation, camera, lowest, highest, step, marks):
-    """Set `marks [height, width]` in every pixel that an edge may pass through.
+def mark_edges(edges, viewpoint, rotation, camera, lowest, highest, step, goes_round, marks):
+    """Set `marks [height, width]` in every pixel that an edge may pass through; the first column is the last one's
+    neighbour if the image goes round.
 
     An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than 0.9 pixels, so
     that every point of it is within 0.45 of a sample; a sample marks all pixels within REACH of it, its own and often a
@@ -147,6 +148,9 @@ def mark_edges(edges, viewpoint, rotation, camera, lowest, highest, step, marks)
             top, bottom = math.floor(v + 0.5 - REACH), math.floor(v + 0.5 + REACH)
             left, right = math.floor(u + 0.5 - REACH), math.floor(u + 0.5 + REACH)
             for i in range(max(0, top), min(height, bottom + 1)):
+                if goes_round:
+                    marks[i, left % width] = marks[i, right % width] = True
+                    continue
                 for j in range(max(0, left), min(width, right + 1)):
                     marks[i, j] = True
 

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor, parameters_of, pixel_directions, rays_of
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, rays_of, seam_px
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -44,6 +44,8 @@ Image = NDArray[np.float32]
 _RAYS = 1 << 15
 """Rays in flight per thread: few enough for the caches, enough to keep the interpreter's share small."""
 
+_NARROW = 16.0
+"""How much longer the longest side of a pixel may be than the shortest that edges are sampled for."""
 
 _MOST_PER_SIDE = 32
 """Samples along either side of a pixel, at most, where `render.samples` does not ask for more."""
@@ -181,9 +183,11 @@ class _Corners:
     rays: Array
     """`[3, n]`, in the sensor's frame."""
     finest_rad: float
-    """The smallest angle that the side of a pixel spans."""
+    """The smallest angle that the side of a pixel spans, but for narrow ones."""
     coarsest_rad: float
     """The largest."""
+    narrow: NDArray[np.bool_]
+    """`[height, width]`: pixels with a side of less than a sixteenth of that, as next to a panorama's poles."""
 
 
 @lru_cache(maxsize=8)
@@ -194,7 +198,10 @@ def _corners_of(sensor: Sensor) -> _Corners:
     rays = rays_of(sensor, np.asarray(u - 0.5, dtype=np.float64), np.asarray(v - 0.5, dtype=np.float64))
     unit = np.full((*needed.shape, 3), np.nan)
     unit[needed] = (rays / np.linalg.norm(rays, axis=0)).T
-    spans = [np.linalg.norm(np.diff(unit, axis=axis), axis=-1) for axis in (0, 1)]
+    tall, wide = (np.linalg.norm(np.diff(unit, axis=axis), axis=-1) for axis in (0, 1))
+    coarsest = float(max(np.nanmax(tall), np.nanmax(wide)))
+    least = coarsest / _NARROW
+    narrow = np.minimum(np.minimum(tall[:, 1:], tall[:, :-1]), np.minimum(wide[1:], wide[:-1])) < least
     corner = np.flatnonzero(needed)
     index = np.full(needed.size, -1, dtype=np.int32)
     index[corner] = np.arange(corner.size)
@@ -202,8 +209,9 @@ def _corners_of(sensor: Sensor) -> _Corners:
         corner=corner,
         index=index,
         rays=rays,
-        finest_rad=float(min(np.nanmin(span) for span in spans)),
-        coarsest_rad=float(max(np.nanmax(span) for span in spans)),
+        finest_rad=max(float(min(np.nanmin(tall), np.nanmin(wide))), least),
+        coarsest_rad=coarsest,
+        narrow=narrow,
     )
 
 
@@ -231,11 +239,12 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     field = sensor.field
     lowest = math.sin(max(-np.pi / 2, math.radians(field.elevation_min_deg) - 2 * corners.coarsest_rad))
     highest = math.sin(min(np.pi / 2, math.radians(field.elevation_max_deg) + 2 * corners.coarsest_rad))
-    marks = np.zeros(valid.shape, dtype=bool)
+    marks = corners.narrow.copy()  # those are traced, lest edges be sampled ever more closely on their account
+    goes_round = seam_px(sensor) > 0
 
     def mark(start: int) -> None:
         edges = view.geometry.edges[start : start + _RAYS]
-        mark_edges(edges, view.origin, view.rotation, camera, lowest, highest, step, marks)
+        mark_edges(edges, view.origin, view.rotation, camera, lowest, highest, step, goes_round, marks)
 
     if with_edges:
         in_threads(mark, range(0, len(view.geometry.edges), _RAYS), threads)

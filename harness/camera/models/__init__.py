@@ -7,6 +7,7 @@ from pydantic import BeforeValidator, Discriminator, Tag
 from pydantic_core import PydanticKnownError
 
 from harness.camera.models.double_sphere import DoubleSphere
+from harness.camera.models.equirectangular import Equirectangular
 from harness.camera.models.eucm import ExtendedUnified
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.models.kannala_brandt import KannalaBrandt
@@ -21,6 +22,7 @@ BUILT_IN: dict[str, type[CameraModel]] = {
     "double_sphere": DoubleSphere,
     "kannala_brandt": KannalaBrandt,
     "ocam": OCam,
+    "equirectangular": Equirectangular,
 }
 """The settings of every camera model of this program, by `kind`."""
 
@@ -60,6 +62,7 @@ else:
         | Annotated[DoubleSphere, Tag("double_sphere")]
         | Annotated[KannalaBrandt, Tag("kannala_brandt")]
         | Annotated[OCam, Tag("ocam")]
+        | Annotated[Equirectangular, Tag("equirectangular")]
         | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
         Discriminator(_tag),
     ]
@@ -82,6 +85,7 @@ __all__ = [
     "AnyModel",
     "CameraModel",
     "DoubleSphere",
+    "Equirectangular",
     "ExtendedUnified",
     "KannalaBrandt",
     "Mirror",

@@ -32,6 +32,10 @@ class CameraModel(Spec, ABC):
     def parameters(self, camera: Camera, lens: Lens) -> Any:
         """What the compiled functions are given: a named tuple of numbers, of a class of the model's own."""
 
+    def goes_round(self, camera: Camera) -> bool:  # noqa: ARG002
+        """Whether the image goes on across its left and right borders, as a panorama of 360 degrees does."""
+        return False
+
     def refuse_unused(self, camera: Camera, lens: Lens) -> None:
         """Refuse what has been set and would change nothing.
 

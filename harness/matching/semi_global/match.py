@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import ndimage
 
-from harness.camera.fill import touches, without_gaps
-from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.camera.fill import across_seam, touches, without_gaps
+from harness.camera.sensor import Sensor, pixel_directions, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves
 from harness.geometry.panorama import directions
@@ -245,8 +245,8 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
 
     def view(image: NDArray[np.float32], sensor: Sensor, R: Array) -> View:
         coordinates, valid = _sampling_table(sensor, geometry.baseline_grid, R.tobytes())
-        on_sensor = pixel_directions(sensor)[1]
-        image, known = without_gaps(image, on_sensor)
+        on_sensor = across_seam(pixel_directions(sensor)[1], seam_px(sensor))
+        image, known = without_gaps(across_seam(image, seam_px(sensor)), on_sensor)
         if known is not on_sensor:
             gaps = touches(on_sensor & ~known, coordinates, order)
             reach = kernels.REACH + 1  # the blur's
@@ -262,9 +262,12 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
 
 @lru_cache(maxsize=8)
 def _sampling_table(sensor: Sensor, baseline_grid: BaselineGrid, rotation: bytes) -> tuple[Array, NDArray[np.bool_]]:
-    """Where on the mirror image each direction is sampled, (rows, columns), and whether the sensor sees it."""
+    """Where each direction is sampled on the mirror image, continued across its seam if it has one, (rows, columns);
+    and whether the sensor sees it.
+    """
     pixels, valid = project(sensor, baseline_grid.directions @ np.frombuffer(rotation).reshape(3, 3).T)
     coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
+    coordinates[1] += seam_px(sensor)
     coordinates.flags.writeable = False
     valid.flags.writeable = False
     return coordinates, valid

@@ -29,15 +29,16 @@ def _in_view_2(x, y, z, w, R, s, camera):
     """Pixel (u, v) at which view 2 sees the point in direction (x, y, z) at inverse range w, how (u, v) changes with
     w, and whether the point is in the field.
 
-    The point lies along q = R (x - w t) = R x + w s, s = -R t.
+    The point lies along q = R (x - w t) = R x + w s, s = -R t. u counts from the first of the columns that an image
+    which goes round has been continued by.
     """
-    model, lowest, highest = camera
+    model, lowest, highest, seam, _ = camera
     qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + w * s[0]
     qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + w * s[1]
     qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
     norm = math.sqrt(qx * qx + qy * qy + qz * qz)
     u, v, u_w, v_w = move(qx, qy, qz, s[0], s[1], s[2], model)
-    return u, v, u_w, v_w, lowest * norm <= qz <= highest * norm
+    return u + seam, v, u_w, v_w, lowest * norm <= qz <= highest * norm
 
 
 @kernel(inline=True)
@@ -420,7 +421,12 @@ def judge_rows(
                 u_0, v_0 = _on_plane(x[i, j], m, R, s, camera)
                 u_1, v_1 = _on_plane(x[i, j + 1], m, R, s, camera)
                 u_2, v_2 = _on_plane(x[i + 1, j], m, R, s, camera)
-                area[i, j] = 1.0 / abs((u_1 - u_0) * (v_2 - v_0) - (u_2 - u_0) * (v_1 - v_0))
+                right, below = u_1 - u_0, u_2 - u_0
+                turn = camera[4]
+                if turn > 0.0:
+                    right -= turn * math.floor(right / turn + 0.5)
+                    below -= turn * math.floor(below / turn + 0.5)
+                area[i, j] = 1.0 / abs(right * (v_2 - v_0) - below * (v_1 - v_0))
 
 
 @kernel(inline=True)

@@ -31,8 +31,8 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.fill import nearest_known, without_gaps
-from harness.camera.sensor import Sensor, parameters_of, pixel_directions, project, sines_of_field
+from harness.camera.fill import across_seam, nearest_known, without_gaps
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, project, seam_px, sines_of_field
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
@@ -70,6 +70,9 @@ _MEDIAN_REACH = 2
 
 _TEXTURED = 0.25
 """The least texture per pixel that a pixel's surroundings need, as a share of the window's."""
+
+_ACROSS_SEAM = 6
+"""Windows by which an image that goes round is continued on both sides."""
 
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
@@ -121,19 +124,25 @@ def refine_slanted(
         )
     if start_alpha_2.shape != grid.shape:
         raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
-    closed = [without_gaps(image, pixel_directions(each)[1]) for image, each in zip(images, sensors, strict=True)]
+    # Windows, samples and whatever planes are carried over go on across the seam of images that go round.
+    reach = _ACROSS_SEAM * settings.window_px
+    seams = seam_px(sensors[0], reach), seam_px(sensors[1], reach)
+    closed = [
+        without_gaps(across_seam(image, seam), across_seam(pixel_directions(each)[1], seam))
+        for image, each, seam in zip(images, sensors, seams, strict=True)
+    ]
     first, second = (_view(image, known) for image, known in closed)
-    forth_warp = _warp(sensors[0], sensors[1], motion, closed[0][1])
-    back_warp = _warp(sensors[1], sensors[0], _reversed(motion), closed[1][1])
+    forth_warp = _warp(sensors, seams, motion, closed[0][1])
+    back_warp = _warp(sensors[::-1], seams[::-1], _reversed(motion), closed[1][1])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
         start = _start(start_alpha_2, forth_warp, grid)
         forth = _fit(first, second, forth_warp, start, settings, settings.iterations, grid.phi_pitch, pool)
-        start = _transferred(forth, forth_warp, back_warp.valid.shape)
+        start = _transferred(forth, forth_warp, back_warp.valid.shape, seams[1])
         reverse = _fit(second, first, back_warp, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
         samples = _nothing(forth.w.shape)
         _sampled(forth.w, second, forth_warp, samples, pool)
         inflation = _inflation(forth, first, samples, forth_warp, pool)
-    return _matches(forth, reverse, inflation, samples, forth_warp, sensors, grid, settings)
+    return _matches(forth, reverse, inflation, samples, forth_warp, (sensors, seams), grid, settings)
 
 
 # -- Geometry and images -----------------------------------------------------------------------------------------------
@@ -147,18 +156,21 @@ class _Warp:
     R: Array
     s: Array
     """-R t: the derivative of q = R x + w s by the inverse range w."""
-    camera: tuple[Any, float, float]
-    """Of the other view: the camera model's parameters, and the sines of its field's lowest and highest elevation."""
+    camera: tuple[Any, float, float, float, float]
+    """Of the other view: the camera model's parameters, the sines of its field's lowest and highest elevation, and, if
+    its image goes round, how many columns it has been continued by, and how many make a turn; else 0."""
     x: Array
-    """`[height, width, 3]`, unit directions of the first of the two views' mirror pixels."""
+    """`[height, width, 3]`, unit directions of the first of the two views' mirror pixels, continued across the seam."""
     valid: Mask
     """`[height, width]`: pixels of the first of the two that the sensor sees, and that are finite."""
 
 
-def _warp(sensor: Sensor, other: Sensor, motion: Motion, known: Mask) -> _Warp:
-    x, _ = pixel_directions(sensor)
+def _warp(sensors: tuple[Sensor, Sensor], seams: tuple[int, int], motion: Motion, known: Mask) -> _Warp:
+    sensor, other = sensors
+    x = across_seam(pixel_directions(sensor)[0], seams[0])
     t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
-    camera = (parameters_of(other), *sines_of_field(other))
+    turn = float(other.camera.width_px) if seams[1] else 0.0
+    camera = (parameters_of(other), *sines_of_field(other), float(seams[1]), turn)
     return _Warp(t, R, -R @ t, camera, x, known)
 
 
@@ -285,13 +297,13 @@ def _fit(
     return field
 
 
-def _transferred(field: _Field, warp: _Warp, shape: tuple[int, ...]) -> Array:
-    """The field seen from view 2, `shape` its image's; NaN where no point of view 1 falls."""
+def _transferred(field: _Field, warp: _Warp, shape: tuple[int, ...], seam: int) -> Array:
+    """The field seen from view 2, `shape` its image's, continued by `seam`; NaN where no point of view 1 falls."""
     w_2, misfit_2 = np.full(shape, np.nan), np.full(shape, np.inf)
     _kernels.transfer(
         warp.valid, warp.x, field.w, field.residual, field.chosen, warp.R, warp.s, warp.camera, w_2, misfit_2
     )  # fmt: skip
-    return w_2
+    return across_seam(w_2[:, seam : shape[1] - seam], seam)
 
 
 # -- Matches -----------------------------------------------------------------------------------------------------------
@@ -303,13 +315,17 @@ def _matches(
     inflation: Array,
     samples: _Samples,
     warp: _Warp,
-    sensors: tuple[Sensor, Sensor],
+    views: tuple[tuple[Sensor, Sensor], tuple[int, int]],
     grid: Grid,
     settings: Slanted,
 ) -> Matches:
-    """Evaluate the planes in the directions of the panorama's pixels."""
+    """Evaluate the planes in the directions of the panorama's pixels.
+
+    views : the sensors, and how many columns each one's image has been continued by.
+    """
     x, pixel = directions(grid), grid.phi_pitch
-    index, window, w = _read(forth, x, sensors[0])
+    first, second = zip(*views, strict=True)
+    index, window, w = _read(forth, x, *first)
     q = x - w[..., None] * warp.t
     length = np.linalg.norm(q, axis=-1)
     across = np.linalg.norm(np.cross(warp.t, x), axis=-1)
@@ -318,7 +334,7 @@ def _matches(
 
     # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there.
     x_2 = normalise(q @ warp.R.T)
-    _, _, w_2 = _read(reverse, x_2, sensors[1])
+    _, _, w_2 = _read(reverse, x_2, *second)
     apart = np.abs(w_2 - w / length) * across * length
 
     with np.errstate(invalid="ignore"):
@@ -362,14 +378,14 @@ def _blank(
         return density(n).ravel()[index] < expected * density(window_px).ravel()[window]
 
 
-def _read(field: _Field, x: Array, sensor: Sensor) -> tuple[NDArray[np.intp], NDArray[np.int64], Array]:
+def _read(field: _Field, x: Array, sensor: Sensor, seam: int) -> tuple[NDArray[np.intp], NDArray[np.int64], Array]:
     """Flat index of the mirror pixel nearest to each direction, the window that it takes its plane from, and that
     plane's inverse range in the direction itself; NaN where the direction is not seen or there is no plane.
     """
     height, width = field.w.shape
     pixels, valid = project(sensor, x)
     column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
-    index = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
+    index = np.clip(row, 0, height - 1) * width + np.clip(column + seam, 0, width - 1)
     window = field.chosen.ravel()[index]
     w = np.sum(field.plane.reshape(-1, 3)[window] * x, axis=-1)
     return index, window, np.where(valid & (window >= 0), w, np.nan)
