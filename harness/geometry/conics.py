@@ -76,7 +76,7 @@ class Conic(OneLine):
         points = np.asarray(points, dtype=np.float64)
         flat = points.reshape(-1, 1, 2)
         width = 2 * np.pi / _STARTS
-        apart = self._apart(flat, np.arange(_STARTS) * width)
+        apart = self._apart(flat, np.asarray(np.arange(_STARTS) * width, dtype=np.float64))
         # An ellipse may be so thin that its other side is nearer than the next start: every minimum is followed.
         lowest = (apart <= np.roll(apart, 1, axis=1)) & (apart <= np.roll(apart, -1, axis=1))
         best = width * np.argsort(np.where(lowest, apart, np.inf), axis=1)[:, :_MINIMA]
