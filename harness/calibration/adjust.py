@@ -140,7 +140,9 @@ class _Normal:
         n = len(self.right)
         reduced = _enlarged(self.sensor[None], damping)[0] - np.einsum("bij,bik->jk", self.between, solved[..., :n])
         right = self.right - np.einsum("bij,bi->j", self.between, solved[..., n])
-        step = -np.linalg.lstsq(reduced, right, rcond=None)[0] if n else np.zeros(0)
+        # Numbers have units of their own: a polynomial's terms differ by ten orders of magnitude.
+        scale = 1 / np.sqrt(np.maximum(np.diag(self.sensor), 1e-300))
+        step = -scale * np.linalg.lstsq(reduced * np.outer(scale, scale), right * scale, rcond=None)[0]
         pose_step = -(solved[..., n] + solved[..., :n] @ step)
         # Of |J step + r|²: -2 gradient · step - step · (J^T J) step.
         full = (

@@ -33,9 +33,8 @@ def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> Fi
     if circle is not None:
         widest = min(max(_circle_angle_deg(sensor, circle), outermost), outermost + _MOST_BEYOND_DEG)
     narrowest = max(0.0, innermost - _INWARD_DEG) if kind_of(sensor.model) == "hyperboloid" else 0.0
-    least = math.floor(10 * outermost) / 10
     angle = math.floor(10 * widest) / 10
-    while angle > least and not _can_have(sensor, _cone(sensor, narrowest, angle)):
+    while angle > narrowest + 1 and not _can_have(sensor, _cone(sensor, narrowest, angle)):
         angle -= 0.1
     return _cone(sensor, narrowest, angle)
 

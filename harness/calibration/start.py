@@ -5,7 +5,7 @@ The unified model needs no more than xi and a focal length to look like a pinhol
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,6 +64,7 @@ _PLAIN: dict[str, dict[str, Any]] = {
     "eucm": {"alpha": 0.5, "beta": 1.0},
     "double_sphere": {"xi": 0.0, "alpha": 0.5},
     "kannala_brandt": {"k1": 0.0, "k2": 0.0, "k3": 0.0, "k4": 0.0},
+    "ocam": {"coefficients": (-100.0, 0.0, 0.0, 0.0, 0.0)},
 }
 """Values of a model's own keys before anything is known."""
 
@@ -102,8 +103,20 @@ def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle
             best = tried
     if best is None:
         raise InputError("no guess of the camera could be adjusted to the corners")
-    sensor = _converted(template, keys, corners, best.parameters.sensor_at(best.vector))
-    return Start(sensor, poses_for(corners, sensor))
+    found = best.parameters.sensor_at(best.vector)
+    starts = [Start(each, poses_for(corners, each)) for each in _converted(template, keys, corners, found)]
+    return starts[0] if len(starts) == 1 else min(starts, key=lambda each: _cost(corners, each, keys))
+
+
+def _cost(corners: Corners, start: Start, keys: tuple[str, ...]) -> float:
+    """What is left after an adjustment; infinite where there cannot be one."""
+    seen = visible(corners, start.sensor, start.poses)
+    if not seen:
+        return math.inf
+    parameters = Parameters(start.sensor, keys)
+    some, poses = corners.of(seen), start.poses.of(seen)
+    found = adjust(parameters, some, parameters.vector(start.sensor), poses, robust_px=_ROUGH_PX)
+    return math.inf if found is None else found.cost / len(seen)
 
 
 def poses_for(corners: Corners, sensor: Sensor) -> BoardPoses:
@@ -185,53 +198,88 @@ def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
 # --- The models, from a unified one without a lens ---------------------------------------------------------------
 
 
-def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, found: Sensor) -> Sensor:
-    """A sensor of the template's kind near a unified one; the template's own where a key is not among `keys`."""
+def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, found: Sensor) -> list[Sensor]:
+    """Sensors of the template's kind near a unified one; the template's own where a key is not among `keys`."""
     xi: float = found.model.xi  # type: ignore[attr-defined]
     axial = found.camera.focal_px / (1 + xi)
-    outermost = float(np.nanmax(angles_off_axis(found, corners.pixels)))
-    theta = np.linspace(0, outermost, 200)[1:]
-    radius = axial * (1 + xi) * np.sin(theta) / (np.cos(theta) + xi)
-    new = {
-        f"model.{key}": value for key, value in _OWN_KEYS[kind_of(template.model)](template, xi, theta, radius / axial)
-    }
-    sensor = with_values(template, {key: value for key, value in new.items() if key in keys})
-    camera = {f"camera.{name}": getattr(found.camera, name) for name in ("cx_px", "cy_px")}
-    camera["camera.focal_px"] = axial / axial_slope(sensor.model)
-    return with_values(sensor, {key: value for key, value in camera.items() if key in keys})
+    theta = np.linspace(0, float(np.nanmax(angles_off_axis(found, corners.pixels))), 200)[1:]
+    curve = _Curve(xi, theta, axial * (1 + xi) * np.sin(theta) / (np.cos(theta) + xi), axial)
+    sensors = []
+    for own in _OWN_KEYS[kind_of(template.model)](template.model, curve):
+        new = {f"model.{name}": value for name, value in own.items()}
+        sensor = with_values(template, {key: value for key, value in new.items() if key in keys})
+        camera = {f"camera.{name}": getattr(found.camera, name) for name in ("cx_px", "cy_px")}
+        camera["camera.focal_px"] = axial / axial_slope(sensor.model)
+        sensors.append(with_values(sensor, {key: value for key, value in camera.items() if key in keys}))
+    return sensors
 
 
-Own = Iterable[tuple[str, float]]
+@dataclass(frozen=True)
+class _Curve:
+    """A unified model as radii by angles off the axis."""
+
+    xi: float
+    theta: Array
+    radius_px: Array
+    axial_px: float
+    """Pixels to a radian at the axis."""
 
 
-def _of_unified(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001 - one signature
-    return [("xi", xi)]
+Own = Iterator[dict[str, float]]
 
 
-def _of_hyperboloid(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
-    return [("b_m", semi_axis(template.model, min(max(xi, 0.05), 0.99)))]
+def _of_unified(model: Any, curve: _Curve) -> Own:  # noqa: ARG001 - one signature
+    yield {"xi": curve.xi}
 
 
-def _of_eucm(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
-    return [("alpha", xi / (1 + xi)), ("beta", 1.0)]
+def _of_hyperboloid(model: Any, curve: _Curve) -> Own:
+    yield {"b_m": semi_axis(model, min(max(curve.xi, 0.05), 0.99))}
 
 
-def _of_double_sphere(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
-    return [("xi", 0.0), ("alpha", xi / (1 + xi))]
+def _of_eucm(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
+    yield {"alpha": curve.xi / (1 + curve.xi), "beta": 1.0}
 
 
-def _of_kannala_brandt(template: Sensor, xi: float, theta: Array, curve: Array) -> Own:  # noqa: ARG001
-    """The polynomial of the angle nearest to the curve, out to the last corner."""
-    powers = theta[:, None] ** np.array([3, 5, 7, 9])
-    k = np.linalg.lstsq(powers, curve - theta, rcond=None)[0].tolist()
-    return zip(("k1", "k2", "k3", "k4"), k, strict=True)
+def _of_double_sphere(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
+    """Several: the two numbers trade off along a valley with more than one low point.
+
+    At an angle theta, `alpha (d_2 - xi - cos) = (1 + xi) sin/r - xi - cos`, with r in units of the slope at the axis.
+    """
+    sin, cos = np.sin(curve.theta), np.cos(curve.theta)
+    for xi in (0.0, 0.6, 1.2, -0.3):
+        ahead = xi + cos
+        column = np.hypot(sin, ahead) - ahead
+        right = (1 + xi) * sin * curve.axial_px / curve.radius_px - ahead
+        yield {"xi": xi, "alpha": float(np.clip(column @ right / (column @ column), 0.02, 0.98))}
 
 
-_OWN_KEYS: dict[str, Callable[[Sensor, float, Array, Array], Own]] = {
+def _of_kannala_brandt(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
+    """The polynomial of the angle nearest to the curve."""
+    powers = curve.theta[:, None] ** np.array([3, 5, 7, 9])
+    k = np.linalg.lstsq(powers, curve.radius_px / curve.axial_px - curve.theta, rcond=None)[0].tolist()
+    yield dict(zip(("k1", "k2", "k3", "k4"), k, strict=True))
+
+
+def _of_ocam(model: Any, curve: _Curve) -> Own:
+    """The polynomial of the radius whose rays are nearest to the curve's.
+
+    `r cos(theta) - Z(r) sin(theta)`, Z(r) = -(a_0 + a_2 r² + ...), is the distance of (r, Z) from the ray; over r it is
+    an angle.
+    """
+    terms = np.array([i for i in range(len(model.coefficients)) if i != 1])
+    scale = float(curve.radius_px[-1])
+    r = curve.radius_px / scale
+    columns = np.sin(curve.theta)[:, None] * r[:, None] ** (terms - 1.0)
+    a = np.linalg.lstsq(columns, -np.cos(curve.theta), rcond=None)[0] * scale ** (1.0 - terms)
+    yield {f"coefficients[{i}]": each for i, each in zip(terms.tolist(), a.tolist(), strict=True)}
+
+
+_OWN_KEYS: dict[str, Callable[[Any, _Curve], Own]] = {
     "unified": _of_unified,
     "hyperboloid": _of_hyperboloid,
     "eucm": _of_eucm,
     "double_sphere": _of_double_sphere,
     "kannala_brandt": _of_kannala_brandt,
+    "ocam": _of_ocam,
 }
-"""The keys of a model's own that come nearest to a curve: radii, of slope 1 at the axis, of angles theta off it."""
+"""The keys of a model's own that come nearest to a curve; one or more guesses."""

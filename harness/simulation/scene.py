@@ -15,11 +15,12 @@ from harness import shipped
 from harness.errors import InputError
 from harness.files import path_of, printable
 from harness.geometry.pose import Pose
-from harness.simulation.texture import Grey, ImageTexture, Texture
+from harness.simulation.texture import ChessboardTexture, Grey, ImageTexture, Texture
 from harness.spec import Finite, Positive, Spec, parse
 from harness.toml import read_toml
 
 Point = tuple[Finite, Finite, Finite]
+Corners = Annotated[int, Field(ge=2, le=64)]
 BOX_SIDES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
 
@@ -104,6 +105,45 @@ class Plane(_Placed):
     """Texture of both sides."""
 
 
+class Chessboard(_Placed):
+    """A plane board of dark and bright squares to calibrate with, about `position_m` in its own x-y plane, seen from
+    both sides. Columns of corners follow each other along x, rows along y.
+    """
+
+    kind: Literal["chessboard"]
+    """A board of squares."""
+    columns: Corners = 9
+    """Inner corners along x, those where four squares meet."""
+    rows: Corners = 6
+    """Inner corners along y."""
+    square_m: Positive = 0.04
+    """Side of a square, metres."""
+    margin_squares: Annotated[int, Field(ge=0, le=16)] = 1
+    """Width of the bright margin around the squares, in squares."""
+    dark: Grey = 20.0
+    """Grey level of every other square, 0 .. 255."""
+    bright: Grey = 235.0
+    """Grey level of the others and of the margin, 0 .. 255."""
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Extent along x and y, margins included."""
+        squares = self.columns + 1 + 2 * self.margin_squares, self.rows + 1 + 2 * self.margin_squares
+        return squares[0] * self.square_m, squares[1] * self.square_m
+
+    @property
+    def texture(self) -> ChessboardTexture:
+        """What both sides show."""
+        return ChessboardTexture(
+            columns=self.columns,
+            rows=self.rows,
+            square_m=self.square_m,
+            margin_squares=self.margin_squares,
+            dark=self.dark,
+            bright=self.bright,
+        )
+
+
 class Mesh(_Placed):
     """Triangles of a GLB, OBJ or PLY file with its own UV texture.
 
@@ -123,7 +163,7 @@ class Mesh(_Placed):
     mesh's own frame and size, so that it needs no UV."""
 
 
-SceneObject = Annotated[Box | Plane | Mesh, Field(discriminator="kind")]
+SceneObject = Annotated[Box | Plane | Chessboard | Mesh, Field(discriminator="kind")]
 
 
 class Scene(Spec):

@@ -22,7 +22,7 @@ from harness.simulation._rendering_kernels import face_maps
 from harness.simulation.coincident import Rivals, encloses, rivals_of, seen_from
 from harness.simulation.content_cache import cached_by_content
 from harness.simulation.mesh_file import read_mesh
-from harness.simulation.scene import BOX_SIDES, Box, Mesh, Plane, Scene
+from harness.simulation.scene import BOX_SIDES, Box, Chessboard, Mesh, Plane, Scene, SceneObject
 from harness.simulation.texture import Texels, texels_of
 
 Ints = NDArray[np.int32]
@@ -136,12 +136,12 @@ def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.
         patches += own
         object_of_patch += [index] * len(own)
         corners = np.concatenate([patch.corners for patch in own])
-        if not isinstance(thing, Plane) and not thing.inward and _is_watertight(corners):
+        if not isinstance(thing, Plane | Chessboard) and not thing.inward and _is_watertight(corners):
             solids[index] = Solid(name=_name(index, thing), corners=corners)
     return _assemble(scene, np.array(centre), patches, object_of_patch, solids)
 
 
-def _name(index: int, thing: Box | Plane | Mesh) -> str:
+def _name(index: int, thing: SceneObject) -> str:
     return thing.name or f"object {index} ({thing.kind})"
 
 
@@ -273,10 +273,10 @@ def _coincident_objects(geometry: Geometry, viewpoint: Array) -> list[list[str]]
     ]
 
 
-def _patches(thing: Box | Plane | Mesh) -> list[_Patch]:
+def _patches(thing: SceneObject) -> list[_Patch]:
     if isinstance(thing, Box):
         return list(_box_patches(thing))
-    if isinstance(thing, Plane):
+    if isinstance(thing, Plane | Chessboard):
         width, height = thing.size_m
         corner = np.array([-width / 2, -height / 2, 0.0])
         return [_rectangle(corner, np.array([width, 0, 0]), np.array([0, height, 0]), thing.texture)]

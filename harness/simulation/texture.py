@@ -127,6 +127,38 @@ class GreyTexture(Spec):
         return np.full((1, 1), self.value, dtype=np.float32)
 
 
+class ChessboardTexture(Spec):
+    """Dark and bright squares in a bright margin: one tile, the whole board."""
+
+    columns: int
+    """Inner corners along u."""
+    rows: int
+    """Inner corners along v."""
+    square_m: Positive
+    """Side of a square, metres."""
+    margin_squares: int
+    """Width of the margin, squares."""
+    dark: Grey
+    """Grey level of every other square."""
+    bright: Grey
+    """Grey level of the others, and of the margin."""
+
+    @property
+    def tile_m(self) -> float:
+        """Width of the board."""
+        return (self.columns + 1 + 2 * self.margin_squares) * self.square_m
+
+    def texels(self) -> Texels:
+        """Grey `[height, width]`. An edge lies between two texels, so that the grey there is the mean of both sides."""
+        row, column = np.indices(((self.rows + 1) * _SQUARE_TEXELS, (self.columns + 1) * _SQUARE_TEXELS))
+        squares = (row // _SQUARE_TEXELS + column // _SQUARE_TEXELS) % 2 == 0
+        margin = self.margin_squares * _SQUARE_TEXELS
+        return np.pad(np.where(squares, self.dark, self.bright), margin, constant_values=self.bright).astype(np.float32)
+
+
+_SQUARE_TEXELS = 32
+"""Texels along the side of a chessboard's square: its edges are blurred over one of them."""
+
 Texture = Annotated[
     ImageTexture | BundledTexture | NoiseTexture | GreyTexture,
     Field(discriminator="kind"),
@@ -140,7 +172,7 @@ def _read_image(file: str, white: float | None) -> Texels:
 
 
 @cached_by_content(64)
-def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture) -> Texels:
+def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture | ChessboardTexture) -> Texels:
     """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, kept while its file stays the same.
 
     Raises

@@ -1,0 +1,208 @@
+"""Corners in files: CSV, JSON and NPZ of layouts of our own, and the points that OpenCV's calibration samples write."""
+
+import csv
+import io
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.calibration.corners import Corners, corners_of
+from harness.errors import InputError
+from harness.files import read_regular
+from harness.geometry.angles import Array
+from harness.io.calibrations.parsing import read_content
+from harness.io.calibrations.record import Content
+from harness.io.calibrations.values import matrix, member, numbers, refusal
+
+LAYOUT = """\
+CSV   a line for each corner, under the header image,x_m,y_m,u_px,v_px: the image's name, the corner's place on the
+      board in metres, and its pixel; or column,row in place of x_m,y_m, counted from 0 in squares. A first line such
+      as "# 1280 x 960" gives the size of the images.
+JSON  {"width_px": 1280, "height_px": 960, "images": [{"name": "a.png", "points_m": [[x, y], ...],
+      "pixels": [[u, v], ...]}, ...]}
+NPZ   arrays points_m [m, 2], pixels [m, 2] and image [m], a number for each corner; size [2], width and height.
+XML, YAML or JSON of OpenCV, with objectPoints and imagePoints, one matrix for each image.
+"""
+"""The layouts that are read, for people."""
+
+_LIMIT_BYTES = 64 * 2**20
+_OWN, _SQUARES = ("image", "x_m", "y_m", "u_px", "v_px"), ("image", "column", "row", "u_px", "v_px")
+
+
+def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, int] | None = None) -> Corners:
+    """Read corners of any layout of `LAYOUT`.
+
+    Parameters
+    ----------
+    square_m
+        Side of a square of the board, metres; for files that count in squares.
+    size
+        Width and height of the images, where the file does not say.
+
+    Raises
+    ------
+    InputError
+        Names the file and what is wrong.
+    """
+    suffix = file.suffix.lower()
+    if suffix == ".npz":
+        found, own = _from_npz(file)
+    elif suffix in {".csv", ".txt"}:
+        found, own = _from_csv(file, square_m)
+    else:
+        content = read_content(file)
+        found, own = _from_table(content) if "images" in content.table else _from_opencv(content)
+    if own is None and size is None:
+        raise InputError("does not say how large the images are; give --size WIDTH HEIGHT", file=file)
+    if own is not None and size is not None and own != size:
+        raise InputError(f"is of images of {own[0]} x {own[1]} pixels; --size says {size[0]} x {size[1]}", file=file)
+    width, height = own or size or (0, 0)
+    corners = corners_of(found, width, height, file=str(file))
+    outside = ((corners.pixels < -0.5) | (corners.pixels > [width - 0.5, height - 0.5])).any(axis=-1)
+    if outside.any():
+        u, v = corners.pixels[np.flatnonzero(outside)[0]].tolist()
+        name = corners.images[corners.image[np.flatnonzero(outside)[0]]]
+        raise InputError(
+            f"a corner of image '{name}' is at ({u:g}, {v:g}), off an image of {width} x {height} pixels", file=file
+        )
+    return corners
+
+
+def corners_csv(corners: Corners) -> str:
+    """Corners as CSV text that `read_corners` reads back bit for bit."""
+    stream = io.StringIO()
+    stream.write(f"# {corners.width_px} x {corners.height_px}\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_OWN)
+    names = [corners.images[i] for i in corners.image.tolist()]
+    for name, point, pixel in zip(names, corners.points_m.tolist(), corners.pixels.tolist(), strict=True):
+        writer.writerow([name, *map(repr, point), *map(repr, pixel)])
+    return stream.getvalue()
+
+
+Found = tuple[list[tuple[str, Array, Array]], tuple[int, int] | None]
+"""(name, points, pixels) of each image, and the images' size where it is told."""
+
+
+def _from_csv(file: Path, square_m: float | None) -> Found:
+    try:
+        lines = read_regular(file, _LIMIT_BYTES, "corner").decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"cannot be read as a text file ({error})", file=file) from error
+    size = None
+    if lines and lines[0].startswith("#"):
+        told = re.fullmatch(r"#\s*(\d{1,5})\s*x\s*(\d{1,5})\s*", lines[0])
+        size = (int(told[1]), int(told[2])) if told else None
+    rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    header = tuple(each.strip() for each in rows[0][1].split(",")) if rows else ()
+    if header not in (_OWN, _SQUARES):
+        raise InputError(f"begins with '{','.join(header)}'; the header must be {','.join(_OWN)}", file=file)
+    if header == _SQUARES and square_m is None:
+        raise InputError("counts corners in squares; give their side with --square-m", file=file)
+    unit = square_m if header == _SQUARES and square_m else 1.0
+    images: dict[str, list[list[float]]] = {}
+    for number, cells in zip((i for i, _ in rows[1:]), csv.reader(line for _, line in rows[1:]), strict=False):
+        try:
+            name, *values = cells
+            x, y, u, v = map(float, values)
+        except ValueError:
+            raise InputError(
+                f"line {number} must be {','.join(header)}; found '{','.join(cells)}'", file=file
+            ) from None
+        images.setdefault(name.strip(), []).append([x * unit, y * unit, u, v])
+    arrays = {name: np.array(each) for name, each in images.items()}
+    return [(name, each[:, :2], each[:, 2:]) for name, each in arrays.items()], size
+
+
+def _from_npz(file: Path) -> Found:
+    data = read_regular(file, _LIMIT_BYTES, "corner")
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            arrays: dict[str, NDArray[Any]] = {name: stored[name] for name in stored.files}
+    except (ValueError, OSError, BadZipFile, EOFError) as error:
+        raise InputError(f"cannot be read as an NPZ archive ({error})", file=file) from error
+    for name in ("points_m", "pixels", "image"):
+        if name not in arrays:
+            there = ", ".join(arrays) or "none"
+            raise InputError(f"the array '{name}' is missing; there are: {there}", file=file)
+    points, pixels, image = arrays["points_m"], arrays["pixels"], arrays["image"]
+    if points.shape != pixels.shape or points.ndim != 2 or points.shape[1] != 2 or image.shape != points.shape[:1]:
+        raise InputError(
+            f"points_m, pixels and image must be [m, 2], [m, 2] and [m]; found {points.shape}, {pixels.shape} and "
+            f"{image.shape}",
+            file=file,
+        )
+    if not all(np.issubdtype(each.dtype, np.number) for each in (points, pixels)):
+        raise InputError("points_m and pixels must be numbers", file=file)
+    size = arrays.get("size")
+    told = (int(size[0]), int(size[1])) if size is not None and size.shape == (2,) else None
+    return [(str(each), points[image == each], pixels[image == each]) for each in np.unique(image)], told
+
+
+def _from_table(content: Content) -> Found:
+    images, key = member(content, content.table, "images")
+    if not isinstance(images, list):
+        raise refusal(content, key, "must be a list of tables")
+    found = []
+    for i, entry in enumerate(images):
+        if not isinstance(entry, Mapping):
+            raise refusal(content, f"{key}[{i}]", "must be a table")
+        points, pixels = (
+            matrix(content, *member(content, entry, each, f"{key}[{i}]")) for each in ("points_m", "pixels")
+        )
+        if points.shape[1] != 2 or points.shape != pixels.shape:
+            raise refusal(content, f"{key}[{i}]", "points_m and pixels must be as many pairs of numbers")
+        found.append((str(entry.get("name", i)), points, pixels))
+    size = tuple(content.table.get(each) for each in ("width_px", "height_px"))
+    whole = all(isinstance(each, int) and 0 < each < 100_000 for each in size)
+    return found, (size[0], size[1]) if whole else None  # type: ignore[return-value]
+
+
+def _from_opencv(content: Content) -> Found:
+    root = content.table.get("opencv_storage", content.table)
+    lists = {}
+    for name in ("objectPoints", "imagePoints"):
+        value, key = member(content, root, name)
+        if not isinstance(value, list):
+            raise refusal(content, key, "must be a list of matrices, one for each image")
+        lists[name] = [_points(content, each, f"{key}[{i}]") for i, each in enumerate(value)]
+    if len(lists["objectPoints"]) != len(lists["imagePoints"]):
+        raise refusal(content, "imagePoints", "must be as many matrices as objectPoints")
+    found = []
+    for i, (points, pixels) in enumerate(zip(lists["objectPoints"], lists["imagePoints"], strict=True)):
+        if pixels.shape[1] != 2 or len(points) != len(pixels):
+            raise refusal(content, f"imagePoints[{i}]", f"must be {len(points)} pairs of numbers")
+        if points.shape[1] == 3 and np.ptp(points[:, 2]) > 0:
+            raise refusal(content, f"objectPoints[{i}]", "must lie in one plane, z = 0: boards are plane")
+        found.append((str(i), points[:, :2], pixels))
+    return found, None
+
+
+def _points(content: Content, value: Any, key: str) -> Array:
+    """A matrix of points, of one column and several channels, or of one channel."""
+    if isinstance(value, Mapping):
+        data, data_key = member(content, value, "data", key)
+        flat = np.array(numbers(content, data, data_key))
+        kind = str(value.get("dt", "")).strip('"')
+        channels = int(kind[0]) if kind[:1].isdigit() else int(value.get("cols", 1))
+        if channels in {2, 3} and flat.size % channels == 0:
+            return flat.reshape(-1, channels)
+    raise refusal(content, key, "must be a matrix of points of two or three numbers")
+
+
+def corner_tables(corners: Corners) -> list[dict[str, Any]]:
+    """Corners as the list `images` of the JSON layout."""
+    ends = [*corners.starts.tolist(), len(corners.image)]
+    return [
+        {
+            "name": name,
+            "points_m": corners.points_m[ends[i] : ends[i + 1]].tolist(),
+            "pixels": corners.pixels[ends[i] : ends[i + 1]].tolist(),
+        }
+        for i, name in enumerate(corners.images)
+    ]

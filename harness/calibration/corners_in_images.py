@@ -1,0 +1,120 @@
+"""Boards looked for in all images of one camera: first with a rough sensor, then with what the first boards tell."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from harness.calibration.calibrate import calibrate_sensor
+from harness.calibration.circle import Circle, find_circle
+from harness.calibration.corners import Board, Corners, corners_of
+from harness.calibration.detect import Grey8, find_board, rough_sensor
+from harness.camera.sensor import Sensor
+from harness.errors import InputError
+from harness.files import read_regular
+from harness.geometry.angles import Array
+from harness.images import LIMIT_BYTES, decode
+from harness.opencv import opencv, threads
+
+_ENOUGH = 3
+"""Boards from which a sensor is calibrated to look for the others with."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search has found."""
+
+    corners: Corners
+    circle: Circle | None
+    without: tuple[str, ...]
+    """Names of the images in which no board was found."""
+
+
+def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None] = lambda _: None) -> Search:
+    """The corners of a board in images of one camera.
+
+    Parameters
+    ----------
+    tell
+        Called with a line for each image.
+
+    Raises
+    ------
+    InputError
+        When an image cannot be read, has another size than the first, or no board is found in any; when OpenCV is not
+        there.
+    """
+    cv2 = opencv("calibrate", "calibration")
+    names = _names(files)
+    images, circle = _read(files)
+    height, width = images[0].shape
+    sensor = rough_sensor(width, height, circle)
+    found: dict[int, Array] = {}
+    with threads(cv2, 1):  # its own threads cost more than they gain on windows of this size
+        for i, name in enumerate(names):
+            _look(cv2, images, i, board, sensor, found)
+            tell(f"{name} ({i + 1} of {len(names)}): {_said(found, i, board)}")
+        better = _calibrated(found, names, board, (width, height), circle) if len(found) < len(names) else None
+        for i in (i for i in range(len(names)) if i not in found and better is not None):
+            assert better is not None
+            _look(cv2, images, i, board, better, found)
+            tell(f"{names[i]}, looked at again with what the others tell: {_said(found, i, board)}")
+    if not found:
+        raise InputError(
+            f"no board of {board.columns} x {board.rows} inner corners was found in any of {len(files)} images. Count "
+            "the corners where four squares meet, not the squares; the whole board with a white margin must be in the "
+            "image, sharp and evenly lit, its squares at least 10 pixels wide. Or give corners from elsewhere with "
+            "--corners"
+        )
+    places = [(names[i], board.points_m, found[i]) for i in sorted(found)]
+    without = tuple(name for i, name in enumerate(names) if i not in found)
+    return Search(corners_of(places, width, height), circle, without)
+
+
+def _look(cv2: object, images: Sequence[Grey8], i: int, board: Board, sensor: Sensor, found: dict[int, Array]) -> None:
+    pixels = find_board(cv2, images[i], board, sensor)
+    if pixels is not None:
+        found[i] = pixels
+
+
+def _said(found: dict[int, Array], i: int, board: Board) -> str:
+    return f"{board.columns * board.rows} corners" if i in found else "no board"
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """The files' names, with folders where two are alike."""
+    names = [each.name for each in files]
+    return names if len(set(names)) == len(names) else [str(each) for each in files]
+
+
+def _read(files: Sequence[Path]) -> tuple[list[Grey8], Circle | None]:
+    """The images, and the circle in the brightest that each pixel is in any of them."""
+    images: list[Grey8] = []
+    for file in files:
+        grey = decode(read_regular(file, LIMIT_BYTES, "image"), file).grey()
+        images.append(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+        if images[-1].shape != images[0].shape:
+            (rows, columns), (first_rows, first_columns) = images[-1].shape, images[0].shape
+            raise InputError(
+                f"has {columns} x {rows} pixels, the first image {first_columns} x {first_rows}: one camera must have "
+                "taken all",
+                file=file,
+            )
+    brightest = images[0].copy()
+    for image in images[1:]:
+        np.maximum(brightest, image, out=brightest)
+    return images, find_circle(brightest)
+
+
+def _calibrated(
+    found: dict[int, Array], names: Sequence[str], board: Board, size: tuple[int, int], circle: Circle | None
+) -> Sensor | None:
+    """The sensor that the boards found so far tell; None where they tell none."""
+    if len(found) < _ENOUGH:
+        return None
+    corners = corners_of([(names[i], board.points_m, found[i]) for i in sorted(found)], *size)
+    try:
+        return calibrate_sensor(corners, "unified", lens=(), circle=circle).sensor
+    except InputError:
+        return None
