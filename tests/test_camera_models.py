@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.conversions import to_unified
-from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.intrinsics import Camera, FieldEdge
 from harness.camera.lens import Lens
 from harness.camera.models import MODELS, CameraModel
 from harness.camera.models.axial import AxialModel
@@ -80,9 +80,11 @@ class Equiangular(CameraModel):
     """r = f theta, theta from straight down; no lens beside it."""
 
     title: ClassVar[str] = "equiangular lens"
+    looks: ClassVar[str] = "down"
+    mirrored: ClassVar[bool] = True
     kind: Literal["equiangular"] = "equiangular"
 
-    def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:  # noqa: ARG002
+    def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:  # noqa: ARG002
         if not lens.is_pinhole:
             raise ValueError("lens: an equiangular lens has no other distortion")
 

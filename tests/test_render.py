@@ -1,11 +1,14 @@
 """The renderer against closed forms, and its shortcut against tracing every sample."""
 
+import math
+
 import numpy as np
 import pytest
 
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.sensor import Sensor, parameters_of, pixel_directions, project, unproject
+from harness.camera.mount import Mount
+from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, project, unproject
 from harness.geometry.pose import Pose
 from harness.simulation import render as rendering
 from harness.simulation._rendering_kernels import INVALID, TRACE, mark_edges
@@ -17,6 +20,12 @@ from harness.simulation.truth import ranges
 SHIPPED = ("box", "corridor", "room")
 DEFAULT = Sensor()
 SMALL = Sensor(camera=Camera(width_px=320, height_px=240, focal_px=307, cx_px=159.5, cy_px=119.5))
+TILTED = SMALL.model_copy(
+    update={
+        "mount": Mount(yaw_deg=15, pitch_deg=35, roll_deg=-20),
+        "field": FieldOfView(elevation_min_deg=-90, elevation_max_deg=20, angle_max_deg=80),
+    }
+)
 DISTORTED = SMALL.model_copy(update={"lens": Lens(k1=-0.12, k2=0.03, p1=2e-3, p2=-1e-3)})
 POSES = (
     Pose(position_m=(0, 0, 1)),
@@ -110,7 +119,7 @@ def test_few_pixels_are_traced():
         assert np.count_nonzero(faces == TRACE) < share * valid.sum()
 
 
-@pytest.mark.parametrize("sensor", [SMALL, DISTORTED], ids=["small", "distorted"])
+@pytest.mark.parametrize("sensor", [SMALL, DISTORTED, TILTED], ids=["small", "distorted", "tilted"])
 def test_edges_are_marked_where_the_sensor_projects_them(sensor):
     rng = np.random.default_rng(7)
     pose = POSES[2]
@@ -118,8 +127,8 @@ def test_edges_are_marked_where_the_sensor_projects_them(sensor):
     edges = origin + rng.standard_normal((40, 2, 3)) * [1, 1, 0.6]
     marks = np.zeros((240, 320), dtype=bool)
     step = 0.9 * rendering._corners_of(sensor).finest_rad
-    lowest, highest = np.sin(np.radians([-77, 22]))
-    mark_edges(edges, origin, rotation, parameters_of(sensor), lowest, highest, step, False, marks)
+    field = field_of(sensor, math.radians(2))
+    mark_edges(edges, origin, rotation, parameters_of(sensor), field, step, False, marks)
     share = np.linspace(0, 1, 20_000)[:, None, None]
     points = (edges[:, 0] * (1 - share) + edges[:, 1] * share).reshape(-1, 3)
     pixels, valid = project(sensor, (points - origin) @ rotation)

@@ -1,7 +1,7 @@
 """The one compiled projection. Which camera model's it is follows from the type of its parameters.
 
-Compiled code calls `project` and `move`; numba puts the model's own functions in their place when it compiles. So loops
-are written once, and are compiled for each model as if written for it.
+Compiled code calls `project`, `move` and `rays`; numba puts the model's own functions in their place when it compiles.
+So loops are written once, and are compiled for each model as if written for it.
 """
 
 import math
@@ -48,6 +48,11 @@ def move(x, y, z, dx, dy, dz, camera):
     return compiled_model(type(camera)).move(x, y, z, dx, dy, dz, camera)
 
 
+def rays(u, v, camera, x, y, z):
+    """See `CompiledModel.rays`. For compiled code."""
+    compiled_model(type(camera)).rays(u, v, camera, x, y, z)
+
+
 @overload(project)
 def _project_of(x, y, z, camera):  # noqa: ARG001 - numba goes by their names
     of_model = compiled_model(camera.instance_class).project
@@ -64,6 +69,16 @@ def _move_of(x, y, z, dx, dy, dz, camera):  # noqa: ARG001 - numba goes by their
 
     def chosen(x, y, z, dx, dy, dz, camera):
         return of_model(x, y, z, dx, dy, dz, camera)
+
+    return chosen
+
+
+@overload(rays)
+def _rays_of(u, v, camera, x, y, z):  # noqa: ARG001 - numba goes by their names
+    of_model = compiled_model(camera.instance_class).rays
+
+    def chosen(u, v, camera, x, y, z):
+        of_model(u, v, camera, x, y, z)
 
     return chosen
 

@@ -1,6 +1,7 @@
-"""What all camera models share: the image and its intrinsic parameters, and the cone that is seen."""
+"""What all camera models share: the image and its intrinsic parameters, and the field of view."""
 
-from typing import Annotated
+import math
+from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
@@ -37,16 +38,38 @@ class Camera(Spec):
 
 
 class FieldOfView(Spec):
-    """The cone of directions that the sensor sees."""
+    """The directions that the sensor sees, before it is tilted by its mount."""
 
     elevation_min_deg: Finite = -75.0
     """Lowest elevation seen, degrees. Below it the camera sees itself: one of 20 mm radius at F1, 73 mm below F0,
     hides what is under -75°."""
     elevation_max_deg: Finite = 20.0
     """Elevation at which the mirror ends, degrees: +20° puts its rim 238 px from the centre, just inside 480 rows."""
+    angle_max_deg: Annotated[float, Field(gt=0, le=180)] = 180.0
+    """Largest angle off the optical axis that is seen, degrees; 180 for no limit beside those of elevation."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "FieldOfView":
         if not -90 <= self.elevation_min_deg < self.elevation_max_deg <= 90:
             raise ValueError("elevation_min_deg must be below elevation_max_deg, both within -90 .. 90")
         return self
+
+
+class FieldEdge(NamedTuple):
+    """The largest angle off the optical axis that a field of view includes, and the key that sets it."""
+
+    angle_deg: float
+    key: str
+    value: float
+
+    @property
+    def said(self) -> str:
+        """The key and its value, for messages: `field.elevation_max_deg = 20`."""
+        return f"field.{self.key} = {self.value:g}"
+
+    def remedy(self, angle_deg: float) -> str:
+        """What keeps the field within an angle off the optical axis, for messages: `use at most 15.25`."""
+        if self.key == "elevation_min_deg":
+            return f"use at least {math.ceil((90 - angle_deg) * 100) / 100:g}"
+        most = angle_deg - 90 if self.key == "elevation_max_deg" else angle_deg
+        return f"use at most {math.floor(most * 100) / 100:g}"

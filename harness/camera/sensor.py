@@ -4,6 +4,7 @@ How a direction becomes a pixel is the model's affair (`harness.camera.models`).
 pixel [v, u] is at the integers (u, v).
 """
 
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AliasChoices, Field, model_validator
 
+from harness.camera._field_kernels import FieldLimits
+from harness.camera._mounted_kernels import MountedCamera
 from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.models import AnyModel, Mirror
+from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
 from harness.geometry.angles import Array
 from harness.spec import Spec, load
 
@@ -30,11 +34,23 @@ class Sensor(Spec):
     lens: Lens = Lens()
     """The distortion of the camera's lens."""
     field: FieldOfView = FieldOfView()
-    """The cone of directions that the sensor sees."""
+    """The directions that the sensor sees."""
+    mount: Mount = Mount()
+    """How the camera is mounted."""
+
+    @property
+    def looks(self) -> Looks:
+        """Where the optical axis points before the sensor is tilted."""
+        return self.mount.looks or self.model.looks
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the image is a mirror image."""
+        return self.model.mirrored if self.mount.mirrored is None else self.mount.mirrored
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
-        self.model.check(self.camera, self.lens, self.field)
+        self.model.check(self.camera, self.lens, edge_of(self.field, self.looks))
         return self
 
 
@@ -133,10 +149,18 @@ def rays_of(sensor: Sensor, u: Array, v: Array) -> Array:
 def in_field(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
     """Whether directions `[..., 3]` (any length) lie in the cone that the sensor sees."""
     directions = np.asarray(directions, dtype=np.float64)
-    lowest, highest = sines_of_field(sensor)
+    field = field_of(sensor)
     with np.errstate(invalid="ignore", divide="ignore"):
-        sine = directions[..., 2] / np.linalg.norm(directions, axis=-1)
-        return (sine >= lowest) & (sine <= highest)
+        norm = np.linalg.norm(directions, axis=-1)
+        sine = _along(directions, field.up_x, field.up_y, field.up_z) / norm
+        seen = (sine >= field.lowest) & (sine <= field.highest)
+        if field.nearest > -1:
+            seen &= _along(directions, field.axis_x, field.axis_y, field.axis_z) / norm >= field.nearest
+        return seen
+
+
+def _along(directions: Array, x: float, y: float, z: float) -> Array:
+    return directions[..., 2] if (x, y, z) == (0, 0, 1) else directions @ np.array([x, y, z])
 
 
 def on_image(sensor: Sensor, pixels: ArrayLike) -> np.ndarray:
@@ -168,11 +192,41 @@ def seam_px(sensor: Sensor, reach_px: int = 32) -> int:
 
 @lru_cache(maxsize=64)
 def parameters_of(sensor: Sensor) -> Any:
-    """What the compiled projection is given: the named tuple of the sensor's camera model."""
-    return sensor.model.parameters(sensor.camera, sensor.lens)
+    """What the compiled projection is given: the camera model's named tuple, or that of a `MountedCamera` around it."""
+    model = sensor.model.parameters(sensor.camera, sensor.lens)
+    R = model_from_sensor(sensor)
+    return model if np.array_equal(R, np.eye(3)) else MountedCamera(*(*R.ravel().tolist(), model))
 
 
-def sines_of_field(sensor: Sensor) -> tuple[float, float]:
-    """Sines of the lowest and the highest elevation that the sensor sees."""
-    lowest, highest = np.sin(np.radians([sensor.field.elevation_min_deg, sensor.field.elevation_max_deg])).tolist()
-    return lowest, highest
+def model_from_sensor(sensor: Sensor) -> Array:
+    """`[3, 3]`, orthogonal: turns directions of the sensor's frame into the camera model's own."""
+    model = sensor.model
+    return (
+        camera_from_sensor(model.looks, mirrored=model.mirrored).T
+        @ camera_from_sensor(sensor.looks, mirrored=sensor.mirrored)
+        @ sensor.mount.R_sensor_from_untilted.T
+    )
+
+
+@lru_cache(maxsize=64)
+def field_of(sensor: Sensor, margin_rad: float = 0.0) -> FieldLimits:
+    """The field of view as compiled loops take it.
+
+    Parameters
+    ----------
+    margin_rad
+        By how much it is widened to all sides.
+    """
+    field, margin_deg = sensor.field, math.degrees(margin_rad)
+    lowest, highest = field.elevation_min_deg - margin_deg, field.elevation_max_deg + margin_deg
+    nearest = field.angle_max_deg + margin_deg
+    up = sensor.mount.R_sensor_from_untilted[:, 2]
+    axis = sensor.mount.R_sensor_from_untilted @ camera_from_sensor(sensor.looks, mirrored=sensor.mirrored)[2]
+    return FieldLimits(
+        # Straight up and down, a rounding may make the sine larger than 1.
+        float(np.sin(np.radians(lowest))) if lowest > -90 else -2.0,
+        float(np.sin(np.radians(highest))) if highest < 90 else 2.0,
+        float(np.cos(np.radians(nearest))) if nearest < 180 else -2.0,
+        *up.tolist(),
+        *axis.tolist(),
+    )

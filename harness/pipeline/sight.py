@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from harness.camera.lens import Lens
-from harness.camera.sensor import Sensor, in_field, pixel_directions, project
+from harness.camera.sensor import Sensor, field_of, in_field, pixel_directions, project
 from harness.errors import InputError, Notice
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, cylinder
@@ -104,11 +104,15 @@ def _blind(sensor: Sensor, grid: Grid, key: str) -> InputError:
 
 def _z(sensor: Sensor) -> str:
     """What the sensor's field spans on the cylinder."""
-    field = sensor.field
-    return " .. ".join(
-        f"{np.tan(np.radians(np.clip(each, -89.9, 89.9))):.2f}"
-        for each in (field.elevation_min_deg, field.elevation_max_deg)
-    )
+    lowest, highest = sensor.field.elevation_min_deg, sensor.field.elevation_max_deg
+    limits = field_of(sensor)
+    if limits.up_z != 1 or limits.nearest > -1:  # tilted, or a cone: every half degree of elevation, 5 of azimuth
+        elevations, azimuths = np.radians(np.arange(-90, 90.5, 0.5))[:, None], np.radians(np.arange(0, 360, 5))
+        x, y = np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths)
+        around = np.stack([x, y, np.broadcast_to(np.sin(elevations), x.shape)], axis=-1)
+        seen = np.degrees(elevations[in_field(sensor, around).any(axis=1), 0])
+        lowest, highest = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
+    return " .. ".join(f"{np.tan(np.radians(np.clip(each, -89.9, 89.9))):.2f}" for each in (lowest, highest))
 
 
 _IDENTITY = np.eye(3).tobytes()

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import project
 from harness.compiled import kernel
 
@@ -96,13 +97,13 @@ def rotate_rays(rays, rotation, out):
 
 
 @kernel
-def mark_edges(edges, viewpoint, rotation, camera, lowest, highest, step, goes_round, marks):
+def mark_edges(edges, viewpoint, rotation, camera, field, step, goes_round, marks):
     """Set `marks [height, width]` in every pixel that an edge may pass through; the first column is the last one's
     neighbour if the image goes round.
 
     An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than 0.9 pixels, so
     that every point of it is within 0.45 of a sample; a sample marks all pixels within REACH of it, its own and often a
-    neighbour. `lowest` and `highest` are sines of elevation, beyond which nothing is seen.
+    neighbour. Beyond `field` nothing is seen.
     """
     height, width = marks.shape
     for k in range(edges.shape[0]):
@@ -118,8 +119,11 @@ def mark_edges(edges, viewpoint, rotation, camera, lowest, highest, step, goes_r
         if p == 0.0 or q == 0.0:
             continue
         px, py, pz, qx, qy, qz = px / p, py / p, pz / p, qx / q, qy / q, qz / q
-        # A cap about the pole is convex: an arc whose ends are in it stays in it.
-        if min(pz, qz) > max(highest, 0.0) or max(pz, qz) < min(lowest, 0.0):
+        # A cap of less than half the sphere is convex: an arc whose ends are in it stays in it.
+        p_up, q_up = along_up(px, py, pz, field), along_up(qx, qy, qz, field)
+        if min(p_up, q_up) > max(field.highest, 0.0) or max(p_up, q_up) < min(field.lowest, 0.0):
+            continue
+        if max(along_axis(px, py, pz, field), along_axis(qx, qy, qz, field)) < min(field.nearest, 0.0):
             continue
         mx, my, mz = px + qx, py + qy, pz + qz
         m = math.sqrt(mx * mx + my * my + mz * mz)
@@ -434,20 +438,21 @@ def _continued(range_m, normal, direction, other):
 
 
 @kernel
-def in_view(directions, rotation, camera, lowest, highest, width, height, out):
+def in_view(directions, rotation, camera, field, width, height, out):
     """Write whether world directions `[n, 3]` fall into a sensor's field and onto its image.
 
-    As `harness.camera.sensor.project` says it. `rotation` turns the sensor's frame into the world's; `lowest` and
-    `highest` are sines of elevation.
+    As `harness.camera.sensor.project` says it. `rotation` turns the sensor's frame into the world's.
     """
     for i in range(out.size):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
         y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
         z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        sine = z / math.sqrt(x * x + y * y + z * z)
+        norm = math.sqrt(x * x + y * y + z * z)
         out[i] = False
-        if not lowest <= sine <= highest:
+        if not field.lowest <= along_up(x, y, z, field) / norm <= field.highest:
+            continue
+        if not along_axis(x, y, z, field) / norm >= field.nearest:
             continue
         u, v, inside = project(x, y, z, camera)
         out[i] = inside and -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5

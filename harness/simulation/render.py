@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor, parameters_of, pixel_directions, rays_of, seam_px
+from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, rays_of, seam_px
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -236,15 +236,13 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     camera = parameters_of(sensor)
     step = 0.9 * corners.finest_rad
     # Beyond the field by two pixels: those at the rim reach out with their corners.
-    field = sensor.field
-    lowest = math.sin(max(-np.pi / 2, math.radians(field.elevation_min_deg) - 2 * corners.coarsest_rad))
-    highest = math.sin(min(np.pi / 2, math.radians(field.elevation_max_deg) + 2 * corners.coarsest_rad))
+    field = field_of(sensor, margin_rad=2 * corners.coarsest_rad)
     marks = corners.narrow.copy()  # those are traced, lest edges be sampled ever more closely on their account
     goes_round = seam_px(sensor) > 0
 
     def mark(start: int) -> None:
         edges = view.geometry.edges[start : start + _RAYS]
-        mark_edges(edges, view.origin, view.rotation, camera, lowest, highest, step, goes_round, marks)
+        mark_edges(edges, view.origin, view.rotation, camera, field, step, goes_round, marks)
 
     if with_edges:
         in_threads(mark, range(0, len(view.geometry.edges), _RAYS), threads)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.sensor import Sensor, parameters_of, sines_of_field
+from harness.camera.sensor import Sensor, field_of, parameters_of
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -133,14 +133,12 @@ def truth(
 
 def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
     """Whether world directions `[n, 3]` are in the field and on the image of a sensor: the mask of `project` alone."""
-    lowest, highest = sines_of_field(sensor)
     out = np.empty(len(directions), dtype=bool)
     in_view(
         directions,
         pose.R_world_from_view,
         parameters_of(sensor),
-        lowest,
-        highest,
+        field_of(sensor),
         sensor.camera.width_px,
         sensor.camera.height_px,
         out,

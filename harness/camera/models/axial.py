@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from scipy.optimize import brentq
 
-from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.intrinsics import Camera, FieldEdge
 from harness.camera.lens import Lens
 from harness.camera.models.model import CameraModel
 
@@ -62,13 +62,12 @@ class AxialModel(CameraModel):
             return most
         return float(brentq(lambda angle: self.radius(angle, lens) - last, 0.0, most))
 
-    def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:
+    def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
         """Refuse keys that the model has no use for, and a field that reaches beyond its domain."""
         self.refuse_unused(camera, lens)
         largest = math.degrees(self.largest_angle_rad(camera, lens))
-        if 90 - field.elevation_min_deg > largest:
+        if edge.angle_deg > largest:
             raise ValueError(
-                f"field.elevation_min_deg = {field.elevation_min_deg:g} is {90 - field.elevation_min_deg:g} deg off "
-                f"the optical axis; beyond {largest:.2f} deg {self.domain(camera, lens).why}; "
-                f"use at least {math.ceil((90 - largest) * 100) / 100:g}"
+                f"{edge.said} is {edge.angle_deg:g} deg off the optical axis; beyond {largest:.2f} deg "
+                f"{self.domain(camera, lens).why}; {edge.remedy(largest)}"
             )

@@ -15,9 +15,10 @@ import math
 from typing import ClassVar, Literal, NamedTuple
 
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
-from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.intrinsics import Camera, FieldEdge
 from harness.camera.lens import Lens
 from harness.camera.models.model import CameraModel
+from harness.camera.mount import Looks
 from harness.compiled import kernel
 
 _SLACK_PX = 0.01
@@ -28,12 +29,13 @@ class Equirectangular(CameraModel):
     """A panorama in longitude and latitude."""
 
     title: ClassVar[str] = "equirectangular camera"
+    looks: ClassVar[Looks] = "forward"
     unused: ClassVar[tuple[str, ...]] = ("skew_px",)
 
     kind: Literal["equirectangular"] = "equirectangular"
     """A panorama in longitude and latitude."""
 
-    def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:  # noqa: ARG002
+    def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:  # noqa: ARG002
         """Refuse keys without a meaning, an image of more than one turn, and one that goes on beyond a pole."""
         self.refuse_unused(camera, lens)
         if camera.width_px > 2 * math.pi * camera.focal_px + _SLACK_PX:

@@ -20,9 +20,10 @@ from pydantic import model_validator
 
 from harness.camera._lens_kernels import bend, move_bent, unbend
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
-from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.intrinsics import Camera, FieldEdge
 from harness.camera.lens import Lens, fold_radius, least_bent_radius
 from harness.camera.models.model import CameraModel
+from harness.camera.mount import Looks
 from harness.compiled import kernel
 from harness.geometry.angles import Array
 from harness.spec import Positive
@@ -37,6 +38,8 @@ class Mirror(CameraModel):
 
     title: ClassVar[str] = "hyperboloid mirror"
     has_lens: ClassVar[bool] = True
+    looks: ClassVar[Looks] = "down"
+    mirrored: ClassVar[bool] = True
 
     kind: Literal["hyperboloid"] = "hyperboloid"
     """The camera model."""
@@ -63,15 +66,15 @@ class Mirror(CameraModel):
         """Elevation that no point of the mirror reaches: the surface's asymptote, in radians."""
         return math.asin(self.a_m / self.e_m)
 
-    def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:
+    def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
         """Refuse a field that reaches beyond the mirror's asymptote, or to where the lens folds the image over."""
-        asymptote = math.degrees(self.asymptote_rad)
-        if field.elevation_max_deg >= asymptote - 0.01:
+        elevation_deg, asymptote_deg = edge.angle_deg - 90, math.degrees(self.asymptote_rad)
+        if elevation_deg >= asymptote_deg - 0.01:
             raise ValueError(
-                f"field.elevation_max_deg = {field.elevation_max_deg:g} is beyond the mirror's asymptote, "
-                f"asin(a/e) = {asymptote:.2f} deg; lower it or use a mirror with a larger a_m / b_m"
+                f"{edge.said} is beyond the mirror's asymptote, asin(a/e) = {asymptote_deg:.2f} deg; "
+                f"{edge.remedy(90 + asymptote_deg - 0.01)}, or a mirror with a larger a_m / b_m"
             )
-        rim, fold = rim_radius(self, field), fold_radius(lens)
+        rim, fold = rim_radius(self, elevation_deg), fold_radius(lens)
         # Some pixels more than the rim, on the image too: the corners of the outermost pixels are unprojected.
         folds = rim + 2 / camera.focal_px >= fold
         if math.isfinite(fold) and not folds:
@@ -81,7 +84,7 @@ class Mirror(CameraModel):
             raise ValueError(
                 f"lens: the distortion folds the image over at radius {fold:.3f} of the undistorted image, "
                 f"{'inside' if fold < rim else 'next to'} the mirror's rim at {rim:.3f}; use weaker coefficients or "
-                "a lower field.elevation_max_deg"
+                "a smaller field"
             )
 
     def parameters(self, camera: Camera, lens: Lens) -> "HyperboloidCamera":
@@ -142,9 +145,9 @@ def point_on_mirror(mirror: Mirror, directions: ArrayLike) -> Array:
         return scale[..., None] * d
 
 
-def rim_radius(mirror: Mirror, field: FieldOfView) -> float:
-    """Undistorted radius of the mirror's rim in normalised image coordinates, `r/(z + 2e)`."""
-    elevation = math.radians(field.elevation_max_deg)
+def rim_radius(mirror: Mirror, elevation_deg: float) -> float:
+    """Undistorted radius of a rim at this elevation in normalised image coordinates, `r/(z + 2e)`."""
+    elevation = math.radians(elevation_deg)
     x, _, z = point_on_mirror(mirror, [math.cos(elevation), 0.0, math.sin(elevation)])
     return float(x / (z + 2 * mirror.e_m))
 

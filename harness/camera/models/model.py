@@ -3,8 +3,9 @@
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
-from harness.camera.intrinsics import Camera, FieldOfView
+from harness.camera.intrinsics import Camera, FieldEdge
 from harness.camera.lens import Lens
+from harness.camera.mount import Looks
 from harness.spec import Spec
 
 
@@ -17,10 +18,14 @@ class CameraModel(Spec, ABC):
     """The keys of `camera` that the model has no use for."""
     has_lens: ClassVar[bool] = False
     """Whether the terms of `lens` bend what the model projects."""
+    looks: ClassVar[Looks] = "up"
+    """Where the optical axis points in the model's own frame."""
+    mirrored: ClassVar[bool] = False
+    """Whether the model's images are mirror images."""
 
     @abstractmethod
-    def check(self, camera: Camera, lens: Lens, field: FieldOfView) -> None:
-        """Refuse a field that lies outside the model's domain.
+    def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
+        """Refuse a field of view whose edge lies outside the model's domain.
 
         Raises
         ------

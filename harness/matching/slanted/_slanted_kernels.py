@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
 from harness.camera._spline_kernels import cubic_slopes, cubic_weights
 from harness.compiled import kernel
@@ -32,13 +33,14 @@ def _in_view_2(x, y, z, w, R, s, camera):
     The point lies along q = R (x - w t) = R x + w s, s = -R t. u counts from the first of the columns that an image
     which goes round has been continued by.
     """
-    model, lowest, highest, seam, _ = camera
+    model, field, seam, _ = camera
     qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + w * s[0]
     qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + w * s[1]
     qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
     norm = math.sqrt(qx * qx + qy * qy + qz * qz)
     u, v, u_w, v_w = move(qx, qy, qz, s[0], s[1], s[2], model)
-    return u + seam, v, u_w, v_w, lowest * norm <= qz <= highest * norm
+    up, along = along_up(qx, qy, qz, field), along_axis(qx, qy, qz, field)
+    return u + seam, v, u_w, v_w, field.lowest * norm <= up <= field.highest * norm and along >= field.nearest * norm
 
 
 @kernel(inline=True)
@@ -422,7 +424,7 @@ def judge_rows(
                 u_1, v_1 = _on_plane(x[i, j + 1], m, R, s, camera)
                 u_2, v_2 = _on_plane(x[i + 1, j], m, R, s, camera)
                 right, below = u_1 - u_0, u_2 - u_0
-                turn = camera[4]
+                turn = camera[3]
                 if turn > 0.0:
                     right -= turn * math.floor(right / turn + 0.5)
                     below -= turn * math.floor(below / turn + 0.5)

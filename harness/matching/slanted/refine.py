@@ -31,8 +31,9 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from harness.camera._field_kernels import FieldLimits
 from harness.camera.fill import across_seam, nearest_known, without_gaps
-from harness.camera.sensor import Sensor, parameters_of, pixel_directions, project, seam_px, sines_of_field
+from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, project, seam_px
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
@@ -156,9 +157,9 @@ class _Warp:
     R: Array
     s: Array
     """-R t: the derivative of q = R x + w s by the inverse range w."""
-    camera: tuple[Any, float, float, float, float]
-    """Of the other view: the camera model's parameters, the sines of its field's lowest and highest elevation, and, if
-    its image goes round, how many columns it has been continued by, and how many make a turn; else 0."""
+    camera: tuple[Any, FieldLimits, float, float]
+    """Of the other view: the camera model's parameters, the limits of its field, and, if its image goes round, how many
+    columns it has been continued by, and how many make a turn; else 0."""
     x: Array
     """`[height, width, 3]`, unit directions of the first of the two views' mirror pixels, continued across the seam."""
     valid: Mask
@@ -170,7 +171,7 @@ def _warp(sensors: tuple[Sensor, Sensor], seams: tuple[int, int], motion: Motion
     x = across_seam(pixel_directions(sensor)[0], seams[0])
     t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
     turn = float(other.camera.width_px) if seams[1] else 0.0
-    camera = (parameters_of(other), *sines_of_field(other), float(seams[1]), turn)
+    camera = (parameters_of(other), field_of(other), float(seams[1]), turn)
     return _Warp(t, R, -R @ t, camera, x, known)
 
 
