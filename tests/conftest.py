@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import signal
 
 import pytest
 from hypothesis import settings
@@ -37,6 +38,12 @@ def module(tmp_path, monkeypatch):
         return name
 
     return write
+
+
+def pytest_configure():
+    # A shell has what it runs in the background ignore Ctrl-C, and so all that is started there: tests press it.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # --- A test is slow by measured time ------------------------------------------------------------------------------
