@@ -31,6 +31,9 @@ LIMIT_BYTES = 2**29
 LIMIT_PX = 2**26
 """The largest number of pixels that is decoded, 8192 x 8192."""
 
+_DIM = 1 / 8
+"""A share of white: where no level reaches it, three bits or more may hold nothing, as in a file of 12 bits in 16."""
+
 _LUMA = np.array([0.299, 0.587, 0.114])
 _BLOCK_ROWS = 256
 """Rows that are converted at a time, so that a large image needs no second copy in double precision."""
@@ -170,6 +173,8 @@ def _scaled(
             f"has levels {low:g} .. {high:g}, outside 0 .. {chosen:g}; {key} says which level is white", file=file
         )
     told = f"as {key} says" if white is not None else "by the file's type"
+    if white is None and levels.dtype.kind != "f" and chosen > 255 and high <= _DIM * chosen:
+        told += f"; no level is above {high:g}: if white is less than {chosen:g}, give {key}"
     return Picture(levels, float(chosen), f"{kind}, white is {chosen:g} ({told})")
 
 

@@ -155,6 +155,16 @@ def test_large_files_are_not_read(tmp_path, monkeypatch):
         texels_of(ImageTexture(kind="image", file=str(tmp_path / "a.png"), tile_m=1))
 
 
+@pytest.mark.parametrize(("brightest", "said"), [(8191, True), (8192, False)])
+def test_a_dim_image_stays_dim_and_its_brightest_level_is_said(brightest, said):
+    """16 bits, of which three hold nothing: no guess is made, and the key that helps is named."""
+    levels = np.minimum(EIGHT.astype(np.uint16) * 257, brightest)
+    levels.flat[0] = brightest
+    picture = decode(encoded(levels), "l.png", key="--bits")
+    assert picture.white == 65535
+    assert (f"no level is above {brightest}: if white is less than 65535, give --bits" in picture.scale) == said
+
+
 def test_the_command_says_how_levels_were_read(tmp_path, capsys):
     sensor = Sensor(camera=Camera(width_px=80, height_px=60, focal_px=76.7, cx_px=39.5, cy_px=29.5))
     (tmp_path / "s.toml").write_text(dump_toml(sensor))
