@@ -33,7 +33,10 @@ What there is
 run, open_results
     An experiment's trials: `RunResult` with `trials`, `summary`, `settings`, `outcome(...)`, `report(...)`.
 load_experiment, load_scene, load_sensor
-    From shipped names, files or tables: `Experiment`, `Scene`, `Sensor`.
+    From shipped names, files or tables: `Experiment`, `Scene`, `Sensor`. A sensor also from another program's
+    calibration.
+describe_sensor, convert_sensor, load_motion
+    What a sensor sees; its calibration in another program's format; the motion between the cameras of a calibration.
 render, estimate_range, estimate_motion
     `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images. `MotionEstimate`: how they
     stand to each other, and its `Status`.
@@ -59,11 +62,12 @@ from typing import TYPE_CHECKING, Any
 from harness.version import __version__
 
 if TYPE_CHECKING:
-    from harness.api.loading import load_experiment, load_scene, load_sensor
+    from harness.api.loading import load_experiment, load_motion, load_scene, load_sensor
     from harness.api.motion import MotionEstimate, Status, estimate_motion
     from harness.api.ranging import RangeEstimate, estimate_range
     from harness.api.results import RunResult, open_results
     from harness.api.running import run
+    from harness.api.sensors import convert_sensor, describe_sensor
     from harness.api.settings import settings
     from harness.api.views import render
     from harness.camera.intrinsics import Camera, FieldOfView
@@ -107,9 +111,12 @@ __all__ = [
     "Trial",
     "TrialMaps",
     "__version__",
+    "convert_sensor",
+    "describe_sensor",
     "estimate_motion",
     "estimate_range",
     "load_experiment",
+    "load_motion",
     "load_scene",
     "load_sensor",
     "open_results",
@@ -123,11 +130,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "api.loading": ("load_experiment", "load_scene", "load_sensor"),
+    "api.loading": ("load_experiment", "load_motion", "load_scene", "load_sensor"),
     "api.motion": ("MotionEstimate", "Status", "estimate_motion"),
     "api.ranging": ("RangeEstimate", "estimate_range"),
     "api.results": ("RunResult", "open_results"),
     "api.running": ("run",),
+    "api.sensors": ("convert_sensor", "describe_sensor"),
     "api.settings": ("settings",),
     "api.views": ("render",),
     "camera.intrinsics": ("Camera", "FieldOfView"),

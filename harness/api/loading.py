@@ -4,8 +4,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from harness.camera import sensor as _sensor
+from harness.camera.mount import Looks
 from harness.camera.sensor import Sensor
+from harness.errors import InputError
+from harness.geometry.pose import Motion
+from harness.io.calibrations import read_calibration
+from harness.io.calibrations.rigs import motion_between
+from harness.io.calibrations.sensors import Chosen, sensor_of_table
+from harness.io.calibrations.sensors import load_sensor as load_calibrated_sensor
 from harness.runs import load as _load
 from harness.runs.experiment import Experiment
 from harness.simulation import scene as _scene
@@ -76,13 +82,34 @@ def load_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:
     return scene if isinstance(scene, Scene) else _scene.load_scene(scene)
 
 
-def load_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = None) -> Sensor:
+def load_sensor(
+    sensor: str | Path | Mapping[str, Any] | Sensor | None = None,
+    *,
+    camera: int | None = None,
+    looks: Looks | None = None,
+    mirrored: bool | None = None,
+    size: tuple[int, int] | None = None,
+    angle_max_deg: float | None = None,
+    elevation_deg: tuple[float, float] | None = None,
+) -> Sensor:
     """Read a sensor.
 
     Parameters
     ----------
     sensor
-        The path of a TOML file, a table like that of a file, or a sensor; the default sensor when None.
+        The path of a sensor's TOML, or of a calibration file of another program; a table like that of a sensor's TOML,
+        or a sensor; the default sensor when None.
+    camera
+        Which of several cameras in a calibration file, from 0.
+    looks, mirrored
+        How the camera is mounted, which no calibration says: where the optical axis points, `up`, `down` or `forward`,
+        and whether its image is reversed left to right; up and not when None. A camera below a mirror looks down and
+        is mirrored.
+    size
+        Width and height in pixels, for a calibration that does not say them.
+    angle_max_deg, elevation_deg
+        How far the lens sees off its optical axis, and between which elevations; as far as model and image allow when
+        None.
 
     Returns
     -------
@@ -100,10 +127,42 @@ def load_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = None) -
     >>> sensor.camera.width_px, sensor.model.a_m
     (1280, 0.0281)
     """
-    if sensor is None:
-        return Sensor()
-    if isinstance(sensor, Sensor):
-        return sensor
+    chosen = Chosen(camera, looks, mirrored, size, angle_max_deg, elevation_deg)
+    if isinstance(sensor, str | Path):
+        return load_calibrated_sensor(Path(sensor), chosen)
+    if chosen != Chosen():
+        raise InputError("is no file; give what is to be chosen in its tables", key="sensor")
     if isinstance(sensor, Mapping):
-        return parse(Sensor, sensor, file="sensor")
-    return _sensor.load_sensor(Path(sensor))
+        return parse(Sensor, sensor_of_table(sensor, "sensor") if "file" in sensor else sensor, file="sensor")
+    return Sensor() if sensor is None else sensor
+
+
+def load_motion(
+    file: str | Path, first: int = 0, second: int = 1, *, looks: Looks = "up", mirrored: bool = False
+) -> Motion:
+    """Read the motion from one camera of a calibration file to another, as for views 1 and 2.
+
+    Parameters
+    ----------
+    file
+        A calibration file of a rig, such as a Kalibr camchain.
+    first, second
+        Numbers of the cameras, from 0.
+    looks, mirrored
+        How both are mounted, as for `load_sensor`: the motion is between the sensors' frames, z up, not the lenses'.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or does not tell where both cameras are.
+
+    Examples
+    --------
+    >>> import harness
+    >>> motion = harness.load_motion("camchain.yaml", looks="forward")  # doctest: +SKIP
+    """
+    return motion_between(read_calibration(Path(file)), first, second, looks, mirrored=mirrored)

@@ -82,10 +82,12 @@ def _has_room(target: Target, optics: Optics) -> bool:
 
 def _compared(first: Optics, second: Optics, pixels: Array, *, is_exact: bool) -> Conversion:
     rays = first.unproject(pixels)
-    others = second.unproject(pixels)
-    # |a - b| = 2 sin(angle / 2) keeps its digits where the angle is small.
-    apart_rad = 2 * np.arcsin(np.minimum(0.5 * np.linalg.norm(rays - others, axis=-1), 1.0))
-    apart_px = np.linalg.norm(second.project(rays) - pixels, axis=-1)
+    if second is first:  # nor do roundings take a pixel across the seam of a panorama
+        apart_rad = apart_px = np.zeros(len(pixels))
+    else:
+        # |a - b| = 2 sin(angle / 2) keeps its digits where the angle is small.
+        apart_rad = 2 * np.arcsin(np.minimum(0.5 * np.linalg.norm(rays - second.unproject(pixels), axis=-1), 1.0))
+        apart_px = np.linalg.norm(second.project(rays) - pixels, axis=-1)
     off_axis = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     known = np.isfinite(apart_rad) & np.isfinite(apart_px)
     if not known.all():

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
-from harness.camera.models import CameraModel, Mirror
+from harness.camera.models import CameraModel
+from harness.camera.mount import camera_from_sensor
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.geometry.angles import Array
@@ -28,9 +29,9 @@ class Optics(OneLine):
     lens: Lens
 
     @property
-    def _along_axis(self) -> float:
-        """The sign of the model's own z along the optical axis; x and y are along u and v in all models."""
-        return -1.0 if isinstance(self.model, Mirror) else 1.0
+    def _lens_from_own(self) -> Array:
+        """`[3, 3]`: the model's own frame is that of a sensor that is mounted as the model has it."""
+        return camera_from_sensor(self.model.looks, mirrored=self.model.mirrored)
 
     def project(self, directions: ArrayLike) -> Array:
         """Pixels `[n, 2]` of directions `[n, 3]` of any length; NaN outside the model's domain."""
@@ -44,7 +45,7 @@ class Optics(OneLine):
         own = self._own(directions)
         out = np.empty((len(own), 2, 3))
         differentiate_all(own, self.model.parameters(self.camera, self.lens), out)
-        return out * [1.0, 1.0, self._along_axis]
+        return out @ self._lens_from_own.T
 
     def unproject(self, pixels: ArrayLike) -> Array:
         """Unit directions `[n, 3]` of pixels `[n, 2]`; NaN where there is none."""
@@ -53,12 +54,12 @@ class Optics(OneLine):
         rays = np.empty((3, len(pixels)))
         parameters = self.model.parameters(self.camera, self.lens)
         compiled_model(type(parameters)).rays(u, v, parameters, rays[0], rays[1], rays[2])
-        rays[2] *= self._along_axis
         with np.errstate(invalid="ignore"):
-            return np.ascontiguousarray((rays / np.sqrt(np.sum(rays * rays, axis=0))).T)
+            rays = self._lens_from_own @ (rays / np.sqrt(np.sum(rays * rays, axis=0)))
+        return np.ascontiguousarray(rays.T)
 
     def _own(self, directions: ArrayLike) -> Array:
-        return np.ascontiguousarray(np.asarray(directions, dtype=np.float64) * [1.0, 1.0, self._along_axis])
+        return np.ascontiguousarray(np.asarray(directions, dtype=np.float64) @ self._lens_from_own)
 
     def largest_angle_on_image(self) -> float:
         """The largest angle off the optical axis that a pixel of the image sees, radians; its corners count."""
@@ -80,3 +81,8 @@ def edge_pixels(camera: Camera, spacing_px: float = 4.0) -> Array:
     sides = [(u, np.full_like(u, v[0])), (np.full_like(v, u[-1]), v), (u[::-1], np.full_like(u, v[-1]))]
     sides.append((np.full_like(v, u[0]), v[::-1]))
     return np.concatenate([np.stack(side, axis=-1) for side in sides])
+
+
+def lens_frame(sensor: Sensor) -> Array:
+    """`[3, 3]`: turns a direction of the sensor's frame into the lens's; of determinant -1 for a mirror image."""
+    return camera_from_sensor(sensor.looks, mirrored=sensor.mirrored) @ sensor.mount.R_sensor_from_untilted.T

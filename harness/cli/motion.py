@@ -6,6 +6,7 @@ from pathlib import Path
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_out
+from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 
 def add(commands: Commands) -> None:
@@ -20,10 +21,7 @@ def add(commands: Commands) -> None:
     )
     command.add_argument("left", type=Path, metavar="LEFT", help="image of view 1 (PNG, JPEG, TIFF ...)")
     command.add_argument("right", type=Path, metavar="RIGHT", help="image of view 2")
-    command.add_argument("--sensor", type=Path, required=True, metavar="FILE", help="sensor TOML of both views")
-    command.add_argument(
-        "--sensor-2", type=Path, metavar="FILE", help="sensor TOML of view 2, if another sensor took it"
-    )
+    add_sensor(command, "sensor TOML or calibration file of both views", required=True, second=True)
     command.add_argument(
         "--bits",
         type=int,
@@ -55,11 +53,13 @@ def run(options: Namespace) -> int:
         raise InputError(f"must be above 0; found {options.baseline_length:g}", file="--baseline-length")
     if options.seed < 0:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
+    sensor = first_sensor(options)
+    assert sensor is not None
     found = harness.estimate_motion(
         options.left,
         options.right,
-        options.sensor,
-        options.sensor_2,
+        sensor,
+        second_sensor(options),
         freedom="planar" if options.planar else "upright" if options.upright else "free",
         baseline_m=options.baseline_length,
         bits=options.bits,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from harness import interrupts
-from harness.cli import cache, check, compare, completion, motion, render, report, run, settings
+from harness.cli import cache, check, compare, completion, motion, render, report, run, sensor, settings
 from harness.cli import list as list_command
 from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
@@ -17,7 +17,20 @@ from harness.cli.output import patient_output
 from harness.errors import InputError, Notice, described, one_line
 from harness.version import __version__
 
-_COMMANDS = (run, report, compare, cache, render, motion, range_command, check, list_command, settings, completion)
+_COMMANDS = (
+    run,
+    report,
+    compare,
+    cache,
+    render,
+    motion,
+    range_command,
+    check,
+    sensor,
+    list_command,
+    settings,
+    completion,
+)
 """In the order in which `--help` lists them."""
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from harness.cli import completers
 from harness.cli.options import Commands, add_out
+from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 
 def add(commands: Commands) -> None:
@@ -20,10 +21,7 @@ def add(commands: Commands) -> None:
     )
     command.add_argument("left", type=Path, metavar="LEFT", help="mirror image of view 1 (PNG, JPEG, TIFF ...)")
     command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2")
-    command.add_argument("--sensor", type=Path, required=True, metavar="FILE", help="sensor TOML: mirror, camera, lens")
-    command.add_argument(
-        "--sensor-2", type=Path, metavar="FILE", help="sensor TOML of view 2, if another sensor took it"
-    )
+    add_sensor(command, "sensor TOML or calibration file", required=True, second=True)
     command.add_argument(
         "--bits",
         type=int,
@@ -72,7 +70,8 @@ def run(options: Namespace) -> None:
     from harness.errors import InputError
     from harness.runs.photograph_settings import own_settings
 
-    sensor = harness.load_sensor(options.sensor)
+    sensor = first_sensor(options)
+    assert sensor is not None
     second = _second_pose(options)
     motion = harness.relative_motion(harness.Pose(), second)
     if not motion.baseline_m > 0:
@@ -85,7 +84,7 @@ def run(options: Namespace) -> None:
         sensor,
         motion,
         settings.matching,
-        sensor_2=options.sensor_2,
+        sensor_2=second_sensor(options),
         grid=settings.panorama,
         bits=options.bits,
     )

@@ -1,11 +1,11 @@
 """`omnirange render`: one view with its true range."""
 
 from argparse import Namespace
-from pathlib import Path
 
 from harness import shipped
 from harness.cli import completers
 from harness.cli.options import Commands, add_out
+from harness.cli.sensor_options import add_sensor, first_sensor
 
 
 def add(commands: Commands) -> None:
@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
     )
     scene = command.add_argument("scene", metavar="SCENE", help="a shipped scene's name, or a TOML file")
     completers.offer(scene, completers.scenes, completers.files(".toml"))
-    command.add_argument("--sensor", type=Path, metavar="FILE", help="sensor TOML (default: the paper experiment's)")
+    add_sensor(command, "sensor TOML or calibration file (default: the paper experiment's)")
     command.add_argument(
         "--at", type=float, nargs=3, required=True, metavar=("X", "Y", "Z"), help="viewpoint in the world, metres"
     )
@@ -37,7 +37,7 @@ def run(options: Namespace) -> None:
 
     view = harness.render(
         options.scene,
-        sensor=options.sensor,
+        sensor=first_sensor(options),
         position_m=options.at,
         yaw_deg=options.yaw_deg,
         pitch_deg=options.pitch_deg,

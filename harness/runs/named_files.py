@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from harness import shipped
-from harness.camera.sensor import load_sensor
 from harness.errors import InputError
 from harness.files import path_of
+from harness.io.calibrations.sensors import sensor_of_table
 from harness.matching.program import with_absolute_files
 from harness.matching.source_files import State, state_of
 from harness.simulation.scene import load_scene
@@ -63,7 +63,10 @@ def read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, key
     for name in SENSORS:
         sensor = resolved.get(name)
         if isinstance(sensor, str):
-            resolved[name] = as_table(load_sensor(path_of(sensor, folder, file=file, key=f"{where}{name}")))
+            sensor = {"file": sensor}
+        if isinstance(sensor, dict) and "file" in sensor:
+            placed = absolute("", sensor, folder, file or "", f"{where}{name}")
+            resolved[name] = sensor_of_table(placed, file, f"{where}{name}")
     return resolved
 
 

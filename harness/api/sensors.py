@@ -1,0 +1,154 @@
+"""What a sensor is and sees, and its calibration in other programs' files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from harness.api.loading import load_sensor
+from harness.camera.coverage import Coverage, coverage
+from harness.camera.sensor import Sensor
+from harness.display import OneLine
+from harness.errors import InputError
+from harness.files import write
+from harness.io.calibrations.conversion import WrittenSensor, written
+from harness.report.sensor_words import facts_of, title_of, warnings_of
+
+LARGEST_RESIDUAL_PX = 0.2
+"""RMS, above which a conversion has to be asked for."""
+
+
+@dataclass(frozen=True, repr=False)
+class SensorDescription(OneLine):
+    """What a sensor is and sees."""
+
+    title: str
+    """Camera model and size."""
+    facts: dict[str, str]
+    """What there is to say, by name: field, image circle, blind spot, resolution, used."""
+    warnings: tuple[str, ...]
+    """What does not fit, a sentence each."""
+    coverage: Coverage
+    """The figures: rim, blind spot, pixels per degree."""
+
+    def __str__(self) -> str:
+        """All of it as lines."""
+        width = max(map(len, self.facts))
+        lines = [self.title, *(f"  {name:<{width}}  {text}" for name, text in self.facts.items())]
+        return "\n".join([*lines, *(f"  ! {each}" for each in self.warnings)])
+
+    def write(self, path: str | Path, notes: tuple[str, ...] = ()) -> None:
+        """Write a page (`.html`), or the picture alone (`.svg`, `.png`).
+
+        Parameters
+        ----------
+        notes
+            Sentences that the page has too.
+
+        Raises
+        ------
+        InputError
+            When it cannot be written, or has another ending.
+        """
+        from harness.report.sensor_page import build_page, build_picture
+
+        path = Path(path)
+        kind = path.suffix.lower().removeprefix(".")
+        if kind in ("svg", "png"):
+            write(path, build_picture(self.coverage, kind))
+        elif kind in ("html", "htm"):
+            write(path, build_page(self.coverage, self.title, self.facts, self.warnings, notes))
+        else:
+            raise InputError("must end in .html, .svg or .png", file=path)
+
+    def _repr_html_(self) -> str:
+        from base64 import b64encode
+
+        from harness.report.sensor_page import build_picture
+
+        picture = b64encode(build_picture(self.coverage, "png")).decode()
+        return f'<img alt="" style="max-width: 100%" src="data:image/png;base64,{picture}">'
+
+
+def describe_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = None) -> SensorDescription:
+    """What a sensor is and sees: field, image circle, blind spot, pixels per degree, and what does not fit.
+
+    Parameters
+    ----------
+    sensor
+        As for `load_sensor`.
+
+    Returns
+    -------
+    SensorDescription
+
+    Raises
+    ------
+    InputError
+        As of `load_sensor`, or when no pixel sees anything.
+
+    Examples
+    --------
+    >>> import harness
+    >>> described = harness.describe_sensor()
+    >>> described.facts["image circle"]
+    '476 px across, around (319.5, 239.5), all of it on the image'
+    >>> described.write("sensor.html")
+    """
+    loaded = load_sensor(sensor)
+    try:
+        found = coverage(loaded)
+    except ValueError as error:
+        raise InputError(str(error), key="sensor") from error
+    return SensorDescription(title_of(found), facts_of(found), tuple(warnings_of(found)), found)
+
+
+def convert_sensor(
+    sensor: str | Path | Mapping[str, Any] | Sensor,
+    to: str,
+    *,
+    model: str | None = None,
+    allow_residual_px: float = LARGEST_RESIDUAL_PX,
+) -> WrittenSensor:
+    """A sensor as the calibration file of another program.
+
+    It is exact where the format has the sensor's model, or one that is the same in other parameters. Otherwise the
+    camera is taken whose rays are nearest over the pixels that see something.
+
+    Parameters
+    ----------
+    sensor
+        As for `load_sensor`.
+    to
+        `toml`, `opencv`, `opencv-xml`, `kalibr`, `camodocal`, `basalt`, `ocamcalib` or `colmap`.
+    model
+        The camera model to write; the best that the format has when None.
+    allow_residual_px
+        The largest RMS residual that is taken, pixels.
+
+    Returns
+    -------
+    WrittenSensor
+        `text`, and `conversion` with the residuals.
+
+    Raises
+    ------
+    InputError
+        When the format is not known, or the nearest camera is farther away than allowed.
+
+    Examples
+    --------
+    >>> import harness
+    >>> written = harness.convert_sensor({}, "kalibr", model="eucm")
+    >>> written.conversion.is_exact
+    True
+    """
+    found = written(load_sensor(sensor), to, model)
+    apart = found.conversion
+    if not apart.rms_px <= allow_residual_px:
+        raise InputError(
+            f"the nearest {apart.optics.model.title} is {apart.rms_px:.2g} px RMS away, {apart.largest_px:.2g} px at "
+            "most; --allow-residual PX takes it all the same",
+            key="--to",
+        )
+    return found

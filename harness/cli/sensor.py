@@ -1,0 +1,165 @@
+"""`omnirange sensor`: what a sensor sees, from a file of any known calibration; and the file in another format."""
+
+import argparse
+import math
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness.cli import completers
+from harness.cli.options import Commands, add_out
+from harness.cli.sensor_options import add_choices, chosen
+
+if TYPE_CHECKING:
+    from harness.io.calibrations.conversion import WrittenSensor
+    from harness.io.calibrations.sensors import SensorFile
+
+FORMATS = ("toml", "opencv", "opencv-xml", "kalibr", "camodocal", "basalt", "ocamcalib", "colmap")
+_PAGE = Path("sensor.html")
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "sensor",
+        run,
+        brief="say what a sensor sees; read and write calibration files",
+        description="Say what a sensor is and sees, and draw it; or write it as another program's calibration. The "
+        "file may be a sensor's TOML or a calibration by OpenCV, Kalibr, CamOdoCal, basalt, OCamCalib or COLMAP.",
+        epilog="A calibration does not say how its camera is mounted, nor how far it sees: up, not mirrored, and as "
+        "far as model and image allow, unless told. A camera below a mirror has --looks down --mirrored.",
+    )
+    file = command.add_argument(
+        "file", type=Path, metavar="FILE", help="a sensor or a calibration, told by its content"
+    )
+    completers.offer(file, completers.files())
+    add_choices(command)
+    command.add_argument("--to", choices=FORMATS, metavar="FORMAT", help=f"write it as one of {', '.join(FORMATS)}")
+    command.add_argument(
+        "--model", metavar="KIND", help="the camera model to write (default: the best of the format's)"
+    )
+    command.add_argument(
+        "--allow-residual",
+        type=_length,
+        metavar="PX",
+        help="take a nearest camera whose RMS residual is at most so many pixels (0.2)",
+    )
+    add_out(
+        command,
+        "the page (.html) or picture (.svg, .png), default sensor.html; with --to the file, default standard output",
+        metavar="FILE",
+    )
+
+
+def run(options: Namespace) -> None:
+    """Describe the sensor, or write its calibration."""
+    from harness.io.calibrations.sensors import read_sensor
+
+    found = read_sensor(options.file, chosen(options, options.camera))
+    if options.to is None:
+        _describe(found, options)
+    else:
+        _convert(found, options)
+
+
+def _describe(found: "SensorFile", options: Namespace) -> None:
+    import harness
+
+    described = harness.describe_sensor(found.sensor)
+    print(f"{options.file}: {_origin(found)}")
+    print(described)
+    for note in found.notes:
+        print(f"  note: {note}")
+    for line in _motion(found):
+        print(f"  {line}")
+    page = options.out or _PAGE
+    described.write(page, found.notes)
+    print(f"picture: {page}")
+
+
+def _origin(found: "SensorFile") -> str:
+    """What kind of file it is, and which camera of it."""
+    from harness.io.calibrations import FORMATS as KNOWN
+
+    if found.calibration is None or found.camera is None:
+        return "a sensor file"
+    cameras = found.calibration.cameras
+    number = cameras.index(found.camera)
+    title = KNOWN[found.calibration.format].title
+    if len(cameras) == 1:
+        return title
+    name = f" ({found.camera.name})" if found.camera.name not in ("", f"camera {number}") else ""
+    return f"{title}, camera {number}{name} of {len(cameras)}"
+
+
+def _motion(found: "SensorFile") -> list[str]:
+    """Where the camera is, seen from the file's first one, as `omnirange range` takes it."""
+    from harness.io.calibrations.rigs import motion_between
+    from harness.io.view_folder import pose_in
+
+    if found.calibration is None or found.camera is None or found.camera.T_cam_from_first is None:
+        return []
+    number = found.calibration.cameras.index(found.camera)
+    if number == 0:
+        return []
+    sensor = found.sensor
+    pose = pose_in(motion_between(found.calibration, 0, number, sensor.looks, mirrored=sensor.mirrored))
+    # Adding 0 takes the sign off a -0.
+    place = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in pose.position_m)
+    turn = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in (pose.yaw_deg, pose.pitch_deg, pose.roll_deg))
+    return [f"motion from camera 0, if both look {sensor.looks}: --baseline {place} --rotation-deg {turn}"]
+
+
+def _convert(found: "SensorFile", options: Namespace) -> None:
+    import harness
+    from harness.api.sensors import LARGEST_RESIDUAL_PX
+    from harness.files import write
+
+    allowed = LARGEST_RESIDUAL_PX if options.allow_residual is None else options.allow_residual
+    written = harness.convert_sensor(found.sensor, options.to, model=options.model, allow_residual_px=allowed)
+    if options.out is None:
+        print(written.text, end="")
+    else:
+        write(options.out, written.text)
+    for line in _said_of(written, found, options.out):
+        print(line, file=sys.stdout if options.out else sys.stderr)
+
+
+def _said_of(written: "WrittenSensor", found: "SensorFile", out: Path | None) -> list[str]:
+    """How near the written camera is, and what its file does not hold."""
+    apart = written.conversion
+    low, high = (math.degrees(each) for each in apart.angles_rad)
+    where = f"over {apart.pixels} pixels, {low:.4g} to {high:.4g} deg off the optical axis"
+    title = apart.optics.model.title
+    if apart.is_exact:
+        nearness = f"exact; rays differ by {math.degrees(apart.largest_rad):.1e} deg at most {where}"
+    else:
+        nearness = (
+            f"the nearest: RMS {math.degrees(apart.rms_rad):.2g} deg ({apart.rms_px:.2g} px), at most "
+            f"{math.degrees(apart.largest_rad):.2g} deg ({apart.largest_px:.2g} px), {where}"
+        )
+    lines = [f"{out or written.format}: {title}, {nearness}"]
+    if written.format != "toml":
+        lines.append(f"mount and field are not in it; read it with {_reading(found)}")
+    return lines
+
+
+def _reading(found: "SensorFile") -> str:
+    """The options that give a file, read back, the sensor's mount and field."""
+    sensor = found.sensor
+    words = [f"--looks {sensor.looks}", *(["--mirrored"] if sensor.mirrored else [])]
+    if sensor.field.angle_max_deg < 180:
+        words.append(f"--angle-max {sensor.field.angle_max_deg:g}")
+    words.append(f"--elevation {sensor.field.elevation_min_deg:g} {sensor.field.elevation_max_deg:g}")
+    return " ".join(words)
+
+
+def _length(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"must be a number above 0, pixels; found '{text}'")
+    return value

@@ -1,0 +1,95 @@
+"""The options by which commands are given sensors: a file of any known kind, and what a calibration does not say."""
+
+import argparse
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness.cli import completers
+from harness.cli.options import Parser
+
+if TYPE_CHECKING:
+    from harness.camera.sensor import Sensor
+    from harness.io.calibrations.sensors import Chosen
+
+
+def add_sensor(command: Parser, what: str, *, required: bool = False, second: bool = False) -> None:
+    """`--sensor` with the options of `add_choices`.
+
+    Parameters
+    ----------
+    what
+        Its help.
+    second
+        Whether view 2 may have one of its own, `--sensor-2` with `--camera-2`.
+    """
+    options = [command.add_argument("--sensor", type=Path, required=required, metavar="FILE", help=what)]
+    if second:
+        words = "the same of view 2, if another sensor took it"
+        options.append(command.add_argument("--sensor-2", type=Path, metavar="FILE", help=words))
+    for each in options:
+        completers.offer(each, completers.files())
+    add_choices(command)
+    if second:
+        command.add_argument("--camera-2", type=int, metavar="N", help="which camera of --sensor-2, from 0")
+
+
+def add_choices(command: Parser) -> None:
+    """What a calibration file does not say, or a sensor file is not to say."""
+    command.add_argument("--camera", type=int, metavar="N", help="which of several cameras in a calibration, from 0")
+    command.add_argument(
+        "--looks",
+        choices=("up", "down", "forward"),
+        help="where the camera's optical axis points (as its file says: up)",
+    )
+    command.add_argument(
+        "--mirrored",
+        action=argparse.BooleanOptionalAction,
+        help="whether its image is reversed left to right, as in a mirror (as its file says: no)",
+    )
+    command.add_argument(
+        "--size", type=int, nargs=2, metavar=("W", "H"), help="its image's size, for a calibration that does not say it"
+    )
+    command.add_argument("--angle-max", type=float, metavar="DEG", help="how far it sees off its optical axis")
+    command.add_argument(
+        "--elevation", type=float, nargs=2, metavar=("LOW", "HIGH"), help="between which elevations it sees, degrees"
+    )
+
+
+def chosen(options: Namespace, camera: int | None) -> "Chosen":
+    """What the options of `add_choices` say, with the number of a camera."""
+    from harness.io.calibrations.sensors import Chosen
+
+    return Chosen(
+        camera=camera,
+        looks=options.looks,
+        mirrored=options.mirrored,
+        size=tuple(options.size) if options.size else None,
+        angle_max_deg=options.angle_max,
+        elevation_deg=tuple(options.elevation) if options.elevation else None,
+    )
+
+
+def first_sensor(options: Namespace) -> "Sensor | None":
+    """The sensor of `--sensor`; None where it is not given."""
+    from harness.errors import InputError
+    from harness.io.calibrations.sensors import Chosen, load_sensor
+
+    choices = chosen(options, options.camera)
+    if options.sensor is None:
+        if choices != Chosen():
+            raise InputError("is missing: there is no file for the other options to choose from", file="--sensor")
+        return None
+    return load_sensor(options.sensor, choices)
+
+
+def second_sensor(options: Namespace) -> "Sensor | None":
+    """The sensor of `--sensor-2`, mounted as the first one; None where it is not given."""
+    from harness.errors import InputError
+    from harness.io.calibrations.sensors import load_sensor
+
+    if options.sensor_2 is None:
+        if options.camera_2 is not None:
+            raise InputError("is missing: there is no file for --camera-2 to choose from", file="--sensor-2")
+        return None
+    return load_sensor(options.sensor_2, chosen(options, options.camera_2))

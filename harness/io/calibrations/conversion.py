@@ -1,0 +1,127 @@
+"""A sensor written as another program's calibration: exactly where its model allows it, else by the nearest camera."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.camera.model_fitting import Conversion, Target, convert
+from harness.camera.models import BUILT_IN
+from harness.camera.optics import edge_pixels, optics_of
+from harness.camera.sensor import Sensor, pixel_directions, unproject
+from harness.display import OneLine
+from harness.errors import InputError, nearest
+from harness.geometry.angles import Array
+from harness.io.calibrations import FORMATS
+from harness.spec import as_table, dump_toml, parse
+
+TOML = "toml"
+"""The name of our own format among those that are written."""
+_PIXELS = 20_000
+"""About so many pixels are compared."""
+_NO_LENS = "equirectangular"
+
+
+@dataclass(frozen=True, repr=False)
+class WrittenSensor(OneLine):
+    """The text of a calibration file, and how far its camera is from the sensor."""
+
+    text: str
+    format: str
+    kind: str
+    """Of the camera model that was written."""
+    conversion: Conversion
+
+
+def formats() -> tuple[str, ...]:
+    """The names of the formats that can be written."""
+    return (TOML, *FORMATS)
+
+
+def written(sensor: Sensor, to: str, kind: str | None = None) -> WrittenSensor:
+    """A sensor as a calibration file.
+
+    Of the models that the format has, the one is taken that is the sensor's exactly, or else the one with the smallest
+    RMS residual in pixels.
+
+    Parameters
+    ----------
+    to
+        A name in `formats()`.
+    kind
+        The camera model to write; any that the format has when None.
+
+    Raises
+    ------
+    InputError
+        When there is no such format, it has no such model, or no camera of its models comes near.
+    """
+    if to not in formats():
+        raise InputError(f"unknown format '{to}'; {nearest(to, formats())}", key="--to")
+    targets = _targets(sensor, to, kind)
+    pixels = _compared_pixels(sensor)
+    optics = optics_of(sensor)
+    if to == TOML and targets[0].kind == _kind(sensor):
+        return WrittenSensor(dump_toml(sensor), to, targets[0].kind, convert(optics, pixels, targets[0]))
+    best: tuple[Target, Conversion] | None = None
+    failure: InputError | None = None
+    for target in targets:
+        try:
+            found = convert(optics, pixels, target)
+        except InputError as error:
+            failure = error
+            continue
+        if best is None or (found.is_exact, -found.rms_px) > (best[1].is_exact, -best[1].rms_px):
+            best = target, found
+        if found.is_exact:
+            break
+    if best is None:
+        raise InputError(str(failure), key="--to")
+    target, found = best
+    text = _our_text(sensor, found, target.kind) if to == TOML else FORMATS[to].write(found.optics)
+    return WrittenSensor(text, to, target.kind, found)
+
+
+def _kind(sensor: Sensor) -> str:
+    return str(getattr(sensor.model, "kind", ""))
+
+
+def _targets(sensor: Sensor, to: str, kind: str | None) -> list[Target]:
+    """What may be written, what is likely to be exact first."""
+    own = _kind(sensor)
+    there = [Target(each) for each in BUILT_IN if each != _NO_LENS] if to == TOML else list(FORMATS[to].targets)
+    if to == TOML:
+        kind = kind or own
+        there += [Target(own)] if own not in BUILT_IN or own == _NO_LENS else []
+    chosen = [each for each in there if kind in (None, each.kind)]
+    if not chosen:
+        known = ", ".join(dict.fromkeys(each.kind for each in there))
+        raise InputError(f"{to} has no model '{kind}'; it has {known}", key="--model")
+    if own == _NO_LENS and [each.kind for each in chosen] != [own]:
+        raise InputError("an equirectangular image is no camera's, and is near none", key="--to")
+    return sorted(chosen, key=lambda each: each.kind != own)
+
+
+def _compared_pixels(sensor: Sensor) -> Array:
+    """Pixels `[n, 2]` that see something, evenly over the image, and those at the border and at the field's edge."""
+    valid = pixel_directions(sensor)[1]
+    every = max(1, math.isqrt(math.ceil(int(valid.sum()) / _PIXELS)))
+    rows, columns = np.nonzero(valid[::every, ::every])
+    grid = np.stack([columns, rows], axis=-1).astype(np.float64) * every
+    outline = valid.copy()
+    outline[1:-1, 1:-1] &= ~(valid[:-2, 1:-1] & valid[2:, 1:-1] & valid[1:-1, :-2] & valid[1:-1, 2:])
+    border = np.argwhere(outline)[:, ::-1].astype(np.float64)
+    corners = edge_pixels(sensor.camera)
+    corners = corners[unproject(sensor, corners)[1]]
+    return np.concatenate([grid, border[:: max(1, len(border) // 2000)], corners])
+
+
+def _our_text(sensor: Sensor, found: Conversion, kind: str) -> str:
+    """The sensor's TOML with another model; mount and field stay."""
+    optics = found.optics
+    table: dict[str, Any] = as_table(sensor)
+    table |= {"model": as_table(optics.model) | {"kind": kind}, "camera": as_table(optics.camera)}
+    table["lens"] = as_table(optics.lens)
+    table["mount"] |= {"looks": sensor.looks, "mirrored": sensor.mirrored}  # models have defaults of their own
+    return dump_toml(parse(Sensor, table, file="--model"))

@@ -1,0 +1,191 @@
+"""A page on what a sensor sees: its image with circle, blind spot and elevations, and its resolution."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from harness.camera.coverage import Coverage, Ring, has_circle
+from harness.camera.sensor import pixel_directions
+from harness.report import theme
+from harness.report.markup import template
+from harness.report.theme import FAINT, HALF, INK, SPARE, Picture
+from harness.report.words import typeset
+from harness.spec import dump_toml
+
+_SEEN, _UNUSED = "#DCEAF4", "#E2E2E2"
+_RIM, _BLIND, _AXIS = theme.SUBPIXEL, theme.PIXEL, SPARE[0]
+_ELEVATION_STEPS = (5, 10, 15, 30)
+_HEIGHT = 430
+
+
+def build_page(
+    found: Coverage, title: str, facts: dict[str, str], warnings: Sequence[str], notes: Sequence[str]
+) -> str:
+    """The page, one self-contained HTML file.
+
+    Parameters
+    ----------
+    title
+        What the sensor is, on a line.
+    facts
+        What is said of it: names and values.
+    warnings
+        What does not fit.
+    notes
+        How its file was read.
+    """
+    with theme.style():
+        pictures = [_image(found), _resolution(found)]
+    return template("sensor.html.j2").render(
+        found=found,
+        title=title,
+        facts={name: typeset(text) for name, text in facts.items()},
+        warnings=[typeset(text) for text in warnings],
+        notes=[typeset(text) for text in notes],
+        pictures=pictures,
+        sensor=dump_toml(found.sensor),
+        vertical=bool(np.isfinite(found.resolution.elevation_rad).all()),
+    )
+
+
+def build_picture(found: Coverage, kind: str) -> bytes:
+    """The same picture by itself, as `svg` or `png`."""
+    import io
+
+    with theme.style():
+        fig = theme.figure(2 * HALF, _HEIGHT)
+        _draw_image(found, fig, 0)
+        _draw_resolution(found, fig, HALF)
+        stream = io.BytesIO()
+        metadata = {"Date": None} if kind == "svg" else None
+        fig.savefig(stream, format=kind, dpi=192, metadata=metadata)
+    return stream.getvalue()
+
+
+@theme.panel
+def _image(found: Coverage) -> Picture:
+    fig = theme.figure(HALF, _HEIGHT)
+    _draw_image(found, fig, 0)
+    camera = found.sensor.camera
+    low, high = found.elevation_deg
+    alt = (
+        f"The image of {camera.width_px} by {camera.height_px} pixels, of which {found.used:.0%} are used, with lines "
+        f"of equal elevation from {low:.0f} to {high:.0f} degrees."
+    )
+    return theme.picture(fig, alt, "(a) the image")
+
+
+@theme.panel
+def _resolution(found: Coverage) -> Picture:
+    fig = theme.figure(HALF, _HEIGHT)
+    _draw_resolution(found, fig, 0)
+    seen = found.resolution
+    alt = (
+        f"Pixels per degree: radially {np.nanmin(seen.radial):.2f} to {np.nanmax(seen.radial):.2f}, "
+        f"tangentially {np.nanmin(seen.tangential):.2f} to {np.nanmax(seen.tangential):.2f}."
+    )
+    return theme.picture(fig, alt, "(b) the resolution")
+
+
+def _draw_image(found: Coverage, fig: Figure, left: float) -> None:
+    camera = found.sensor.camera
+    width, height = camera.width_px, camera.height_px
+    low, high = _window(found)
+    scale = min((HALF - 66) / (high[0] - low[0]), (_HEIGHT - 90) / (high[1] - low[1]))
+    w, h = scale * (high - low)
+    ax = theme.axes(fig, left + 54 + (HALF - 66 - w) / 2, 40 + (_HEIGHT - 90 - h) / 2, w, h)
+    fewer = max(1, math.ceil(max(width, height) / 512))
+    ax.imshow(
+        found.valid[::fewer, ::fewer],
+        cmap=ListedColormap([_UNUSED, _SEEN]),
+        vmin=0,
+        vmax=1,
+        extent=(-0.5, width - 0.5, height - 0.5, -0.5),
+        aspect="auto",
+    )
+    ax.add_patch(Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=INK, linewidth=1.0))
+    _draw_elevations(found, ax)
+    handles = [_draw_ring(ax, found.rim, _RIM, "edge of the field")] if has_circle(found.sensor) else []
+    if found.blind is not None:
+        handles.append(_draw_ring(ax, found.blind, _BLIND, "blind spot"))
+    if has_circle(found.sensor) and np.isfinite(found.axis_px).all():
+        handles += ax.plot(*found.axis_px, "o", color=_AXIS, markersize=5, label="optical axis", linestyle="none")
+    handles += ax.plot(
+        (width - 1) / 2, (height - 1) / 2, "+", color=INK, markersize=9, label="middle of the image", linestyle="none"
+    )
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(high[1], low[1])
+    ax.set_xlabel("$u$ (px)")
+    ax.set_ylabel("$v$ (px)")
+    for side in ax.spines.values():
+        side.set_visible(False)
+    fig.legend(
+        handles=handles, loc="upper center", ncol=2, columnspacing=1.4,
+        bbox_to_anchor=((left + HALF / 2) / (fig.get_figwidth() * 96), 1.0), borderaxespad=0.1,
+    )  # fmt: skip
+
+
+def _window(found: Coverage) -> tuple[np.ndarray, np.ndarray]:
+    """What is drawn: the image, and the field's edge unless it is far outside."""
+    size = np.array([found.sensor.camera.width_px, found.sensor.camera.height_px], dtype=np.float64)
+    low, high = np.full(2, -0.5), size - 0.5
+    ring = found.rim.pixels[np.isfinite(found.rim.pixels).all(axis=-1)]
+    if found.rim.on_image > 0.02 and len(ring):
+        low = np.maximum(np.minimum(low, ring.min(axis=0)), -0.35 * size)
+        high = np.minimum(np.maximum(high, ring.max(axis=0)), 1.35 * size)
+    room = 0.02 * (high - low)
+    return low - room, high + room
+
+
+def _draw_elevations(found: Coverage, ax: Axes) -> None:
+    camera = found.sensor.camera
+    fewer = max(1, math.ceil(max(camera.width_px, camera.height_px) / 320))
+    directions = pixel_directions(found.sensor)[0][::fewer, ::fewer]
+    valid = found.valid[::fewer, ::fewer]
+    elevation = np.where(valid, np.degrees(np.arcsin(np.clip(directions[..., 2], -1, 1))), np.nan)
+    low, high = found.elevation_deg
+    step = next((each for each in _ELEVATION_STEPS if (high - low) / each <= 7), _ELEVATION_STEPS[-1])
+    levels = np.arange(math.ceil(low / step) * step, high, step)
+    u, v = np.arange(0, camera.width_px, fewer), np.arange(0, camera.height_px, fewer)
+    if not len(levels):
+        return
+    drawn = ax.contour(
+        u, v, elevation, levels=levels, colors=INK, linewidths=[1.1 if level == 0 else 0.5 for level in levels],
+        linestyles="solid",
+    )  # fmt: skip
+    ax.clabel(drawn, fmt=lambda level: f"{level:.0f}°".replace("-", "−"), fontsize=8.5, inline_spacing=2)
+
+
+def _draw_ring(ax: Axes, ring: Ring, colour: str, label: str) -> Line2D:
+    closed = np.concatenate([ring.pixels, ring.pixels[:1]])
+    return ax.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=1.6, label=label)[0]
+
+
+def _draw_resolution(found: Coverage, fig: Figure, left: float) -> None:
+    seen = found.resolution
+    vertical = bool(np.isfinite(seen.elevation_rad).all())
+    x = np.degrees(seen.elevation_rad if vertical else seen.angle_rad)
+    ax = theme.axes(fig, left + 54, 40, HALF - 72, _HEIGHT - 90)
+    ax.grid(color="#E8E8E8", linewidth=0.5)
+    for middle, ends, colour, label in (
+        (seen.radial, seen.radial_range, theme.SUBPIXEL, "radial"),
+        (seen.tangential, seen.tangential_range, theme.PIXEL, "tangential"),
+    ):
+        ax.fill_between(x, ends[:, 0], ends[:, 1], color=colour, alpha=0.18, linewidth=0)
+        ax.plot(x, middle, color=colour, label=label)
+    most = np.nanpercentile(np.concatenate([seen.radial_range[:, 1], seen.tangential_range[:, 1]]), 99)
+    ax.set_ylim(0, 1.15 * most)
+    ax.set_xlabel("elevation (°)" if vertical else "angle off the optical axis (°)")
+    ax.set_ylabel("pixels per degree")
+    ax.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 1.5, 3, 6, 10]))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
+    if vertical and x.min() < 0 < x.max():
+        ax.axvline(0, color=FAINT, linewidth=0.7, linestyle=(0, (4, 3)), zorder=0)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3)

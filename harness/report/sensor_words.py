@@ -1,0 +1,184 @@
+"""What a sensor is and sees, in words: for a terminal and for a page."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from harness.camera.coverage import Coverage, Ring, has_circle
+from harness.camera.sensor import Sensor
+
+_OFF_CENTRE = 0.03
+"""Of the image's smaller side: nearer than that to its middle is where cameras usually have it."""
+_LITTLE_USED = 0.25
+_EVEN = 0.02
+"""Two diameters that differ by less, in parts, are one in words."""
+
+
+def title_of(found: Coverage) -> str:
+    """Model and size in one line."""
+    camera = found.sensor.camera
+    model = found.sensor.model.title
+    return f"{model[0].upper()}{model[1:]}, {camera.width_px} x {camera.height_px} pixels"
+
+
+def facts_of(found: Coverage) -> dict[str, str]:
+    """What there is to say, by name."""
+    low, high = found.elevation_deg
+    rim = found.rim
+    outer = _number(math.degrees(rim.angle_rad))
+    inner = math.degrees(found.blind.angle_rad) if found.blind else 0.0
+    said = {
+        "model": _model(found.sensor),
+        "mount": _mount(found.sensor),
+        "field": (f"{_number(inner)} to {outer} deg off the optical axis; " if has_circle(found.sensor) else "")
+        + f"the image has elevations {_number(low)} to {_number(high)} deg, {found.sphere:.1%} of all directions",
+        "image circle": _circle(found),
+        "blind spot": _blind(found),
+        "resolution": _resolution(found),
+        "used": f"{found.used:.1%} of the image's pixels see something",
+    }
+    return {name: text for name, text in said.items() if text}
+
+
+def warnings_of(found: Coverage) -> list[str]:
+    """What does not fit, a sentence each; empty where all does."""
+    camera = found.sensor.camera
+    smaller = min(camera.width_px, camera.height_px)
+    middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
+    away = np.array(found.axis_px) - middle
+    if not has_circle(found.sensor):
+        return []
+    said = []
+    if np.isfinite(away).all() and np.hypot(*away) > _OFF_CENTRE * smaller:
+        u, v = found.axis_px
+        said.append(
+            f"The optical axis meets the image at ({u:.1f}, {v:.1f}), {np.hypot(*away):.0f} px from its middle "
+            f"({middle[0]:g}, {middle[1]:g}): {_whither(away)}. If the image was cut or scaled after the calibration, "
+            "the centre has to be moved with it."
+        )
+    rim = found.rim
+    if 0.02 < rim.on_image < 1 and rim.sides:
+        said.append(
+            f"The edge of the field leaves the image at the {_listed(rim.sides)}: {1 - rim.on_image:.0%} of its "
+            "directions are cut off there."
+        )
+    if found.used < _LITTLE_USED:
+        longest = rim.diameter_px[1]
+        if rim.on_image == 1 and longest < 0.6 * smaller:
+            where = np.array(rim.centre_px) - middle
+            corner = np.hypot(*where) > 0.15 * smaller
+            said.append(
+                f"The image circle is {longest:.0f} px across in an image of {camera.width_px} x {camera.height_px}"
+                + (f", and lies {_whither(where)} of its middle" if corner else "")
+                + f": only {found.used:.1%} of the pixels are used. Is the focal length that of another resolution?"
+            )
+        else:
+            said.append(f"Only {found.used:.1%} of the image's pixels see something.")
+    if found.blind and found.blind.on_image == 0:
+        said.append("The blind spot lies outside the image.")
+    return said
+
+
+_XI = (
+    (0, "a perspective camera"),
+    (1, "as of a hyperboloid mirror"),
+    (math.inf, "above 1, as calibrations of real mirrors and of fisheyes have it"),
+)
+"""What xi of the unified model says, up to a value."""
+
+
+def _model(sensor: Sensor) -> str:
+    """The parameters, with what xi says."""
+    keys = {name: value for name, value in sensor.model.model_dump().items() if name != "kind"}
+    given = [f"{name} = {_listed_numbers(value)}" for name, value in keys.items()]
+    given += [f"lens {name} = {value:.4g}" for name, value in sensor.lens.model_dump().items() if value]
+    camera = sensor.camera
+    if "focal_px" not in sensor.model.unused:
+        given.append(f"focal length {camera.focal_px:.5g} px")
+        given += [f"aspect {camera.aspect:.5g}"] if camera.aspect != 1 else []
+        given += [f"skew {camera.skew_px:.4g} px"] if camera.skew_px else []
+    text = ", ".join(given)
+    if getattr(sensor.model, "kind", "") == "unified":
+        xi = keys["xi"]
+        why = "as of a paraboloid mirror" if xi == 1 else next(words for most, words in _XI if xi <= most)
+        text = f"{text}; xi is {why}" if xi else f"{text}; xi = 0 is {why}"
+    return text
+
+
+def _listed_numbers(value: Any) -> str:
+    return f"({', '.join(f'{each:.4g}' for each in value)})" if isinstance(value, list | tuple) else f"{value:.5g}"
+
+
+def _mount(sensor: Sensor) -> str:
+    mount = sensor.mount
+    turns = [
+        f"{name} {value:g} deg"
+        for name, value in (("yaw", mount.yaw_deg), ("pitch", mount.pitch_deg), ("roll", mount.roll_deg))
+        if value
+    ]
+    text = f"looks {sensor.looks}, {'mirrored' if sensor.mirrored else 'not mirrored'}"
+    return f"{text}; turned by {', '.join(turns)}" if turns else text
+
+
+def _circle(found: Coverage) -> str:
+    rim = found.rim
+    if not has_circle(found.sensor):
+        return "none: a panorama in longitude and latitude"
+    if rim.on_image <= 0.02 or not np.isfinite(rim.diameter_px).all():
+        return "none: the image ends before the field does, on all sides"
+    u, v = rim.centre_px
+    return f"{_across(rim)} across, around ({u:.1f}, {v:.1f})" + (
+        ", all of it on the image" if rim.on_image == 1 else f", {rim.on_image:.0%} of its edge on the image"
+    )
+
+
+def _blind(found: Coverage) -> str:
+    if found.blind is None:
+        return "none"
+    blind = found.blind
+    u, v = blind.centre_px
+    angle = _number(math.degrees(blind.angle_rad))
+    return f"{_across(blind)} across, around ({u:.1f}, {v:.1f}): up to {angle} deg off the axis"
+
+
+def _across(ring: Ring) -> str:
+    short, long = ring.diameter_px
+    return f"{long:.0f} px" if long - short < _EVEN * long else f"{short:.0f} to {long:.0f} px"
+
+
+def _resolution(found: Coverage) -> str:
+    seen = found.resolution
+    vertical = bool(np.isfinite(seen.elevation_rad).all())
+    x = np.degrees(seen.elevation_rad if vertical else seen.angle_rad)
+    both = seen.radial + seen.tangential
+    if not np.isfinite(both).any():
+        return ""
+    best, worst = int(np.nanargmax(seen.radial)), int(np.nanargmin(seen.radial))
+    unit = "deg of elevation" if vertical else "deg off the axis"
+    least = f"{seen.radial[worst]:.2f} (at {_number(x[worst])} {unit})"
+    parts = [
+        f"radially {least} to {seen.radial[best]:.2f} px/deg (at {_number(x[best])})",
+        f"tangentially {np.nanmin(seen.tangential):.2f} to {np.nanmax(seen.tangential):.2f} px/deg",
+    ]
+    if vertical and x.min() < 0 < x.max():
+        level = int(np.argmin(np.abs(x)))
+        if np.isfinite(both[level]):
+            parts.append(f"at the horizon {seen.radial[level]:.2f} and {seen.tangential[level]:.2f}")
+    return "; ".join(parts)
+
+
+def _whither(offset: np.ndarray) -> str:
+    """An offset in words: `12 px right, 3 px up`."""
+    across = f"{abs(offset[0]):.0f} px {'right' if offset[0] > 0 else 'left'}"
+    down = f"{abs(offset[1]):.0f} px {'down' if offset[1] > 0 else 'up'}"
+    return ", ".join(text for text, size in ((across, offset[0]), (down, offset[1])) if abs(size) >= 0.5)
+
+
+def _listed(words: tuple[str, ...]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _number(value: float) -> str:
+    text = f"{value:.1f}".removesuffix(".0")
+    return "0" if text == "-0" else text

@@ -1,0 +1,282 @@
+"""`omnirange sensor`: what it says, what it draws, and what it converts."""
+
+import re
+
+import calibration_files as files
+import numpy as np
+import pytest
+from browser import chromium, visit
+from PIL import Image
+
+import harness
+from harness import Sensor
+from harness.camera.models import BUILT_IN
+from harness.camera.optics import optics_of
+from harness.camera.sensor import pixel_directions, unproject
+from harness.cli import main
+from harness.cli.sensor import FORMATS
+from harness.errors import InputError
+from harness.io.calibrations.conversion import formats
+from harness.spec import dump_toml, parse
+
+MIRROR = Sensor()
+FISHEYE = {
+    "model": {"kind": "kannala_brandt", "k1": 0.01, "k2": -0.002, "k3": 0.0, "k4": 0.0},
+    "camera": {"width_px": 640, "height_px": 480, "focal_px": 150.0, "cx_px": 322.0, "cy_px": 238.0},
+    "field": {"elevation_min_deg": -5.0, "elevation_max_deg": 90.0},
+}
+
+
+def said(capsys, *arguments, code=0):
+    """What goes to standard output, or to standard error when something is wrong."""
+    assert main(["sensor", *map(str, arguments)]) == code
+    found = capsys.readouterr()
+    return found.err if code else found.out
+
+
+@pytest.fixture
+def mirror(tmp_path):
+    return files.write(tmp_path, dump_toml(MIRROR), "mirror.toml")
+
+
+@pytest.fixture
+def fisheye(tmp_path):
+    return files.write(tmp_path, dump_toml(parse(Sensor, FISHEYE)), "fisheye.toml")
+
+
+# --- Words and picture ---------------------------------------------------------------------------------------------
+
+
+def test_what_is_said_of_the_default_sensor(mirror, tmp_path, capsys):
+    text = said(capsys, mirror, "--out", tmp_path / "page.html")
+    assert text.splitlines()[:2] == [f"{mirror}: a sensor file", "Hyperboloid mirror, 640 x 480 pixels"]
+    facts = dict(re.findall(r"^  (\w[\w ]*?)  +(.*)$", text, re.MULTILINE))
+    assert facts["mount"] == "looks down, mirrored"
+    assert facts["field"].startswith("15 to 110 deg off the optical axis; the image has elevations -75 to 20 deg")
+    assert facts["image circle"] == "476 px across, around (319.5, 239.5), all of it on the image"
+    assert facts["blind spot"] == "42 px across, around (319.5, 239.5): up to 15 deg off the axis"
+    assert facts["used"].startswith("57.5% of the image's pixels")
+    assert "! " not in text
+    assert "note: " not in text
+    assert (tmp_path / "page.html").read_text().startswith("<!DOCTYPE html>")
+
+
+def test_what_is_said_of_a_camera_in_a_rig(tmp_path, capsys):
+    path = files.write(tmp_path, files.KALIBR)
+    text = said(capsys, path, "--camera", 1, "--angle-max", 100, "--out", tmp_path / "a.svg")
+    assert text.startswith(
+        f"{path}: Kalibr camchain (YAML), camera 1 (cam1) of 4\nDouble sphere camera, 512 x 512 pixels\n"
+    )
+    assert "looks up, not mirrored" in text
+    # By hand: cam0 at the origin; cam1 is at -R^T t, turned by 90° about z.
+    assert "--baseline -0.2 0.1 -0.3 --rotation-deg -90 0 0" in text
+    assert "note: the file does not say how the camera is mounted" in text
+    assert "how far the lens sees" not in text  # it was told
+
+
+def test_what_does_not_fit_is_said(tmp_path, capsys):
+    corner = FISHEYE | {"camera": FISHEYE["camera"] | {"focal_px": 40.0, "cx_px": 100.0, "cy_px": 90.0}}
+    text = said(capsys, files.write(tmp_path, dump_toml(parse(Sensor, corner))), "--out", tmp_path / "a.png")
+    assert "! The optical axis meets the image at (100.0, 90.0), 266 px from its middle (319.5, 239.5)" in text
+    assert "lies 220 px left, 150 px up of its middle" in text
+    assert "Is the focal length that of another resolution?" in text
+    cut = FISHEYE | {"camera": FISHEYE["camera"] | {"focal_px": 180.0}}
+    text = said(capsys, files.write(tmp_path, dump_toml(parse(Sensor, cut))), "--out", tmp_path / "a.png")
+    assert re.search(r"! The edge of the field leaves the image at the top and bottom: \d+% of its directions", text)
+    said(capsys, files.write(tmp_path, dump_toml(parse(Sensor, FISHEYE))), "--out", tmp_path / "a.png")
+
+
+def test_pictures_alone(mirror, tmp_path, capsys):
+    for name in ("a.svg", "a.png"):
+        said(capsys, mirror, "--out", tmp_path / name)
+    assert (tmp_path / "a.svg").read_text().lstrip().startswith("<?xml")
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.width > 1500
+    assert "must end in .html, .svg or .png" in said(capsys, mirror, "--out", tmp_path / "a.gif", code=2)
+
+
+def test_from_python():
+    described = harness.describe_sensor()
+    assert str(described).startswith("Hyperboloid mirror, 640 x 480 pixels\n  model ")
+    assert described.coverage.used == pytest.approx(pixel_directions(MIRROR)[1].mean())
+    assert described._repr_html_().startswith('<img alt="" style')
+    with pytest.raises(InputError, match="no pixel sees anything"):
+        harness.describe_sensor(
+            FISHEYE | {"field": {"elevation_min_deg": -75.0, "elevation_max_deg": -60.0, "angle_max_deg": 120.0}}
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_the_page_is_readable_on_a_desk_and_on_a_phone(tmp_path):
+    for name, sensor in (("mirror", MIRROR), ("fisheye", parse(Sensor, FISHEYE))):
+        harness.describe_sensor(sensor).write(tmp_path / f"{name}.html", ("a note",))
+        with chromium(tmp_path / f"profile-{name}", scripts=False) as context:
+            for width, columns in ((1200, 2), (400, 1)):
+                seen = visit(context, tmp_path / f"{name}.html", width=width)
+                assert not seen.requests
+                assert not seen.complaints
+                assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+                boxes = [seen.page.locator("figure img").nth(i).bounding_box() for i in (0, 1)]
+                assert all(box["width"] > 300 for box in boxes)
+                assert len({round(box["x"]) for box in boxes}) == columns  # beside each other, or below
+
+
+# --- Conversion ----------------------------------------------------------------------------------------------------
+
+
+def test_the_formats_are_those_of_the_reader():
+    assert set(FORMATS) == set(formats())
+
+
+def rays_apart(one, other):
+    """The largest difference of unit rays over what the first sensor sees."""
+    _, valid = pixel_directions(one)
+    v, u = np.nonzero(valid)
+    pixels = np.stack([u, v], axis=-1)[::7].astype(float)
+    return np.abs(unproject(one, pixels)[0] - unproject(other, pixels)[0]).max()
+
+
+EXACT = [
+    (MIRROR, "opencv", None),
+    (MIRROR, "opencv-xml", "unified"),
+    (MIRROR, "kalibr", "unified"),
+    (MIRROR, "kalibr", "eucm"),
+    (MIRROR, "kalibr", "double_sphere"),
+    (MIRROR, "camodocal", None),
+    (MIRROR, "basalt", None),
+    (MIRROR, "colmap", "eucm"),
+    (MIRROR, "toml", "unified"),
+    (FISHEYE, "opencv", None),
+    (FISHEYE, "kalibr", None),
+    (FISHEYE, "camodocal", None),
+    (FISHEYE, "basalt", None),
+    (FISHEYE, "colmap", None),
+    (FISHEYE, "toml", None),
+]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "to", "model"), EXACT, ids=lambda each: None if isinstance(each, dict | Sensor) else each
+)
+def test_an_exact_conversion_has_the_same_rays(sensor, to, model, tmp_path, capsys):
+    """There, back into ours, and there again: to 1e-9 rad, of which roundings make 1e-12."""
+    first = parse(Sensor, sensor) if isinstance(sensor, dict) else sensor
+    path = files.write(tmp_path, dump_toml(first), "first.toml")
+    words = [path, "--to", to, *(["--model", model] if model else []), "--out", tmp_path / "there"]
+    text = said(capsys, *words)
+    assert ", exact; rays differ by " in text
+    choices = re.search(r"read it with (.*)", text)[1].split() if to != "toml" else []
+    said(capsys, tmp_path / "there", *choices, "--to", "toml", "--out", tmp_path / "back.toml")
+    back = harness.load_sensor(tmp_path / "back.toml")
+    assert rays_apart(first, back) < 1e-9
+    assert (pixel_directions(first)[1] != pixel_directions(back)[1]).mean() < 1e-4  # the field is the same
+    said(
+        capsys, tmp_path / "back.toml", "--to", to, *(["--model", model] if model else []), "--out", tmp_path / "again"
+    )
+    again = harness.load_sensor(tmp_path / "again", looks=first.looks, mirrored=first.mirrored)
+    assert rays_apart(first, again) < 1e-9
+
+
+def test_a_conversion_that_is_not_exact_says_how_near(fisheye, tmp_path, capsys):
+    text = said(capsys, fisheye, "--to", "kalibr", "--model", "double_sphere", "--out", tmp_path / "ds.yaml")
+    found = re.search(
+        r"the nearest: RMS (\S+) deg \((\S+) px\), at most (\S+) deg \((\S+) px\), "
+        r"over (\d+) pixels, (\S+) to (\S+) deg",
+        text,
+    )
+    rms_deg, rms_px, most_deg, most_px, pixels, low, high = map(float, found.groups())
+    first = parse(Sensor, FISHEYE)
+    second = harness.load_sensor(tmp_path / "ds.yaml", elevation_deg=(-5.0, 90.0))
+    v, u = np.nonzero(pixel_directions(first)[1])
+    there = np.stack([u, v], axis=-1).astype(float)
+    one, other = optics_of(first).unproject(there), optics_of(second).unproject(there)
+    angles = np.degrees(2 * np.arcsin(np.linalg.norm(one - other, axis=-1) / 2))
+    # It was measured over a part of these pixels and the border's.
+    assert rms_deg == pytest.approx(np.sqrt(np.mean(angles**2)), rel=0.1)
+    assert most_deg == pytest.approx(angles.max(), rel=0.1)
+    apart = np.linalg.norm(optics_of(second).project(one) - there, axis=-1)
+    assert (rms_px, most_px) == pytest.approx((np.sqrt(np.mean(apart**2)), apart.max()), rel=0.1)
+    assert rms_px < 0.2
+    assert pixels > 5000
+    assert (low, high) == pytest.approx((0, 95), abs=1)
+
+
+def test_what_is_too_far_is_refused_unless_it_is_allowed(tmp_path, capsys):
+    """OCamCalib's affine part shears the image by 0.005, some 1.5 px at the rim; COLMAP's models have no skew."""
+    path = files.write(tmp_path, files.OCAMCALIB)
+    words = [path, "--angle-max", 90, "--to", "colmap"]
+    text = said(capsys, *words, code=2)
+    apart = float(re.search(r"--to: the nearest Kannala-Brandt fisheye is (\S+) px RMS away", text)[1])
+    assert 0.2 < apart < 1
+    assert "--allow-residual PX takes it all the same" in text
+    assert said(capsys, *words, "--allow-residual", 1.01 * apart).startswith("# Camera list")
+    with pytest.raises(SystemExit, match="2"):
+        main(["sensor", *map(str, words), "--allow-residual", "0"])
+
+
+def test_the_file_goes_to_standard_output_and_words_beside_it(mirror, capsys):
+    assert main(["sensor", str(mirror), "--to", "kalibr"]) == 0
+    found = capsys.readouterr()
+    assert found.out.startswith("cam0:\n  cam_overlaps: []\n  camera_model: omni\n")
+    assert "exact" in found.err
+    assert "read it with --looks down --mirrored --elevation -75 20" in found.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (
+            ["--to", "colmap", "--model", "unified"],
+            "--model: colmap has no model 'unified'; it has kannala_brandt, eucm",
+        ),
+        (["--to", "toml", "--model", "fish"], "--model: toml has no model 'fish'; it has "),
+        (["--camera", 3], "--camera: has one camera, number 0"),
+        (["--size", 10, 20], "--size: is a sensor file, which says its size itself: leave it out"),
+        (["--elevation", 30, 20], "elevation_min_deg must be below elevation_max_deg"),
+        (["--angle-max", -3], "field.angle_max_deg: must be above 0; found -3"),
+    ],
+)
+def test_what_cannot_be_is_answered_in_one_line(arguments, problem, mirror, capsys):
+    text = said(capsys, mirror, *arguments, code=2)
+    assert problem in text
+    assert text.count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", [kind for kind in BUILT_IN if kind not in ("hyperboloid", "equirectangular")])
+def test_every_model_of_ours_is_near_a_fisheye(kind):
+    """The field stays, so that the picture is the same to a fraction of a pixel."""
+    found = harness.convert_sensor(FISHEYE, "toml", model=kind, allow_residual_px=1)
+    assert f'kind = "{kind}"' in found.text
+    assert found.conversion.rms_px < 1
+
+
+def test_other_commands_take_the_same_options(tmp_path, capsys):
+    """Refused where there is nothing to choose from; else read with them."""
+    box = ["render", "box", "--at", "0", "0", "1", "--out", str(tmp_path / "view")]
+    assert main([*box, "--looks", "up"]) == 2
+    assert "--sensor: is missing: there is no file for the other options" in capsys.readouterr().err
+    path = str(files.write(tmp_path, files.KALIBR))
+    assert main([*box, "--sensor", path]) == 2
+    assert "--camera: has 4 cameras" in capsys.readouterr().err
+    pair = ["range", "a.png", "b.png", "--baseline", "1", "0", "0", "--out", str(tmp_path / "o"), "--sensor", path]
+    assert main([*pair, "--camera", "1", "--camera-2", "1"]) == 2
+    assert "--sensor-2: is missing: there is no file for --camera-2" in capsys.readouterr().err
+    assert main([*pair, "--camera", "1", "--sensor-2", path, "--camera-2", "9"]) == 2
+    assert "--camera: there is no camera 9; the file has 0 to 3" in capsys.readouterr().err
+
+
+@pytest.mark.slow  # the loops are compiled for a fisheye
+def test_a_view_through_a_calibrated_fisheye(tmp_path, capsys):
+    """Looking up in the 6 m box: the sensor's file is written as it was read, and the ceiling is 5 m above."""
+    path = files.write(tmp_path, files.KALIBR)
+    words = ["--sensor", path, "--camera", 3, "--angle-max", 85, "--samples", 1, "--out", tmp_path / "view"]
+    assert main(["render", "box", "--at", "0", "0", "1", *map(str, words)]) == 0
+    capsys.readouterr()
+    sensor = harness.load_sensor(tmp_path / "view" / "sensor.toml")
+    assert sensor == harness.load_sensor(path, camera=3, angle_max_deg=85.0)
+    range_m = np.load(tmp_path / "view" / "range.npy")
+    directions, valid = pixel_directions(sensor)
+    assert np.isfinite(range_m[valid]).all()
+    ceiling = valid & (directions[..., 2] > 0.9)
+    assert range_m[ceiling] * directions[..., 2][ceiling] == pytest.approx(5.0, abs=1e-6)
