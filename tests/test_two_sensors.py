@@ -235,7 +235,7 @@ def test_photographs_by_two_sensors(photographs, capsys):
     # Of 2 degrees a column and 3 m at half a metre of baseline, a tenth of a column is 6 cm.
     assert np.nanmedian(np.abs(found - true_m)) < 0.08
     page = (folder / "out" / "range.html").read_text(encoding="utf-8")
-    assert "160 × 160 and 224 × 208 pixels, each taken by a sensor of its own" in page
+    assert "160 × 160 and 224 × 208 pixels, each with a sensor of its own" in page
     assert "<h3>Sensor of view 1</h3>" in page
     assert "<h3>Sensor of view 2</h3>" in page
     found = harness.estimate_range(
@@ -256,7 +256,7 @@ def test_the_report_says_both_sensors(tmp_path):
     harness.run(experiment, out=tmp_path / "out").report()
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Two mirror images of 160 × 120 and 200 × 150 pixels, each with a sensor of its own" in page
-    assert "taken by a sensor of its own: hyperboloid mirror,\n200 × 150 px" in page
+    assert "with a sensor of its own: hyperboloid mirror,\n200 × 150 px" in page
     assert "Mirror image of view 2, 200 by 150 pixels" in page
 
 

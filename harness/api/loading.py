@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.camera.mount import Looks
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, check_mask
 from harness.errors import InputError
 from harness.geometry.pose import Motion
 from harness.io.calibrations import read_calibration
@@ -133,7 +133,9 @@ def load_sensor(
     if chosen != Chosen():
         raise InputError("is no file; give what is to be chosen in its tables", key="sensor")
     if isinstance(sensor, Mapping):
-        return parse(Sensor, sensor_of_table(sensor, "sensor") if "file" in sensor else sensor, file="sensor")
+        made = parse(Sensor, sensor_of_table(sensor, "sensor") if "file" in sensor else sensor, file="sensor")
+        check_mask(made, file="sensor")
+        return made
     return Sensor() if sensor is None else sensor
 
 

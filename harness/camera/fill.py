@@ -1,6 +1,6 @@
 """Images continued where nothing is known: black beyond what a sensor sees would ring into the picture through a
-spline's prefilter, and a grey level that is not a number would spread without end. And across the seam of images that
-go round.
+spline's prefilter, as would what a mask hides, and a grey level that is not a number would spread without end. And
+across the seam of images that go round.
 """
 
 from typing import TypeVar
@@ -8,6 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+
+from harness.camera.sensor import Sensor, masked_pixels, pixel_directions
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -35,18 +37,42 @@ def nearest_known(known: NDArray[np.bool_]) -> Indices:
     return rows, columns
 
 
-def without_gaps(image: Image, seen: Mask) -> tuple[Image, Mask]:
-    """An image whose gaps, pixels that are not finite, are closed, and which pixels are known: seen, and no gap.
+def without_gaps(image: Image, seen: Mask, hidden: Mask | None = None) -> tuple[Image, Mask]:
+    """An image whose gaps, pixels that are not finite or hidden, are closed, and which pixels are known: seen, no gap.
 
     A gap gets the grey level of the nearest known pixel, so that filters and splines have something to go on; nothing
     may be concluded from it. An image without gaps is returned as it is, with `seen` itself.
+
+    Parameters
+    ----------
+    hidden
+        Pixels that show something else, and are not `seen` either.
     """
     finite = np.isfinite(image)
-    if finite.all():
+    if finite.all() and hidden is None:
         return image, seen
     known = seen & finite
-    closed = np.where(finite, image, image[nearest_known(known)])
+    closed = np.where(finite if hidden is None else finite & ~hidden, image, image[nearest_known(known)])
     return np.where(np.isfinite(closed), closed, np.float32(0)), known
+
+
+def closed_image(image: Image, sensor: Sensor, seam: int = 0) -> tuple[Image, Mask, Mask | None]:
+    """A sensor's image without its gaps, as `without_gaps`; which pixels are known; and which were gaps, or None.
+
+    A gap is a pixel of the field that is not finite, or that the sensor's mask hides.
+
+    Parameters
+    ----------
+    seam
+        How many columns all of them go on for across the image's seam; see `across_seam`.
+    """
+    seen, masked = across_seam(pixel_directions(sensor)[1], seam), masked_pixels(sensor)
+    hidden = None if masked is None else across_seam(masked, seam)
+    closed, known = without_gaps(across_seam(image, seam), seen, hidden)
+    if known is seen:
+        return closed, known, None
+    gaps = seen & ~known
+    return closed, known, gaps if hidden is None else gaps | hidden
 
 
 def touches(gaps: Mask, coordinates: NDArray[np.float64], order: int) -> Mask:

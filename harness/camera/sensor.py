@@ -5,6 +5,7 @@ pixel [v, u] is at the integers (u, v).
 """
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,14 @@ from harness.camera._mounted_kernels import MountedCamera
 from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
+from harness.camera.mask import Mask, used_pixels
 from harness.camera.models import AnyModel, Mirror
 from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
+from harness.errors import InputError
+from harness.files import path_of
 from harness.geometry.angles import Array
-from harness.spec import Spec, load
+from harness.spec import Spec, as_table, parse
+from harness.toml import read_toml
 
 
 class Sensor(Spec):
@@ -37,6 +42,9 @@ class Sensor(Spec):
     """The directions that the sensor sees."""
     mount: Mount = Mount()
     """How the camera is mounted."""
+    mask: Mask = None
+    """Which pixels are used: the path of an 8-bit grey image of the sensor's size, white where they are; relative to
+    the sensor's file. Pixels that show the robot itself, or what holds the mirror, are nothing to match."""
 
     @property
     def looks(self) -> Looks:
@@ -53,6 +61,18 @@ class Sensor(Spec):
         self.model.check(self.camera, self.lens, edge_of(self.field, self.looks))
         return self
 
+    def with_mask(self, file: str | Path) -> "Sensor":
+        """The same sensor with another mask.
+
+        Raises
+        ------
+        InputError
+            When the file is no 8-bit grey image of the sensor's size.
+        """
+        masked = parse(Sensor, as_table(self) | {"mask": str(file)})
+        check_mask(masked)
+        return masked
+
 
 def load_sensor(path: Path) -> Sensor:
     """Read a sensor file (TOML).
@@ -62,7 +82,38 @@ def load_sensor(path: Path) -> Sensor:
     InputError
         Names the file, the key and what would be right.
     """
-    return load(Sensor, path)
+    return sensor_of(read_toml(path), path)
+
+
+def sensor_of(table: Mapping[str, Any], file: Path) -> Sensor:
+    """The sensor in the table of a file, with the mask that it names beside the file; errors as in `load_sensor`."""
+    given, mask = dict(table), table.get("mask")
+    if isinstance(mask, str):
+        given["mask"] = str(path_of(mask, file.parent, file=file, key="mask").absolute())
+    elif isinstance(mask, dict) and isinstance(mask.get("file"), str):
+        given["mask"] = mask | {"file": str(path_of(mask["file"], file.parent, file=file, key="mask.file").absolute())}
+    sensor = parse(Sensor, given, file=file)
+    check_mask(sensor, file=file)
+    return sensor
+
+
+def check_mask(sensor: Sensor, file: str | Path | None = None, key: str = "mask") -> None:
+    """Refuse a mask that cannot be read or does not fit.
+
+    Parameters
+    ----------
+    file, key
+        Where the mask is named, for messages.
+
+    Raises
+    ------
+    InputError
+        Names the place, the mask's own file and what would be right.
+    """
+    try:
+        used(sensor)
+    except InputError as error:
+        raise InputError(f"'{error.file}': {error.problem}", file=file, key=key) from error
 
 
 def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
@@ -78,13 +129,13 @@ def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
     pixels
         `[..., 2]`, (u, v) in pixels. Also given outside the field as long as mirror and lens go on; NaN beyond.
     valid
-        `[...]`, bool: inside the cone of the field, and on the image.
+        `[...]`, bool: inside the cone of the field, on the image, and nearest to a pixel that is used.
     """
     directions = np.asarray(directions, dtype=np.float64)
     pixels = np.empty((*directions.shape[:-1], 2))
     project_all(np.ascontiguousarray(directions).reshape(-1, 3), parameters_of(sensor), pixels.reshape(-1, 2))
     with np.errstate(invalid="ignore"):
-        return pixels, in_field(sensor, directions) & on_image(sensor, pixels)
+        return pixels, in_field(sensor, directions) & on_image(sensor, pixels) & _not_masked(sensor, pixels)
 
 
 def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
@@ -122,14 +173,15 @@ def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
         `[..., 3]`, unit length; NaN where the lens has no inverse. Outside the field they go on smoothly, even where
         the mirror does not.
     valid
-        `[...]`, bool: inside the cone of the field (so neither beyond the rim nor in the blind disc), and on the image.
+        `[...]`, bool: inside the cone of the field (so neither beyond the rim nor in the blind disc), on the image, and
+        nearest to a pixel that is used.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     flat = pixels.reshape(-1, 2)
     rays = rays_of(sensor, np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1]))
     with np.errstate(invalid="ignore"):
         directions = (rays / np.sqrt(np.sum(rays * rays, axis=0))).T.reshape(*pixels.shape[:-1], 3)
-    return directions, in_field(sensor, directions) & on_image(sensor, pixels)
+    return directions, in_field(sensor, directions) & on_image(sensor, pixels) & _not_masked(sensor, pixels)
 
 
 def rays_of(sensor: Sensor, u: Array, v: Array) -> Array:
@@ -168,6 +220,43 @@ def on_image(sensor: Sensor, pixels: ArrayLike) -> np.ndarray:
     pixels = np.asarray(pixels, dtype=np.float64)
     u, v = pixels[..., 0], pixels[..., 1]
     return (u >= -0.5) & (u <= sensor.camera.width_px - 0.5) & (v >= -0.5) & (v <= sensor.camera.height_px - 0.5)
+
+
+def in_use(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
+    """Whether directions `[..., 3]` (any length) lie in the cone that the sensor sees, and not on a masked pixel.
+
+    Unlike what `project` says, beyond the borders of the image too.
+    """
+    seen = in_field(sensor, directions)
+    return seen if sensor.mask is None else seen & _not_masked(sensor, project(sensor, directions)[0])
+
+
+def used(sensor: Sensor) -> np.ndarray | None:
+    """`[height, width]`, bool: the pixels that the sensor's mask leaves; None where it has none. Errors of its file."""
+    camera = sensor.camera
+    return None if sensor.mask is None else used_pixels(sensor.mask, camera.width_px, camera.height_px)
+
+
+@lru_cache(maxsize=8)
+def masked_pixels(sensor: Sensor) -> np.ndarray | None:
+    """`[height, width]`, bool: pixels in the field that the mask hides; None where there is no mask. Read-only."""
+    usable = used(sensor)
+    if usable is None:
+        return None
+    hidden = pixel_directions(sensor.model_copy(update={"mask": None}))[1] & ~usable
+    hidden.flags.writeable = False
+    return np.asarray(hidden)
+
+
+def _not_masked(sensor: Sensor, pixels: Array) -> np.ndarray:
+    """Whether the pixel nearest to each of `[..., 2]` is used; True beyond the image."""
+    usable = used(sensor)
+    if usable is None:
+        return np.ones(pixels.shape[:-1], dtype=bool)
+    beside = ~on_image(sensor, pixels)
+    column, row = np.moveaxis(np.rint(np.where(beside[..., None], 0.0, pixels)).astype(np.intp), -1, 0)
+    height, width = usable.shape
+    return beside | usable[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
 
 
 @lru_cache(maxsize=8)

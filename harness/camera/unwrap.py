@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera import _sampling_kernels
-from harness.camera.fill import across_seam, nearest_known, touches, without_gaps
+from harness.camera.fill import across_seam, closed_image, nearest_known, touches
 from harness.camera.sensor import Sensor, pixel_directions, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, cylinder
@@ -29,7 +29,8 @@ def unwrap(
     Parameters
     ----------
     image
-        `[sensor height, sensor width]`, grey levels. What is made of a pixel that is not finite is not valid.
+        `[sensor height, sensor width]`, grey levels. What is made of a pixel that is not finite, or masked, is not
+        valid.
     R_sensor_from_panorama
         `[3, 3]`; turns a direction of the cylinder's frame into the sensor's. Given the rotation between the views, the
         second panorama is made in the first one's orientation, and what is left between them is a pure translation.
@@ -49,10 +50,9 @@ def unwrap(
     rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
     order = {"bilinear": 1, "cubic": 3}[interpolation]
     coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
-    seen = _seen(sensor)
-    image, known = without_gaps(across_seam(image, seam_px(sensor)), seen)
-    if known is not seen:
-        valid = valid & ~touches(seen & ~known, coordinates, order)
+    image, known, gaps = closed_image(image, sensor, seam_px(sensor))
+    if gaps is not None:
+        valid = valid & ~touches(gaps, coordinates, order)
         valid.flags.writeable = False
     if order == 1:
         values = np.empty(grid.shape, dtype=np.float32)

@@ -2,11 +2,14 @@
 
 from argparse import Namespace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from harness.cli import completers
 from harness.cli.options import Commands, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
+
+if TYPE_CHECKING:
+    from harness.camera.sensor import Sensor
 
 
 def add(commands: Commands) -> None:
@@ -22,6 +25,14 @@ def add(commands: Commands) -> None:
     command.add_argument("left", type=Path, metavar="LEFT", help="mirror image of view 1 (PNG, JPEG, TIFF ...)")
     command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2")
     add_sensor(command, "sensor TOML or calibration file", required=True, second=True)
+    command.add_argument(
+        "--mask",
+        type=Path,
+        metavar="FILE",
+        help="8-bit grey image, white where pixels of both images are used, in place of the sensor's own mask; of the "
+        "left image alone if view 2 has a sensor or a mask of its own",
+    )
+    command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")
     command.add_argument(
         "--bits",
         type=int,
@@ -72,6 +83,8 @@ def run(options: Namespace) -> None:
 
     sensor = first_sensor(options)
     assert sensor is not None
+    sensor = _masked(sensor, options.mask, "--mask")
+    sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     second = _second_pose(options)
     motion = harness.relative_motion(harness.Pose(), second)
     if not motion.baseline_m > 0:
@@ -84,7 +97,7 @@ def run(options: Namespace) -> None:
         sensor,
         motion,
         settings.matching,
-        sensor_2=second_sensor(options),
+        sensor_2=sensor_2,
         grid=settings.panorama,
         bits=options.bits,
     )
@@ -110,3 +123,15 @@ def _second_pose(options: Namespace) -> Any:
         {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll},
         file="--baseline",
     )
+
+
+def _masked(sensor: "Sensor", mask: Path | None, option: str) -> "Sensor":
+    """The sensor with the mask of an option, or as it is."""
+    from harness.errors import InputError
+
+    if mask is None:
+        return sensor
+    try:
+        return sensor.with_mask(mask)
+    except InputError as error:
+        raise InputError(error.problem, file=option) from error

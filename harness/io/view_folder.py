@@ -8,7 +8,7 @@ import tomli_w
 from numpy.typing import NDArray
 from PIL import Image
 
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, used
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Panorama
 from harness.geometry.pose import Motion, Pose
@@ -20,6 +20,7 @@ omni.npy              the same before rounding, float32, 0 .. 255, [row = v, col
 panorama.png          the mirror image on a cylinder around the vertical axis, 8 bit grey, [row = z, column = phi]
 panorama.npy          the same before rounding, float32; NaN where the sensor does not see all that a pixel is made of
 sensor.toml           the mirror, camera and lens
+mask.png              white where pixels are used, black where they show the robot itself; only if the sensor has a mask
 pose.toml             where the sensor stands in the world, metres and degrees, z up, and the panorama's grid
 """
 
@@ -57,8 +58,20 @@ def view_files(
         "omni.npy": npy(image),
         "panorama.png": png(np.where(panorama.valid, panorama.values, np.float32(0))),
         "panorama.npy": npy(np.where(panorama.valid, panorama.values, np.float32(np.nan))),
-        "sensor.toml": dump_toml(sensor).encode(),
+        **sensor_files(sensor),
         "pose.toml": (placed + "\n[panorama]\n" + dump_toml(panorama.grid)).encode(),
+    }
+
+
+def sensor_files(sensor: Sensor) -> dict[str, bytes]:
+    """`sensor.toml`, and `mask.png`, which it names, if the sensor has a mask."""
+    pixels = used(sensor)
+    if pixels is None:
+        return {"sensor.toml": dump_toml(sensor).encode()}
+    bare = dump_toml(sensor.model_copy(update={"mask": None}))
+    return {
+        "sensor.toml": f'mask = "mask.png"\n{bare}'.encode(),
+        "mask.png": png(np.where(pixels, np.float32(255), np.float32(0))),
     }
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor, in_field, pixel_directions
+from harness.camera.sensor import Sensor, in_use, pixel_directions
 from harness.camera.unwrap import unwrap
 from harness.display import OneLine, grey, html_figure
 from harness.files import make_folder, write
@@ -105,7 +105,7 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
         image=image,
         range_m=truth(scene, pose, rays, inside, wrap_columns=False).range_m,
         panorama=np.where(unwrapped.valid, unwrapped.values, np.float32(np.nan)),
-        panorama_range_m=truth(scene, pose, around, in_field(sensor, around)).range_m,
+        panorama_range_m=truth(scene, pose, around, in_use(sensor, around)).range_m,
         scene=scene,
         sensor=sensor,
         pose=pose,

@@ -83,11 +83,12 @@ def _say_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Ar
     """Give notice where next to nothing of the image or of the panorama is seen."""
     rotation = _IDENTITY if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, np.float64).tobytes()
     on_sensor, on_panorama = _shares(sensor, grid, rotation)
+    masked = f"{key}.mask, " if sensor.mask is not None else ""
     if on_sensor < LITTLE:
-        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see {key}.{_CIRCLE}")
+        _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see {masked}{key}.{_CIRCLE}")
     if on_panorama < LITTLE:
         if _share_in_field(sensor, grid, rotation) >= LITTLE:
-            _notice(f"only {on_panorama:.1%} of the panorama is on the image; see {key}.{_CIRCLE}")
+            _notice(f"only {on_panorama:.1%} of the panorama is on the image; see {masked}{key}.{_CIRCLE}")
         else:
             stem, dot, _ = key.rpartition(".")
             _notice(
@@ -140,6 +141,10 @@ def _shares(sensor: Sensor, grid: Grid, rotation: bytes = _IDENTITY) -> tuple[fl
 
 def _remedy(sensor: Sensor, grid: Grid, name: str) -> str:
     """The key to blame: the first one without which something would be seen; empty when there is none."""
+    if sensor.mask is not None:
+        sensor = sensor.model_copy(update={"mask": None})
+        if _shares(sensor, grid)[1] > LITTLE:
+            return f"{name}.mask hides it all: pixels that are used are white in it"
     plain = sensor.model_copy(update={"lens": Lens()})
     if plain != sensor and _shares(plain, grid)[1] > LITTLE:
         return f"its lens bends the picture away; use weaker coefficients in {name}.lens"

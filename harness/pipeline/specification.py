@@ -161,7 +161,7 @@ class Trial(Spec):
     @property
     def key(self) -> str:
         """Sixteen hexadecimal digits that name these settings, on any machine: a scene counts by its contents,
-        and so does a matcher from elsewhere.
+        and so do masks and a matcher from elsewhere.
 
         Raises
         ------
@@ -171,6 +171,9 @@ class Trial(Spec):
         settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
         if self.sensors[0] == self.sensors[1]:
             del settings["sensor_2"]  # the same trial, whether or not it is given
+        for sensor in (settings["sensor"], settings.get("sensor_2", {})):
+            if mask := sensor.pop("mask", None):
+                sensor["mask"] = mask["sha256"]
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import in_field
+from harness.camera.sensor import in_use
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.bound import cramer_rao
@@ -165,7 +165,7 @@ def _truth(work: Work, _view: int) -> Truth:
         trial.scene,
         setup.poses[0],
         looking,
-        in_field(trial.sensor, looking),
+        in_use(trial.sensor, looking),
         pose_2=setup.poses[1],
         sensor_2=trial.sensors[1],
         threads=work.threads,

@@ -5,6 +5,7 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from numpy.typing import NDArray
 
+from harness.camera.sensor import Sensor
 from harness.geometry.angles import Array
 from harness.matching.registry import method_of
 from harness.pipeline.photographs import Estimate
@@ -12,8 +13,9 @@ from harness.report import theme
 from harness.report.markup import template
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
 from harness.report.sections.error_maps import reasons_picture
-from harness.report.theme import HALF, Picture
-from harness.report.words import image_sizes
+from harness.report.sensor_images import draw_mask, image_axes, mask_words
+from harness.report.theme import Picture
+from harness.report.words import images_of
 from harness.spec import dump_toml
 
 _NOTHING = "#D4D4D4"
@@ -48,7 +50,8 @@ def build_page(estimate: Estimate) -> str:
         median_share=_median(share),
         own_sigma=estimate.matches.sigma_alpha_2 is not None,
         settings=dump_toml(estimate.matcher),
-        sizes=image_sizes(estimate.pair.sensors),
+        masked=_masked(estimate.pair.sensors),
+        images=images_of(estimate.pair.sensors),
         sensors=[dump_toml(each) for each in dict.fromkeys(estimate.pair.sensors)],
         grid=dump_toml(estimate.pair.grid),
         t=[float(each) for each in estimate.pair.t_v1],
@@ -62,6 +65,14 @@ def _names(estimate: Estimate) -> tuple[str, str]:
     if first.name != second.name:
         return first.name, second.name
     return f"{first.parent.name}/{first.name}", f"{second.parent.name}/{second.name}"
+
+
+def _masked(sensors: tuple[Sensor, Sensor]) -> list[str]:
+    """A sentence on the mask of each view that has one, or of both."""
+    first, second = map(mask_words, sensors)
+    if first == second:
+        return [f"In each view, {first}."] if first else []
+    return [f"In view {view}, {words}." for view, words in ((1, first), (2, second)) if words]
 
 
 def _median(values: Array) -> float | None:
@@ -82,20 +93,15 @@ def _span(values: Array) -> tuple[float, float] | None:
 def _photograph(estimate: Estimate, view: int) -> Picture:
     colour: NDArray[np.uint8] = estimate.photographs[view].colour
     rows, columns = colour.shape[:2]
-    scale = min((HALF - 60) / columns, 350 / rows)
-    w, h = columns * scale, rows * scale
-    fig = theme.figure(HALF, 400)
-    ax = theme.axes(fig, 50 + (HALF - 60 - w) / 2, 6, w, h)
+    fig, ax, extent = image_axes(rows, columns)
     fewer = max(1, int(np.ceil(max(rows, columns) / 1024)))  # an aid to see, not data
     shown = colour[::fewer, ::fewer]
     grey = bool((shown[..., 0] == shown[..., 1]).all() and (shown[..., 0] == shown[..., 2]).all())
-    extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
     if grey:
         ax.imshow(shown[..., 0], cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
     else:
         ax.imshow(shown, extent=extent, aspect="auto")
-    ax.set_xlabel("$u$ (px)")
-    ax.set_ylabel("$v$ (px)")
+    draw_mask(ax, estimate.pair.sensors[view])
     name = _names(estimate)[view]
     return theme.picture(fig, f"Mirror image of view {view + 1}, {name}.", f"({'ab'[view]}) view {view + 1}: {name}")
 

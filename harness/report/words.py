@@ -67,10 +67,9 @@ def symbols(text: str) -> Markup:
 def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator[str]:
     """Sentences for the head of the report, about the base trial and how the methods compare on it."""
     matcher, grid = trial.matching, trial.panorama
-    own = ", each with a sensor of its own" if trial.sensors[0] != trial.sensors[1] else ""
     noise = f" and noise of σ = {trial.noise.sigma_grey:g} grey levels" if trial.noise.sigma_grey else ""
     yield (
-        f"Two mirror images of {image_sizes(trial.sensors)} pixels{own}, rendered "
+        f"Two mirror images of {images_of(trial.sensors)}, rendered "
         f"{trial.view_2.baseline_m:g}\u00a0m apart in the scene “{trial.scene.name}” with exact truth{noise}, are "
         f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched {_by(matcher)}."
     )
@@ -82,10 +81,19 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
 
 
-def image_sizes(sensors: tuple[Sensor, Sensor]) -> str:
-    """The sizes of both views' images: one where they are equal."""
-    sizes = [f"{each.camera.width_px} × {each.camera.height_px}" for each in sensors]
-    return " and ".join(dict.fromkeys(sizes))
+def images_of(sensors: tuple[Sensor, Sensor]) -> str:
+    """The sizes of both views' images, one where they are equal, and whether the views differ in more."""
+    sizes = " and ".join(dict.fromkeys(f"{each.camera.width_px} × {each.camera.height_px}" for each in sensors))
+    own = what_differs(sensors)
+    return f"{sizes} pixels{f', each with {own}' if own else ''}"
+
+
+def what_differs(sensors: tuple[Sensor, Sensor]) -> str:
+    """What each view has of its own: a sensor, or a mask alone; empty where both have the same."""
+    first, second = (each.model_copy(update={"mask": None}) for each in sensors)
+    if first != second:
+        return "a sensor of its own"
+    return "a mask of its own" if sensors[0] != sensors[1] else ""
 
 
 def _by(matcher: MatcherSettings) -> str:

@@ -10,12 +10,14 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, PrivateAttr, field_validator
 
+from harness.camera.sensor import check_mask
 from harness.display import shortened
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys
 from harness.runs.dotted import changed, value_at
 from harness.runs.methods import MethodName, method_id, method_names
+from harness.runs.named_files import SENSORS
 from harness.runs.values import Settings, shown
 from harness.simulation.fingerprint import fingerprint
 from harness.spec import Spec, as_table, checked_plain, parse
@@ -95,6 +97,12 @@ class Experiment(Spec):
             except InputError as error:
                 key = self._blame(error.key, settings, case) or self.key_in_file("", case).rstrip(".")
                 raise InputError(error.problem, key=key) from error
+            for name, sensor in zip(SENSORS, trial.sensors, strict=True):
+                try:
+                    check_mask(sensor, key=f"{name}.mask")
+                except InputError as error:
+                    key = self._blame(error.key, settings, case) or f"trial.{error.key}"
+                    raise InputError(error.problem, key=key) from error
             try:
                 trial.matching.check()
             except InputError as error:

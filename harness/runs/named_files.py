@@ -16,6 +16,8 @@ from harness.spec import as_table
 
 SENSORS = ("sensor", "sensor_2")
 """The keys of a trial that may name a sensor's file."""
+MASKS = tuple(f"{name}.mask" for name in SENSORS)
+"""Those that may name a mask's."""
 
 
 def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
@@ -26,6 +28,7 @@ def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | 
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else ((key, each) for each in value)
         above = "matching." if isinstance(value, dict) and "command" in value else ""  # a program's table
+        above = f"{key}." if isinstance(value, dict) and key in SENSORS else above
         parts = [(name, absolute(f"{above}{name}", each, folder, file, where)) for name, each in items]
         return dict(parts) if isinstance(value, dict) else [each for _, each in parts]
     if not isinstance(value, str):
@@ -33,7 +36,7 @@ def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | 
     if key == "scene":
         path = _scene_file(value, folder, file, where or key)
         return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
-    if key in SENSORS or last == "file" or last.endswith("_file"):
+    if key in (*SENSORS, *MASKS) or last == "file" or last.endswith("_file"):
         return str(path_of(value, folder, file=file, key=where or key or None).resolve())
     return value
 
@@ -64,9 +67,9 @@ def read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, key
         sensor = resolved.get(name)
         if isinstance(sensor, str):
             sensor = {"file": sensor}
-        if isinstance(sensor, dict) and "file" in sensor:
-            placed = absolute("", sensor, folder, file or "", f"{where}{name}")
-            resolved[name] = sensor_of_table(placed, file, f"{where}{name}")
+        if isinstance(sensor, dict):
+            placed = absolute(name, sensor, folder, file or "", f"{where}{name}")
+            resolved[name] = sensor_of_table(placed, file, f"{where}{name}") if "file" in placed else placed
     return resolved
 
 

@@ -39,6 +39,8 @@ def words_of(sensor: Sensor) -> str:
     """
     words: dict[str, Any] = {}
     for name, part in sensor:
+        if name == "mask":  # it hides pixels, and changes no others
+            continue
         if not isinstance(part, Spec):
             if part != type(sensor).model_fields[name].default:
                 words[name] = part

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from harness.camera.sensor import Sensor, field_of, parameters_of
+from harness.camera.sensor import Sensor, field_of, parameters_of, project
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -43,7 +43,8 @@ class Truth(OneLine):
     unoccluded: Mask
     """Nothing stands between the point and viewpoint 2. True everywhere when there is no second view."""
     in_field_2: Mask
-    """The point's direction lies in the field and on the image of sensor 2. True everywhere when there is none."""
+    """The point's direction lies in the field and on the image of sensor 2, and not on a masked pixel. True everywhere
+    when there is none."""
     visible: Mask
     """Both: the second view sees the point."""
     discontinuity: Mask
@@ -132,7 +133,9 @@ def truth(
 
 
 def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
-    """Whether world directions `[n, 3]` are in the field and on the image of a sensor: the mask of `project` alone."""
+    """Whether world directions `[n, 3]` are seen by a sensor: what `project` says is valid."""
+    if sensor.mask is not None:
+        return np.asarray(project(sensor, directions @ pose.R_world_from_view)[1])
     out = np.empty(len(directions), dtype=bool)
     in_view(
         directions,

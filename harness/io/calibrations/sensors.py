@@ -16,7 +16,7 @@ from harness.camera.models import AnyModel
 from harness.camera.models.axial import AxialModel
 from harness.camera.mount import Looks
 from harness.camera.optics import Optics
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, sensor_of
 from harness.errors import InputError, Notice
 from harness.io.calibrations import calibration_in
 from harness.io.calibrations.opencv import AMBIGUOUS
@@ -131,7 +131,8 @@ def sensor_of_table(table: Mapping[str, Any], file: str | Path | None = None, ke
     )
     found = as_table(load_sensor(Path(named.file), chosen))
     for name, value in over.items():
-        found[name] = found.get(name, {}) | dict(value) if isinstance(value, Mapping) else value
+        is_part = isinstance(value, Mapping) and name != "mask"
+        found[name] = found.get(name, {}) | dict(value) if is_part else value
     return found
 
 
@@ -156,7 +157,7 @@ def _with_choices(table: dict[str, Any], file: Path, chosen: Chosen) -> Sensor:
         raise InputError("has one camera, number 0", file=file, key="--camera")
     if chosen.size is not None:
         raise InputError("is a sensor file, which says its size itself: leave it out", file=file, key="--size")
-    sensor = parse(Sensor, table, file=file)
+    sensor = sensor_of(table, file)
     changed = as_table(sensor)
     if chosen.looks is not None or chosen.mirrored is not None:
         changed["mount"] |= _mount(chosen)

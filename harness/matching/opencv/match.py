@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.conversions import mirrored_frame
-from harness.camera.fill import without_gaps
-from harness.camera.sensor import pixel_directions
+from harness.camera.fill import closed_image
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
@@ -114,8 +113,7 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
             file=matcher.kind,
         )
     rectangle = Rectangle(around_of(pair, matcher.rectified_scale))
-    views = zip(pair.images, pair.sensors, strict=True)
-    closed = (without_gaps(image, pixel_directions(sensor)[1])[0] for image, sensor in views)
+    closed = (closed_image(image, sensor)[0] for image, sensor in zip(pair.images, pair.sensors, strict=True))
     first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in closed)
     _, _, _, cloud = cv2.omnidir.stereoReconstruct(
         first,

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.camera.conversions import mirrored_frame, to_unified, unified_lens
-from harness.camera.fill import without_gaps
-from harness.camera.sensor import Sensor, in_field, on_image, pixel_directions
+from harness.camera.fill import closed_image
+from harness.camera.sensor import Sensor, in_field, on_image
 from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
 from harness.matching.interface import MatcherSettings
@@ -157,7 +157,7 @@ def mirrored_rotation(R: Array) -> Array:
 def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any, block_px: int = 1) -> Rectified:
     """Both views on the rectangle, both in v1's orientation, rounded to the 8 bits that OpenCV's matchers take.
 
-    Where a block would cover a pixel that is not finite, nothing is seen.
+    Where a block would cover a pixel that is not finite, or masked, nothing is seen.
     """
     how = {"linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos4": cv2.INTER_LANCZOS4}[interpolation]
     frame = frame_along(pair.t_v1)
@@ -166,7 +166,7 @@ def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any, bloc
     for image, sensor, R in zip(pair.images, pair.sensors, rotations, strict=True):
         u, v, valid = maps_to_view(sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)
         valid = valid & ~around_gaps(image, sensor, (u, v), block_px, cv2)
-        closed, _ = without_gaps(image, pixel_directions(sensor)[1])
+        closed, _, _ = closed_image(image, sensor)
         sampled = cv2.remap(closed, u, v, how, borderMode=cv2.BORDER_REPLICATE)
         images.append(np.where(valid, np.clip(np.rint(sampled), 0, 255), 0).astype(np.uint8))
         masks.append(valid)
@@ -180,16 +180,14 @@ def around_gaps(
     block_px: int,
     cv2: Any,
 ) -> NDArray[np.bool_]:
-    """Pixels of the rectangle whose block covers a pixel of the image that is not finite.
+    """Pixels of the rectangle whose block covers a pixel of the image that is not finite, or masked.
 
     maps : where on the image each of them is, (u, v). Lanczos weighs four pixels to each side.
     """
-    _, valid = pixel_directions(sensor)
-    _, known = without_gaps(image, valid)
-    gaps = (valid & ~known).astype(np.uint8)
-    if not gaps.any():
+    _, _, gaps = closed_image(image, sensor)
+    if gaps is None or not gaps.any():
         return np.zeros(maps[0].shape, dtype=bool)
-    reach = cv2.dilate(gaps, np.ones((_LANCZOS_TAPS, _LANCZOS_TAPS), np.uint8))
+    reach = cv2.dilate(gaps.astype(np.uint8), np.ones((_LANCZOS_TAPS, _LANCZOS_TAPS), np.uint8))
     on_rectangle = cv2.remap(reach, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
     return np.asarray(cv2.dilate(on_rectangle, np.ones((block_px + 2, block_px + 2), np.uint8)) > 0)
 

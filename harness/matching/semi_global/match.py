@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import ndimage
 
-from harness.camera.fill import across_seam, touches, without_gaps
-from harness.camera.sensor import Sensor, pixel_directions, project, seam_px
+from harness.camera.fill import closed_image, touches
+from harness.camera.sensor import Sensor, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves
 from harness.geometry.panorama import directions
@@ -239,16 +239,15 @@ class View:
 def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View]:
     """The mirror images on the baseline grid, both in v1's orientation.
 
-    A pixel that is not finite is not valid, and neither is any whose census would use it.
+    A pixel that is not finite, or masked, is not valid, and neither is any whose census would use it.
     """
     order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
 
     def view(image: NDArray[np.float32], sensor: Sensor, R: Array) -> View:
         coordinates, valid = _sampling_table(sensor, geometry.baseline_grid, R.tobytes())
-        on_sensor = across_seam(pixel_directions(sensor)[1], seam_px(sensor))
-        image, known = without_gaps(across_seam(image, seam_px(sensor)), on_sensor)
-        if known is not on_sensor:
-            gaps = touches(on_sensor & ~known, coordinates, order)
+        image, _, gaps = closed_image(image, sensor, seam_px(sensor))
+        if gaps is not None:
+            gaps = touches(gaps, coordinates, order)
             reach = kernels.REACH + 1  # the blur's
             valid = valid & ~ndimage.maximum_filter(gaps, size=2 * reach + 1, mode=("wrap", "nearest"))
         values = ndimage.map_coordinates(image, coordinates, order=order, mode="nearest", output=np.float32)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera._field_kernels import FieldLimits
-from harness.camera.fill import across_seam, nearest_known, without_gaps
+from harness.camera.fill import across_seam, closed_image, nearest_known
 from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, project, seam_px
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
@@ -128,10 +128,7 @@ def refine_slanted(
     # Windows, samples and whatever planes are carried over go on across the seam of images that go round.
     reach = _ACROSS_SEAM * settings.window_px
     seams = seam_px(sensors[0], reach), seam_px(sensors[1], reach)
-    closed = [
-        without_gaps(across_seam(image, seam), across_seam(pixel_directions(each)[1], seam))
-        for image, each, seam in zip(images, sensors, seams, strict=True)
-    ]
+    closed = [closed_image(*each)[:2] for each in zip(images, sensors, seams, strict=True)]
     first, second = (_view(image, known) for image, known in closed)
     forth_warp = _warp(sensors, seams, motion, closed[0][1])
     back_warp = _warp(sensors[::-1], seams[::-1], _reversed(motion), closed[1][1])

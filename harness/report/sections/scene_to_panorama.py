@@ -15,7 +15,9 @@ from harness.report.data import Data
 from harness.report.markup import html
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
 from harness.report.section import About, Block, Context, Figure, section_of
+from harness.report.sensor_images import draw_mask, image_axes, mask_words
 from harness.report.theme import HALF, INK, Picture
+from harness.report.words import what_differs
 from harness.simulation.scene_geometry import Geometry, geometry_near
 from harness.simulation.texture import lookup
 
@@ -24,12 +26,13 @@ Where the images come from. (a) The scene from outside, the nearest surfaces of 
 viewpoints; surfaces are shaded by their direction in this overview only. (b) The image that the camera takes through
 the {{ trial.sensor.model.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.camera.width_px }} ×
 {{ trial.sensor.camera.height_px }} px,
-{{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself. After the
-paper’s figure 4 (a) and (b).
+{{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself
+{%- if masked %}; {{ masked }}{% endif %}. After the paper’s figure 4 (a) and (b).
 """
 _SECOND_VIEW = """
-The image of <i>v</i><sub>2</sub>, taken by a sensor of its own: {{ sensor.model.title }},
-{{ sensor.camera.width_px }} × {{ sensor.camera.height_px }} px.
+The image of <i>v</i><sub>2</sub>, with {{ own }}: {{ sensor.model.title }},
+{{ sensor.camera.width_px }} × {{ sensor.camera.height_px }} px
+{%- if masked %}; {{ masked }}{% endif %}.
 """
 _PANORAMAS = """
 The view of <i>v</i><sub>1</sub> on a cylinder around the vertical axis, {{ trial.panorama.width_px }} ×
@@ -47,7 +50,7 @@ def section(context: Context) -> Iterator[Block]:
     yield Figure(
         "figure-environment",
         [environment(outcome), mirror_image(outcome)],
-        html(_ENVIRONMENT, trial=trial),
+        html(_ENVIRONMENT, trial=trial, masked=mask_words(outcome.trial.sensor)),
         data=Data(
             "viewpoints",
             ["view", "x_m", "y_m", "z_m"],
@@ -55,7 +58,9 @@ def section(context: Context) -> Iterator[Block]:
         ),
     )
     if outcome.trial.sensors[0] != outcome.trial.sensors[1]:
-        caption = html(_SECOND_VIEW, sensor=outcome.trial.sensors[1])
+        first, second = outcome.trial.sensors
+        own = what_differs((first, second))
+        caption = html(_SECOND_VIEW, sensor=second, own=own, masked=mask_words(second))
         yield Figure("figure-second-view", [mirror_image(outcome, 1)], caption)
     fields: Fields = {
         "grey_mean": (outcome.panoramas[0].values, outcome.panoramas[0].valid, np.mean),
@@ -120,13 +125,9 @@ def mirror_image(outcome: Outcome, view: int = 0) -> Picture:
     """The mirror image of view 0 or 1 as its camera takes it."""
     image, sensor = outcome.images[view], outcome.trial.sensors[view]
     rows, columns = image.shape
-    fig = theme.figure(HALF, 400)
-    scale = min((HALF - 60) / columns, 350 / rows)
-    w, h = columns * scale, rows * scale
-    ax = theme.axes(fig, 50 + (HALF - 60 - w) / 2, 6, w, h)
-    ax.imshow(image, cmap="gray", vmin=0, vmax=255, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5), aspect="auto")
-    ax.set_xlabel("$u$ (px)")
-    ax.set_ylabel("$v$ (px)")
+    fig, ax, extent = image_axes(rows, columns)
+    ax.imshow(image, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
+    draw_mask(ax, sensor)
     alt = f"Mirror image of view {view + 1}, {columns} by {rows} pixels: the scene as a disc, the horizon near its rim."
     return theme.picture(fig, alt, f"{'' if view else '(b) '}{sensor.model.title} image of view {view + 1}")
 
