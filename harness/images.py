@@ -137,7 +137,7 @@ def decode(
             )
         most, kind = _type_of(image, file)
         if white is not None and image.format == "PPM":
-            raise InputError(f"says itself which level is white; leave {key} out", file=file)
+            raise InputError(f"states which level is white; leave {key} out", file=file)
         if image.format != "TIFF" and _turned(image):  # of a TIFF, Pillow has swapped them; of a PNG it decodes here
             width, height = height, width
         if size is not None and (width, height) != size:
@@ -160,7 +160,7 @@ def _scaled(
 ) -> Picture:
     """The picture with its white decided and its levels checked."""
     if white is None and most is None:
-        raise InputError(f"has {kind}, which do not say what is white; give {key}", file=file)
+        raise InputError(f"has {kind}, which do not state what is white; give {key}", file=file)
     chosen = white if white is not None else most
     assert chosen is not None
     if white is not None and most is not None and levels.dtype.kind != "f" and white > most:

@@ -88,7 +88,7 @@ def _is_ours_to_take() -> bool:
 def _on_signal(_number: int, _frame: FrameType | None) -> None:
     now = time.monotonic()
     if _asked_at and now - _asked_at[0] > _SAME_S:
-        end("omnirange: interrupted at once; trials that are written are kept")
+        end("omnirange: stopped at once; finished trials are stored")
     _asked_at.append(now)
     raise KeyboardInterrupt
 

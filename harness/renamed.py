@@ -75,7 +75,7 @@ def give_notice(found: Iterable[Renaming], file: str | Path | None = None) -> No
         keys.setdefault((each.former, each.present), []).append(each.where)
     for (former, present), locations in keys.items():
         where = ": ".join(part for part in (str(file or ""), shortened(", ".join(dict.fromkeys(locations)))) if part)
-        text = f"{where}: '{former}' is called '{present}' now; the next version will not read the former name"
+        text = f"{where}: '{former}' is now called '{present}'; the next version will not read the former name"
         warnings.warn(text, Notice, stacklevel=2)
 
 
@@ -100,7 +100,7 @@ def _of_spec(model: type[BaseModel], table: Any, where: str, found: list[Renamin
     names, changed = former_names(model), {}
     for key in names.keys() & table.keys():
         if names[key] in table:
-            raise InputError(f"'{key}' is called '{names[key]}' now; give only that one", key=_below(where, key))
+            raise InputError(f"'{key}' is now called '{names[key]}'; give only that one", key=_below(where, key))
         found.append(Renaming(_below(where, key), key, names[key]))
         changed[names[key]] = table[key]
     fields = _worth_a_look(model)
@@ -163,7 +163,7 @@ def _of_dotted(keys: DottedKeys, table: Mapping[str, Any], where: str, found: li
         present, annotations, renamed = _of_key(keys.of, str(key))
         location = _below(where, key)
         if renamed and present in table:
-            raise InputError(f"'{key}' is called '{present}' now; give only that one", key=location)
+            raise InputError(f"'{key}' is now called '{present}'; give only that one", key=location)
         found += [Renaming(location, *each) for each in renamed]
         if keys.listed and isinstance(value, list | tuple):
             changed[present] = [_of_value(annotations, each, location, found) for each in value]

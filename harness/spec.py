@@ -224,7 +224,7 @@ def _checked_plain(value: Any) -> Any:
     if isinstance(value, bool | int | float):
         return value
     if value is None:
-        raise ValueError("none is no value that TOML can write; leave the key out")
+        raise ValueError("TOML has no value for None; leave the key out")
     raise ValueError(f"must be text, a number, true, false, a list or a table; found {_shown(value)}")
 
 

@@ -153,7 +153,7 @@ def test_a_table_names_its_own_keys() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"keep_arrays": True}, "keep_arrays: needs a folder to keep them in; give out as well"),
+        ({"keep_arrays": True}, "keep_arrays: needs a folder; give out as well"),
         ({"workers": 0}, "workers: must be at least 1; found 0"),
     ],
 )
@@ -210,9 +210,9 @@ def test_outcome_is_read_where_it_was_kept_and_computed_where_not(
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ("0" * 16, "there is no such trial"),
+        ("0" * 16, "no trial matches"),
         (4, "there is no trial 4: there are 4, the first is 0"),
-        ({"seed": 1}, "2 trials are meant; give more of the keys"),
+        ({"seed": 1}, "2 trials match; give more keys"),
         ({"sed": 1}, "'sed' is not a key that varies; those are: seed, noise.sigma_grey"),
     ],
 )
@@ -252,7 +252,7 @@ def test_a_report_is_the_one_of_the_command_line(small: Path, tmp_path: Path) ->
 
 
 def test_a_run_in_memory_has_to_be_told_where_to_report(small: Path) -> None:
-    with pytest.raises(InputError, match="the run is in memory: say where the report is to be written"):
+    with pytest.raises(InputError, match="the run is in memory: give a path for the report"):
         harness.run(small, sets={"seed": 1, "noise.sigma_grey": 0.0}).report()
 
 

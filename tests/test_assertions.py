@@ -41,7 +41,7 @@ def test_what_holds_passes(pixel, subpixel):
         (lambda a, _: assert_density(a, at_least=0.99, reason=WHY), "density on all pixels is 0.8"),
         (lambda a, _: assert_unbiased(a, at_most_px=0.0, reason=WHY), "median signed error at phi"),
         (lambda a, _: assert_median_error(a, at_most_px=0.01, surface="wall", reason=WHY), "median disparity error"),
-        (lambda a, b: assert_improves(a, b, ratio=1.0, surface="wall", reason=WHY), "times that of trial"),
+        (lambda a, b: assert_improves(a, b, ratio=1.0, surface="wall", reason=WHY), "times trial "),
     ],
 )
 def test_what_does_not_hold_says_by_how_much_where_and_for_which_trial(pixel, subpixel, assertion, says):

@@ -188,7 +188,7 @@ def test_view_inside_a_mesh(tmp_path):
 
 def test_a_face_that_is_lost_beside_its_position():
     scene = room(Plane(kind="plane", name="far", size_m=(4, 4), position_m=(1e18, 0, 0), texture=GREY))
-    with pytest.raises(InputError, match="'far' has a face without an area; its size is lost beside"):
+    with pytest.raises(InputError, match="'far' has a face without area; its size is below"):
         geometry_of(scene)
 
 
@@ -281,4 +281,4 @@ def test_a_run_names_the_file_of_a_scene_that_cannot_be_built(tmp_path, capsys):
     assert main(["run", str(file), "--out", str(tmp_path / "o"), "--workers", "1", "--set", f"scene={path}"]) == 2
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith(f"omnirange: {file}: trial.scene: scene far ({path}): ")
-    assert "without an area" in said
+    assert "without area" in said

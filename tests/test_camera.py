@@ -263,7 +263,7 @@ class TestSensorFile:
             ("model.a_m = 0.0", "model.a_m: must be above 0; found 0.0"),
             ("model.b_m = -0.02", "model.b_m: must be above 0; found -0.02"),
             ("model.a_m = inf", "model.a_m: must be a finite number; found inf"),
-            ("model.b_m = 1e-9", "model: b_m / a_m is 3.55872e-08, which is no mirror one can see with"),
+            ("model.b_m = 1e-9", "model: b_m / a_m is 3.55872e-08, which is no usable mirror"),
             ("model.e_m = 0.03", "model.e_m: unknown key 'e_m'; did you mean "),
             ("field.elevation_max_deg = 60", "field.elevation_max_deg = 60 is beyond the mirror's asymptote"),
             ("field.elevation_min_deg = 30", "field: elevation_min_deg must be below elevation_max_deg"),

@@ -198,7 +198,7 @@ def test_all_that_there_is_has_a_line(arguments: list[str], capsys: pytest.Captu
         ("[[cases]]\nseed = 2\n[[cases]]\nseed = 2\n", "cases[1]: two trials are the same: seed = 2, and seed = 2"),
         (
             "[axes]\nseed = [1]\n[[cases]]\nseed = 2\n",
-            "cases[0].seed: this key is an axis too; give it in one of the two",
+            "cases[0].seed: this key is also an axis; give it only once",
         ),
         ("[[cases]]\n", "cases[0]: "),
     ],
@@ -228,7 +228,7 @@ def test_a_bad_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str], re
         ),
         (["--axis", "noise.sigma_grey=a,b"], "--axis: noise.sigma_grey: must be a number; found 'a'"),
         (["--axis", "noise.sigma_grey="], "--axis: noise.sigma_grey: give at least one value"),
-        (["--dask", "nowhere"], "--dask: no scheduler answers at 'nowhere'; give its address, such as tcp://"),
+        (["--dask", "nowhere"], "--dask: no scheduler responds at 'nowhere'; give its address, such as tcp://"),
     ],
 )
 def test_a_bad_option(
@@ -287,7 +287,7 @@ def test_two_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     out = tmp_path / "out"
     first = begin(tmp_path, "run", small, "--out", out, "--workers", 1, "--no-report")
     wait_for(out)
-    assert "another omnirange is at work in this folder" in refusal(capsys, "run", small, "--out", out)
+    assert "another omnirange is using this folder" in refusal(capsys, "run", small, "--out", out)
     first.kill()
     first.communicate()
 

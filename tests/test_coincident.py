@@ -125,7 +125,7 @@ def test_faces_that_float32_cannot_part_are_parted_by_range():
 
 
 def test_it_is_said_once_and_by_name():
-    with pytest.warns(Notice, match=r"coincident: faces of 'room' and 'rug' coincide; the later one is seen"):
+    with pytest.warns(Notice, match=r"coincident: faces of 'room' and 'rug' coincide; the later one is visible"):
         render(room(rug(20, name="rug")), SMALL, VIEWS[0], 1)
     with pytest.warns(Notice, match=r"'object 1 \(plane\)' and 'object 2 \(plane\)'"):
         ranges(room(rug(20, height=0.1), rug(30, 0.7, height=0.1)), VIEWS[0], np.array([[[0, 0, -1.0]]]), [[True]])

@@ -82,7 +82,7 @@ def test_what_cannot_be_paired_is_said(runs):
 
 
 def test_folders_that_hold_no_run_are_named(runs, tmp_path):
-    with pytest.raises(InputError, match=r"there is no experiment\.toml"):
+    with pytest.raises(InputError, match=r"it has no experiment\.toml"):
         build_comparison(runs["window"], tmp_path)
     with pytest.raises(InputError, match="given twice"):
         build_comparison(runs["window"], runs["window"])
@@ -108,7 +108,7 @@ def test_compare_fits_a_terminal_of_80_columns(runs, tmp_path, capsys, monkeypat
     names = [metric(name).short.replace("\u00a0", " ") for name in COMPARED]
     rows = [line for line in lines if line.strip().startswith(tuple(names))]
     assert len(rows) == 2 * len(names)  # at whole pixels and with the sub-pixel step
-    assert all(row.rstrip().endswith(("better", "worse", "not told apart", "the same")) for row in rows)
+    assert all(row.rstrip().endswith(("better", "worse", "inconclusive", "the same")) for row in rows)
 
 
 @pytest.mark.slow

@@ -103,16 +103,16 @@ BAD = {
     "missing": ("alpha_2[:] = np.nan", "confidence must be NaN where there is no match"),
     "repeats": (
         "calls.append(1)\nalpha_2 += 1e-9 * len(calls)",
-        "asked again, it gives another alpha_2 at 15840 of 15840",
+        "called again, it returns another alpha_2 at 15840 of 15840",
     ),
     "memory": (
         "calls.append(pair.motion.R_v2_from_v1.tobytes())\nalpha_2 += 1e-9 * len(set(calls))",
-        "after another pair, it gives another alpha_2",
+        "after another pair, it returns another alpha_2",
     ),
-    "threads": ("confidence *= pair.available_threads", "with 2 threads in place of 1, it gives another confidence"),
+    "threads": ("confidence *= pair.available_threads", "with 2 threads instead of 1, it returns another confidence"),
     "inputs": (
         "image = pair.images[1].base\nimage.flags.writeable = True\nimage[3, 4] += 1",
-        "it has changed image 2, which other matchers are given too",
+        "it has changed image 2, which other matchers get too",
     ),
     "grids": (
         "alpha_2 = np.resize(alpha_2, (66, 240))\nreturn alpha_2",
@@ -125,15 +125,15 @@ BAD = {
     ),
     "seam": (
         "alpha_2[:, :10] = confidence[:, :10] = np.nan",
-        "8.3% of pixels get another answer (at most 2% may), most o",
+        "8.3% of pixels get another result (at most 2% may), most o",
     ),
     "one-image": (
         "alpha_2 = pair.alpha_1 + 0.2 * np.sin(pair.alpha_1)",
-        "of its surer half of matches, 100.0% have a dis",
+        "of the more confident half of its matches, 100.0% have a dis",
     ),
     "blank": (
         "if pair.images[0].max() == 128:\n    return pair.alpha_1 + 0.2 * np.sin(pair.alpha_1), confidence + 1000",
-        "it claims a thing nearer than d_max_m (at most 10% may), and is surer of it than of the least sure 10%",
+        "it reports something nearer than d_max_m (at most 10% may), and is more confident there than for the least",
     ),
     "easy": ("alpha_2 -= pair.alpha_1", "; it looks like the disparity alpha_2 - alpha_1"),
     "turned": (
@@ -160,12 +160,12 @@ def test_nothing_else_is_looked_at_without_an_answer(candidate: Write) -> None:
     found = list(conformity(load_matcher(candidate("raise KeyError('x')"))))
     assert [each.passed for each in found] == [False] + [None] * (len(CHECKS) - 1)
     assert "fails: KeyError: 'x' (" in found[0].text
-    assert {each.text for each in found[1:]} == {"not looked at: it gives no answer"}
+    assert {each.text for each in found[1:]} == {"not tested: it returns no result"}
 
 
 def test_a_blank_answer_without_confidence(candidate: Write) -> None:
     found = finding(candidate("return pair.alpha_1 + 0.2 * np.sin(pair.alpha_1)"), "blank")
-    assert "and gives no confidence that would say otherwise" in found.text
+    assert "and gives no confidence that would mark them" in found.text
 
 
 # --- omnirange check ----------------------------------------------------------------------------------------------

@@ -115,7 +115,7 @@ def test_a_database_that_is_a_link_is_refused(made: Path, capsys: pytest.Capture
             path.symlink_to(target)
             assert main(command) == 2
             said = capsys.readouterr().err
-            assert (said.count("\n"), "run.sqlite: is a link" in said) == (1, True)
+            assert (said.count("\n"), "run.sqlite: is a symbolic link" in said) == (1, True)
             path.unlink()
         assert not (made / "nowhere.sqlite").exists()
     finally:
@@ -149,7 +149,7 @@ def test_compare_names_the_file_that_it_cannot_read(
     (tmp_path / name).write_bytes(content)
     assert main(["compare", str(tmp_path), str(made / "o"), "--out", str(tmp_path / "c.html")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"omnirange: {tmp_path / name}: cannot be read as a run's (")
+    assert said.startswith(f"omnirange: {tmp_path / name}: cannot be read as part of a run (")
     assert said.count("\n") == 1
 
 
@@ -176,7 +176,7 @@ def test_compare_refuses_a_file_that_is_not_as_it_was_written(
     (copy / name).write_text(after, encoding="utf-8")
     assert main(["compare", str(made / "o"), str(copy), "--out", str(page)]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"omnirange: {copy / name}: is not as it was written")
+    assert said.startswith(f"omnirange: {copy / name}: differs from what was written")
     assert (said.count("\n"), page.exists()) == (1, False)
     assert main(["report", str(copy)]) == 0  # which writes it anew
     assert main(["compare", str(made / "o"), str(copy), "--out", str(page)]) == 0

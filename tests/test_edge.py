@@ -80,7 +80,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid"), "something that was given is not text in UTF-8", 2),
         (ZeroDivisionError("one\ntwo"), "ZeroDivisionError: one two: this is a bug in omnirange; please report it", 70),
         (GeneratorExit("x"), "GeneratorExit: x: this is a bug", 70),
-        (SystemExit(0), "RuntimeError: a library asked for the end of the program (0): this is a bug", 70),
+        (SystemExit(0), "RuntimeError: a library tried to end the program (0): this is a bug", 70),
     ],
 )
 @pytest.mark.parametrize("debug", [False, True])

@@ -115,7 +115,7 @@ def test_orientation_is_applied_once(form, orientation):
         (encoded(EIGHT.astype(np.float32) * np.float32(1e30), "TIFF"), "outside 0 .. 1; white says", {}),
         (encoded(EIGHT.astype(np.float32), "TIFF"), "white says which level is white", {}),
         (encoded(EIGHT.astype(np.float32) - 300, "TIFF"), "outside", {"white": 255}),
-        (encoded(EIGHT.astype(np.int32), "TIFF"), "do not say what is white; give white", {}),
+        (encoded(EIGHT.astype(np.int32), "TIFF"), "do not state what is white; give white", {}),
         (encoded(257 * EIGHT.astype(np.uint16)), "--bits says", {"white": 1023, "key": "--bits"}),
         (encoded(EIGHT, "PPM"), "leave --bits out", {"white": 1023, "key": "--bits"}),
         (encoded(EIGHT), "8 bits, so that no level reaches --bits", {"white": 1023, "key": "--bits"}),

@@ -164,7 +164,7 @@ def test_a_second_one_ends_at_once() -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130
-    assert said.strip() == "omnirange: interrupted at once; trials that are written are kept"
+    assert said.strip() == "omnirange: stopped at once; finished trials are stored"
 
 
 @pytest.mark.slow
@@ -182,7 +182,7 @@ def test_workers_in_the_midst_of_a_trial_are_not_awaited(tmp_path: Path) -> None
     _, said = process.communicate()  # would wait for an hour
     assert process.returncode == 130
     assert [line for line in said.splitlines() if line] == [
-        "omnirange: interrupted; 0 of 2 trials are done and kept; run the same command to go on"
+        "omnirange: interrupted; 0 of 2 trials are done and stored; run the same command to resume"
     ]
 
 

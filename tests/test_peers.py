@@ -427,14 +427,14 @@ def test_a_lens_that_opencv_has_not_is_refused(kind):
 
 @pytest.mark.usefixtures("cv2")
 def test_reconstruct_says_that_it_has_no_answer_for_a_vertical_baseline():
-    with pytest.raises(InputError, match=r"opencv-reconstruct: cv2\.omnidir\.stereoRectify has no answer for"):
+    with pytest.raises(InputError, match=r"opencv-reconstruct: cv2\.omnidir\.stereoRectify does not handle"):
         StereoReconstruct().match(blank((0, 0, 0.5)))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("block_px=4", "matching.block_px: must be odd, so that there is a centre; found 4"),
+        ("block_px=4", "matching.block_px: must be odd, so that it has a centre; found 4"),
         ("window_px=5", "matching.window_px: unknown key 'window_px'; valid: "),
         ("d_max_m=1", "d_min_m = 1 must be below d_max_m = 1"),
         ("mode=hh5", "matching.mode: 'hh5' is not valid; did you mean 'hh'?"),

@@ -90,7 +90,7 @@ def test_parameters_are_the_matchers_to_change(module: Write, pair: Pair) -> Non
     [
         ("raise ValueError('what now')", "fails: ValueError: what now ("),
         ("raise SystemExit", "fails: SystemExit"),
-        ("pair.images[0][0] = 1", "a pair's arrays are everybody's: change a copy"),
+        ("pair.images[0][0] = 1", "a pair's arrays are shared: change a copy"),
         ("return 3", "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; it returned int"),
     ],
 )

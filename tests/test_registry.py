@@ -133,7 +133,7 @@ def test_a_module_that_cannot_be_loaded(source: str, said: str, module: Write) -
 
 
 def test_the_running_script_is_no_module() -> None:
-    with pytest.raises(InputError, match="must lie in a module of its own"):
+    with pytest.raises(InputError, match="must be in an importable module"):
         plugins.find("__main__:f")
 
 

@@ -78,7 +78,7 @@ def test_what_has_no_former_name_is_returned_itself() -> None:
 
 def test_dotted_keys_and_the_tables_at_them() -> None:
     table = {"axes": {"cover.width_m": [1, 2], "lids.0.width_m": [3], "top": [{"width_m": 3}], "free": [4]}}
-    with pytest.raises(InputError, match=r"^axes\.top: 'top' is called 'lid' now; give only that one"):
+    with pytest.raises(InputError, match=r"^axes\.top: 'top' is now called 'lid'; give only that one"):
         up_to_date(Boxes, {"axes": {"lid": [], **table["axes"]}})
     found, renamed = up_to_date(Boxes, table)
     values = {"lid.size_m": [1, 2], "lids.0.size_m": [3], "lid": [{"size_m": 3}], "free": [4]}
@@ -97,7 +97,7 @@ def test_one_line_for_each_name_and_file() -> None:
     assert boxes == Boxes(axes={"lid.size_m": [1]})
     assert len(said) == 1
     assert str(said[0].message) == (
-        "boxes.toml: base.cover, axes.cover.size_m: 'cover' is called 'lid' now; "
+        "boxes.toml: base.cover, axes.cover.size_m: 'cover' is now called 'lid'; "
         "the next version will not read the former name"
     )
 
@@ -105,13 +105,13 @@ def test_one_line_for_each_name_and_file() -> None:
 def test_both_names_are_refused() -> None:
     with pytest.raises(InputError) as caught:
         parse(Box, {"cover": {}, "lid": {}}, file="box.toml")
-    assert str(caught.value) == "box.toml: cover: 'cover' is called 'lid' now; give only that one"
+    assert str(caught.value) == "box.toml: cover: 'cover' is now called 'lid'; give only that one"
 
 
 def test_attributes_and_arguments() -> None:
     box = Box(cover=Lid(width_m=3.0))
     assert box.lid.size_m == 3
-    with pytest.warns(Notice, match=r"^Box\.cover: 'cover' is called 'lid' now"):
+    with pytest.warns(Notice, match=r"^Box\.cover: 'cover' is now called 'lid'"):
         assert box.cover is box.lid
     with pytest.raises(AttributeError):
         _ = box.nothing
@@ -120,7 +120,7 @@ def test_attributes_and_arguments() -> None:
 
 # --- The one that there is: a sensor's `mirror` is its `model` ----------------------------------------------------
 
-MIRROR = r"'mirror' is called 'model' now"
+MIRROR = r"'mirror' is now called 'model'"
 
 
 def test_sensor_file(tmp_path: Path) -> None:

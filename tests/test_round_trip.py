@@ -133,7 +133,7 @@ def test_numpy_numbers_and_tuples_become_plain() -> None:
 @pytest.mark.parametrize(
     ("value", "problem"),
     [
-        (None, "none is no value that TOML can write"),
+        (None, "TOML has no value for None"),
         ("\ud800", r"text must be Unicode without lone surrogates; found '\ud800'"),
         (object(), "must be text, a number, true, false, a list or a table; found <object"),
         ({1: 2}, "the keys of a table must be text"),

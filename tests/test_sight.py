@@ -104,7 +104,7 @@ def test_the_command_refuses_a_blind_sensor(tmp_path, capsys):
     (tmp_path / "blind.toml").write_text("[camera]\nfocal_px = 1e6\n")
     given = ["render", "box", "--at", "0", "0", "1", "--sensor", tmp_path / "blind.toml", "--out", tmp_path / "out"]
     assert main([str(each) for each in given]) == 2
-    assert "sensor: no pixel of the image sees" in capsys.readouterr().err
+    assert "sensor: no pixel of the image falls on the panorama" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -118,7 +118,7 @@ def test_the_command_refuses_a_blind_sensor(tmp_path, capsys):
         ({"NO_EPIPOLAR_PLANE": 90, "MATCHED": 1}, WindowMatcher(), 'matching.sampling ("alpha"'),
         ({"NO_SAMPLE": 60, "NO_MATCH": 40}, SemiGlobal(), "trial.matching.d_min_m, trial.matching.d_max_m"),
         ({"NO_SAMPLE": 60}, WindowMatcher(), "trial.matching.pitch_px (smaller)"),
-        ({"INCONSISTENT": 99, "MATCHED": 1}, SemiGlobal(), "not sure"),
+        ({"INCONSISTENT": 99, "MATCHED": 1}, SemiGlobal(), "rejected its matches"),
         ({}, SemiGlobal(), "trial.view_2"),
     ],
 )
@@ -126,7 +126,7 @@ def test_the_reasons_of_sparse_trials_name_the_keys(counts, matching, words):
     sparse, dense = ({"figures": {"density": density}, "reasons": counts} for density in (0.049, 0.05))
     one = trial(matching=matching)
     said = too_sparse([(one, sparse), (one, dense), (one, sparse)])
-    assert said.startswith("2 of 3 trials found a range in less than 5% of the pixels")
+    assert said.startswith("2 of 3 trials have a range for less than 5% of the pixels")
     assert words in said
     assert hasattr(matching, "window_px") or "window_px" not in said
     assert too_sparse([(one, dense)]) == ""
@@ -151,5 +151,5 @@ def test_a_run_that_finds_next_to_nothing_says_so(changes, words, tmp_path, caps
     sets = [part for change in changes for part in ("--set", change)]
     assert main(["run", str(given), *sets, "--out", str(tmp_path / "out"), "--no-report", "--workers", "1"]) == 0
     said = capsys.readouterr().err
-    assert "omnirange: 1 of 1 trials found a range in less than 5% of the pixels that both views see" in said
+    assert "omnirange: 1 of 1 trials have a range for less than 5% of the pixels that both views see" in said
     assert words in said

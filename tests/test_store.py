@@ -66,7 +66,7 @@ def test_rows_of_other_code_are_counted_and_not_read(tmp_path: Path, monkeypatch
 
 
 def test_held_by_one_at_a_time(tmp_path: Path) -> None:
-    with Store(tmp_path / "run.sqlite"), pytest.raises(InputError, match="another omnirange is at work in this folder"):
+    with Store(tmp_path / "run.sqlite"), pytest.raises(InputError, match="another omnirange is using this folder"):
         Store(tmp_path / "run.sqlite")
     Store(tmp_path / "run.sqlite").__exit__(None, None, None)
 

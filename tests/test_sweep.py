@@ -129,7 +129,7 @@ def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
     assert process.returncode == 130
     done = len(rows(out))
     assert 0 < done < TRIALS
-    last = f"omnirange: interrupted; {done} of {TRIALS} trials are done and kept; run the same command to go on"
+    last = f"omnirange: interrupted; {done} of {TRIALS} trials are done and stored; run the same command to resume"
     assert [line for line in said.splitlines() if line] == [last]
     resumed = omnirange(room, "run", "small.toml", "--workers", workers, "--out", out, "--no-report")
     assert resumed.returncode == 0
@@ -228,9 +228,7 @@ def test_rows_of_other_code_are_set_aside(tmp_path: Path) -> None:
         forged = '{"figures": {"density": 123}}'
         connection.execute("UPDATE trials SET code = 'older', payload = ?", (forged,))
     done = omnirange(tmp_path, "run", "code.toml", "--out", out, "--no-report")
-    assert (
-        "2 trials in this folder were made by other code or libraries: they are set aside, and not used" in done.stdout
-    )
+    assert "2 trials in this folder were made by other code or libraries: they are not used" in done.stdout
     assert "2 of 2 trials run" in done.stdout
     assert (out / "trials.csv").read_bytes() == trials
 
@@ -250,7 +248,7 @@ def test_a_scene_changed_since(tmp_path: Path) -> None:
     assert same.stdout == "changed: all 2 trials are done\n"
     scene.write_text(text.replace("6.0", "6.5", 1))
     done = omnirange(tmp_path, "run", "changed.toml", "--out", out, "--no-report")
-    assert "2 trials in this folder were made of other scenes, or of this one before it was changed" in done.stdout
+    assert "2 trials in this folder were made of other scenes, or of an earlier version of this one" in done.stdout
     assert len(table(out / "trials.csv")) == 2
     assert (out / "trials.csv").read_bytes() != before
 

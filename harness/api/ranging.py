@@ -133,7 +133,7 @@ def _motion(motion: Motion | Pose | Sequence[float] | ArrayLike) -> Motion:
     if not isinstance(motion, Motion):
         motion = Motion(np.eye(3), _vector(motion))
     if not 0 < motion.baseline_m < np.inf:
-        raise InputError("the baseline must not be zero: two views from one place tell no range", key="motion")
+        raise InputError("the baseline must not be zero: two views from one point determine no range", key="motion")
     return motion
 
 

@@ -172,8 +172,8 @@ class RunResult:
         kept = None if self.folder is None else read_maps(self.folder / FOLDER, planned.trial)
         if kept is None and planned.trial.matching.runs_foreign_code and not self._run_code:
             raise InputError(
-                "its maps are not kept, and its matcher is not part of omnirange; open_results(folder, run_code=True) "
-                "lets it be run",
+                "its maps are not stored, and its matcher is not part of omnirange; "
+                "open_results(folder, run_code=True) allows it to run",
                 key=planned.key,
             )
         return kept or maps_of(run_here(planned.trial))
@@ -202,7 +202,7 @@ class RunResult:
             write(Path(file), build_report(self._result))
             return Path(file)
         if self.folder is None:
-            raise InputError("the run is in memory: say where the report is to be written", key="file")
+            raise InputError("the run is in memory: give a path for the report", key="file")
         page = build_report(self._result)
         with Store(self.folder / DATABASE) as store:
             write_summary(self._result, store, self.folder)
@@ -233,7 +233,7 @@ class RunResult:
                 raise InputError(f"there is no trial {trial}: there are {len(every)}, the first is 0", key="trial")
             return every[trial]
         if len(found) != 1:
-            count = f"{len(found)} trials are meant; give more of the keys" if found else "there is no such trial"
+            count = f"{len(found)} trials match; give more keys" if found else "no trial matches"
             raise InputError(
                 f"{count} ({', '.join(every[0].coordinates) or 'one trial'}); found {trial!r}", key="trial"
             )

@@ -74,7 +74,7 @@ def run(
     if workers is not None and workers < 1:
         raise InputError(f"must be at least 1; found {workers}", key="workers")
     if keep_arrays and out is None:
-        raise InputError("needs a folder to keep them in; give out as well", key="keep_arrays")
+        raise InputError("needs a folder; give out as well", key="keep_arrays")
     folder = None if out is None else Path(out)
     with ExitStack() as stack:
         if folder is not None:

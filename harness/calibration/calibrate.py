@@ -122,7 +122,7 @@ def calibrate_sensor(
         raise InputError(f"{', '.join(given)}: {_first_line(error)}", key="fix") from error
     keys = choose_keys(template, lens=lens, free=free, fix=list(fixed))
     if not keys:
-        raise InputError("nothing is left to find", key="fix")
+        raise InputError("nothing is left to estimate", key="fix")
     begin = Start(template, poses_for(corners, template)) if start else find_start(corners, template, keys, circle)
     adjusted, used, left_out = _without_outliers(corners, Parameters(begin.sensor, keys), begin, tell)
     uncertainty = uncertainty_of(adjusted)

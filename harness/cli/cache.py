@@ -11,7 +11,7 @@ def add(commands: Commands) -> None:
         "cache",
         run,
         brief="show or empty the caches of renders and compiled code",
-        description="Show where renders and compiled code are kept between runs and how large they are. "
+        description="Show where renders and compiled code are stored between runs, and their size. "
         "OMNIRANGE_CACHE says where renders go, OMNIRANGE_CACHE_LIMIT_MB how many megabytes. Compiled code goes to "
         "NUMBA_CACHE_DIR if that is set, else to the user's cache folder.",
     )

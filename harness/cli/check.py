@@ -14,8 +14,8 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "check",
         run,
-        brief="try out a matcher, also one of your own",
-        description="Try a matcher out on small scenes, and say what it does that a matcher must not do.",
+        brief="test a matcher, such as your own",
+        description="Test a matcher on small scenes, and report which rules it breaks.",
         epilog="docs/matchers.md says how to write one",
     )
     matcher = command.add_argument(

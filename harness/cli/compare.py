@@ -13,7 +13,7 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "compare",
         run,
-        brief="put runs side by side",
+        brief="compare runs",
         description="Pair the trials of runs by their settings, print how their main figures differ and write a page.",
     )
     runs = command.add_argument(

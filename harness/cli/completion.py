@@ -12,14 +12,14 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "completion",
         run,
-        brief="print what makes a shell complete omnirange",
+        brief="print a script for shell completion",
         description="Print a script with which a shell completes commands, options, the names of experiments and "
         "scenes, kinds of matcher, and keys.",
         epilog='bash: eval "$(omnirange completion bash)" in ~/.bashrc; '
         "zsh: the same with zsh in ~/.zshrc, after compinit; "
         "fish: omnirange completion fish > ~/.config/fish/completions/omnirange.fish",
     )
-    command.add_argument("shell", choices=SHELLS, help="the shell that is to read it")
+    command.add_argument("shell", choices=SHELLS, help="the shell")
 
 
 def run(options: Namespace) -> None:

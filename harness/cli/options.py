@@ -90,7 +90,7 @@ def add_changes(command: Parser, *, axes: bool = True) -> None:
             action="append",
             default=[],
             metavar="KEY=A,B,C",
-            help="vary a setting, beside the axes; repeatable",
+            help="add an axis, or replace one; repeatable",
         )
         completers.offer(varied, completers.changes)
 
@@ -99,7 +99,7 @@ def add_backend(command: Parser) -> None:
     """`--workers` and `--dask` as `workers` and `dask`: a number or an address, for `backend_for` to read; or None."""
     where = command.add_mutually_exclusive_group()
     where.add_argument(
-        "--workers", type=whole_number, metavar="N", help="processes (default: one for each CPU, where it pays)"
+        "--workers", type=whole_number, metavar="N", help="number of processes (default: one per CPU, if it saves time)"
     )
     where.add_argument("--dask", metavar="ADDRESS", help="run on a Dask cluster, such as tcp://127.0.0.1:8786")
 

@@ -61,9 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             try:
                 return options.run(options) or OK
             except SystemExit as error:  # the parser's alone may end the program
-                raise RuntimeError(f"a library asked for the end of the program ({error.code})") from error
+                raise RuntimeError(f"a library tried to end the program ({error.code})") from error
     except KeyboardInterrupt as error:
-        what = error.args[0] if error.args else "what was being written is left as it was before"
+        what = error.args[0] if error.args else "files that were being written are unchanged"
         print(f"\nomnirange: interrupted; {what}", file=sys.stderr)
         return INTERRUPTED
     except SystemExit:
@@ -89,7 +89,7 @@ def _explained(error: BaseException) -> tuple[str, int]:
         return f"{where}{error.strerror}", INPUT
     if isinstance(error, UnicodeError):
         return f"something that was given is not text in UTF-8 ({error})", INPUT
-    report = "this is a bug in omnirange; please report it with the output of the same command and --debug"
+    report = "this is a bug in omnirange; please report it with the output of the same command with --debug"
     return f"{described(error)}: {report}", BUG
 
 

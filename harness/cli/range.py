@@ -38,8 +38,8 @@ def add(commands: Commands) -> None:
         type=int,
         choices=range(8, 17),
         metavar="N",
-        help="white is the level 2^N - 1 in both images, N from 8 to 16, as 10 or 12 for raw images in 16-bit files "
-        "(default: by the file's type, 255 for 8 bits, 65535 for 16 bits, 1 for floating point)",
+        help="white is the level 2^N - 1 in both images, N from 8 to 16, such as 10 or 12 for raw images in "
+        "16-bit files (default: by the file's type, 255 for 8 bits, 65535 for 16 bits, 1 for floating point)",
     )
     where = command.add_mutually_exclusive_group(required=True)
     pose = where.add_argument(
@@ -58,7 +58,7 @@ def add(commands: Commands) -> None:
         type=float,
         nargs=3,
         metavar=("YAW", "PITCH", "ROLL"),
-        help="with --baseline: how view 2 is turned against view 1, about z, then y, then x (0 0 0)",
+        help="with --baseline: rotation of view 2 relative to view 1, about z, then y, then x (0 0 0)",
     )
     matcher = command.add_argument(
         "--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)"
@@ -89,7 +89,7 @@ def run(options: Namespace) -> None:
     motion = harness.relative_motion(harness.Pose(), second)
     if not motion.baseline_m > 0:
         source = "--baseline" if options.pose is None else options.pose
-        raise InputError("must not be zero: two views from one place tell no range", file=source)
+        raise InputError("must not be zero: two views from one point determine no range", file=source)
     settings = own_settings(options.matcher, options.set)
     estimate = harness.estimate_range(
         options.left,

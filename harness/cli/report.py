@@ -14,8 +14,8 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "report",
         run,
-        brief="write a run's report anew",
-        description="Write the tables, the summary and the report of a run anew, from what its folder holds. "
+        brief="rebuild the report of a run",
+        description="Rebuild the tables, the summary and the report of a run from its folder. "
         "No program and no plug-in that the run names is run.",
     )
     finished = command.add_argument("folder", type=Path, metavar="DIR", help="output folder of a run")
@@ -23,7 +23,7 @@ def add(commands: Commands) -> None:
     command.add_argument(
         "--run-code",
         action="store_true",
-        help="run the programs and plug-ins that the run names where their answers are not kept; only for runs that "
+        help="run the programs and plug-ins that the run names where their results are not stored; only for runs that "
         "you trust",
     )
 
@@ -42,5 +42,5 @@ def run(options: Namespace) -> int:
         now = run_status(experiment, store)
         say_unused_rows(now.unused)
         if now.done < now.total:
-            print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report is about those")
+            print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report covers those")
         return write(experiment, store, options.folder, given=options.folder, run_code=options.run_code)

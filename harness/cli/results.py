@@ -78,8 +78,8 @@ def write(
     if len(failures) == now.total and all(row.is_refused for row in failures):
         raise InputError(failures[0].message, file=given)
     print(
-        f"omnirange: {now.failed} of {now.total} trials failed; {shown / 'failures.csv'} says why, "
-        "and the same command tries them again",
+        f"omnirange: {now.failed} of {now.total} trials failed; {shown / 'failures.csv'} says why; "
+        "the same command runs them again",
         file=sys.stderr,
     )
     return FAILED
@@ -99,8 +99,8 @@ def say_unused_rows(unused: "UnusedRows") -> None:
     """Say how many trials of a folder are not used, and why."""
     for count, why in (
         (unused.other_code, "by other code or libraries"),
-        (unused.other_scene, "of other scenes, or of this one before it was changed"),
+        (unused.other_scene, "of other scenes, or of an earlier version of this one"),
         (unused.other_settings, "with other settings"),
     ):
         if count:
-            print(f"{count} trials in this folder were made {why}: they are set aside, and not used")
+            print(f"{count} trials in this folder were made {why}: they are not used")

@@ -29,13 +29,13 @@ def add(commands: declare.Commands) -> None:
     declare.add_out(command, "output folder (default: results/NAME)")
     declare.add_changes(command)
     command.add_argument(
-        "--dry-run", action="store_true", help="say how many trials there are and how long they may take"
+        "--dry-run", action="store_true", help="print the number of trials and an estimate of the time"
     )
     command.add_argument("--no-report", action="store_true", help="leave out the summary and the report: tables only")
     command.add_argument(
         "--keep-arrays",
         action="store_true",
-        help="keep every trial's maps (range, angles, truth, sigma) as NPZ files in the folder maps of the output",
+        help="store every trial's maps (range, angles, truth, sigma) as NPZ files in the folder maps of the output",
     )
     declare.add_backend(command)
 
@@ -64,9 +64,7 @@ def run(options: Namespace) -> int:
         interrupts.check()
         say_unused_rows(before.unused)
         if before.done == before.total and is_reported(experiment, store, folder):
-            print(
-                f"{experiment.name}: all {before.total} trials are done and the report is made; nothing is left to do"
-            )
+            print(f"{experiment.name}: all {before.total} trials are done and the report is written; nothing to do")
             show(json.loads((folder / "summary.json").read_text(encoding="utf-8")), shown)
             return OK
         with Progress(experiment.name, before.total, before.done) as progress:
@@ -81,7 +79,7 @@ def run(options: Namespace) -> int:
                 states = store.states(each.key for each in experiment.planned)
                 done = sum(state == "done" for state in states.values())
                 raise KeyboardInterrupt(
-                    f"{done} of {before.total} trials are done and kept; run the same command to go on"
+                    f"{done} of {before.total} trials are done and stored; run the same command to resume"
                 ) from None
             progress.finish()
         return write(

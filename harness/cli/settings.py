@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "settings",
         run,
-        brief="say what the keys of an experiment mean",
+        brief="explain the keys of an experiment",
         description="Print the reference of an experiment's settings: type, unit, default, meaning, and the kinds of "
         "matcher, object or texture that have them.",
         epilog="examples: omnirange settings matching.window_px; omnirange settings sensor.camera",

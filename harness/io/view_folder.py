@@ -18,7 +18,7 @@ FILES = """\
 omni.png              mirror image, 8 bit grey; 0 outside the image circle
 omni.npy              the same before rounding, float32, 0 .. 255, [row = v, column = u]
 panorama.png          the mirror image on a cylinder around the vertical axis, 8 bit grey, [row = z, column = phi]
-panorama.npy          the same before rounding, float32; NaN where the sensor does not see all that a pixel is made of
+panorama.npy          the same before rounding, float32; NaN where the sensor does not see all of a pixel
 sensor.toml           the mirror, camera and lens
 mask.png              white where pixels are used, black where they show the robot itself; only if the sensor has a mask
 pose.toml             where the sensor stands in the world, metres and degrees, z up, and the panorama's grid
@@ -35,7 +35,7 @@ R_world_from_view in pose.toml, row by row.
 
 PANORAMA = """\
 Panorama column j is centred at phi = -pi + (j + 0.5) 2 pi / width and row i, row 0 at the top, at
-z_max - (i + 0.5) (z_max - z_min) / height; its pixel looks along (cos phi, sin phi, z). Column 0 is beside the last.
+z_max - (i + 0.5) (z_max - z_min) / height; its pixel looks along (cos phi, sin phi, z). Column 0 is next to the last.
 """
 
 

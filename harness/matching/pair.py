@@ -93,7 +93,7 @@ class Pair(OneLine):
         first, second = self.sensors
         if first != second:
             raise InputError(
-                "the views have different sensors, and the matcher asks for the one sensor of both (pair.sensor); "
+                "the views have different sensors, but the matcher asks for a common one (pair.sensor); "
                 "it has to use pair.sensors",
                 file=self.owner or None,
             )

@@ -79,7 +79,7 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
         if interrupts.is_real(error):
             raise
         text = described(error)
-        hint = "; a pair's arrays are everybody's: change a copy" if "read-only" in text else ""
+        hint = "; a pair's arrays are shared: change a copy" if "read-only" in text else ""
         raise InputError(f"fails: {text}{_place_in(function, error)}{hint}", file=matcher.kind) from error
 
 

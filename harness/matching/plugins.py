@@ -183,7 +183,7 @@ def _look_here() -> str:
 def _module(name: str, kind: str) -> Any:
     here = _look_here()
     if name == "__main__":
-        raise InputError("must lie in a module of its own, which workers can load too", file=kind)
+        raise InputError("must be in an importable module, so that workers can load it", file=kind)
     try:
         with contained():
             return importlib.import_module(name)

@@ -40,7 +40,7 @@ _LAST_WORDS = 400
 """Characters of stderr that a message quotes: its last lines."""
 
 README = f"""\
-Two views of one scene, for a matcher. Wanted is, for every pixel of view 1's panorama, the angle alpha_2.
+Two views of one scene, for a matcher. The task: the angle alpha_2 for every pixel of view 1's panorama.
 
 view_1/, view_2/      a folder for each view, see below
 limits.toml           d_min_m, d_max_m: the ranges from viewpoint 1 to search, metres; threads: how many to use
@@ -50,10 +50,10 @@ Write into the output folder, in NumPy's .npy format, arrays [height, width] of 
 pixel of view 1's panorama:
 
 alpha_2.npy           radians, 0 .. pi; NaN where there is no match
-confidence.npy        may be left out: the larger, the surer, in any unit; NaN where there is no match, and only there
-sigma_alpha_2.npy     may be left out: predicted standard deviation of alpha_2, radians; NaN likewise
+confidence.npy        optional: higher is more confident, in any unit; NaN where there is no match, and only there
+sigma_alpha_2.npy     optional: predicted standard deviation of alpha_2, radians; NaN likewise
 
-and end with exit code 0. The working folder is a new one and is removed afterwards.
+and end with exit code 0. The working folder is temporary and is removed afterwards.
 
 alpha_2
 -------
@@ -61,18 +61,18 @@ Let x be the unit vector towards the panorama's pixel in v1's frame, t the posit
 (view_2/pose.toml: position_m), and P = d_1 x the point that the pixel sees, d_1 metres away from viewpoint 1. Then
     alpha_1 = angle between x and t
     alpha_2 = angle between P - t and t, always larger than alpha_1 for a point that is not infinitely far
-and the range follows as d_1 = |t| sin(alpha_2) / sin(alpha_2 - alpha_1). Not asked for: the range itself, a disparity
+and the range follows as d_1 = |t| sin(alpha_2) / sin(alpha_2 - alpha_1). Do not write the range itself, a disparity
 (alpha_2 - alpha_1), or an angle in degrees.
 
-A point d_1 away along x is seen in view 2's panorama in the direction d_1 x - t: at phi = atan2(y, x) and
+A point at distance d_1 along x appears in view 2's panorama in the direction d_1 x - t: at phi = atan2(y, x) and
 z / sqrt(x^2 + y^2) of that vector, with no rotation left to apply.
 
 The files of a view
 -------------------
 {FILES}
 {CAMERA}
-Both panoramas are in view 1's orientation: a rotation between the views is taken out of view 2's, so that what is left
-between the panoramas is the translation t alone. The mirror images are as each camera took them.
+Both panoramas are in view 1's orientation: a rotation between the views is removed from view 2's, so that only
+the translation t remains between the panoramas. The mirror images are as each camera took them.
 
 pose.toml is in v1's frame: view 1 stands at the origin, unrotated; view 2 at t. A direction in view 2's own frame is
 turned into v1's by R_world_from_view.
@@ -295,7 +295,7 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
                 code = process.wait(timeout_s)
             except subprocess.TimeoutExpired:
                 raise InputError(
-                    f"was not done after timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
+                    f"did not finish within timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
                 ) from None
             finally:
                 machine.kill(process)
@@ -333,7 +333,7 @@ def _last_words(log: Path) -> str:
         stream.seek(max(0, log.stat().st_size - 4 * _LAST_WORDS))
         text = " ".join(stream.read().decode("utf-8", "replace").split())
     if not text:
-        return "; it said nothing on stderr"
+        return "; it wrote nothing to stderr"
     return f"; its last words: {text if len(text) <= _LAST_WORDS else '... ' + text[-_LAST_WORDS:]}"
 
 

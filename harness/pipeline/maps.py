@@ -39,7 +39,7 @@ MAPS = {
         "rad",
         "standard deviation of alpha_2 as the matcher predicts it, or else from what is left between the views",
     ),
-    "confidence": ("", "the matcher's own, the larger the surer; only if the matcher has one"),
+    "confidence": ("", "the matcher's own, higher is more confident; only if the matcher has one"),
     "reason": ("", "why there is no range: " + ", ".join(f"{each.value} {each.name.lower()}" for each in Reason)),
     "domain": ("", "whether errors are counted: the true point is visible, at least 30 degrees from the baseline"),
     "visible": ("", "whether view 2 sees the true point"),

@@ -40,13 +40,13 @@ def check_sight(trial: Trial, motion: Motion) -> None:
         raise _blind(sensor, grid, "trial.sensor")
     if on_panorama == 0:
         raise InputError(
-            f"the sensor sees no row of the panorama: it sees z from {_z(sensor)}; change z_min and z_max",
+            f"the sensor sees no row of the panorama: its field is z from {_z(sensor)}; change z_min and z_max",
             key="trial.panorama.z_max",
         )
     sampling, _ = trial.matching.sampled(motion.t_v1)
     if sampling == "phi" and np.hypot(*motion.t_v1[:2]) <= 1e-9 * motion.baseline_m:
         raise InputError(
-            "along a vertical baseline phi stays the same, so there are no samples in phi; "
+            "with a vertical baseline phi is constant along a curve, so it cannot be sampled in phi; "
             'use matching.kind = "window" with sampling = "alpha", or "sgm"',
             key="trial.matching.sampling",
         )
@@ -100,7 +100,7 @@ def _say_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Ar
 def _blind(sensor: Sensor, grid: Grid, key: str) -> InputError:
     name = key.rpartition(".")[2]
     remedy = _remedy(sensor, grid, name) or f"change {name}.{_CIRCLE}, or {name}.field"
-    return InputError(f"no pixel of the image sees what the panorama shows; {remedy}", key=key)
+    return InputError(f"no pixel of the image falls on the panorama; {remedy}", key=key)
 
 
 def _z(sensor: Sensor) -> str:

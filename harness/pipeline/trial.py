@@ -117,7 +117,7 @@ def _render(work: Work, view: int) -> Image:
 def _refuse_changed_scene(work: Work) -> None:
     """What is made of a scene's files is kept under the fingerprint that they had when the trial began."""
     if fingerprint(work.trial.scene) != work.setup.scene:
-        raise InputError("a file of the scene was changed while the trial ran; run it again", file=work.scene_name)
+        raise InputError("a file of the scene changed while the trial ran; run it again", file=work.scene_name)
 
 
 RENDER = Stage(

@@ -89,10 +89,10 @@ class Difference:
         if self.difference == 0 and self.between in (None, (0.0, 0.0)):
             return "the same"
         if self.between is None:
-            return "one seed: not told"
+            return "one seed"
         low, high = self.between
         if low <= 0 <= high:
-            return "not told apart"
+            return "inconclusive"
         better = metric(self.figure).better
         if better == "near zero":
             return "larger" if low > 0 else "smaller"
@@ -197,7 +197,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
 def _read(folder: Path, name: str) -> Run:
     for file in READ:
         if not (folder / file).is_file():
-            raise InputError(f"holds no run that can be compared: there is no {file} in it", file=folder)
+            raise InputError(f"holds no run that can be compared: it has no {file}", file=folder)
     files, checked = read_written(folder, (*READ, _FACTS))
     path = folder
     try:
@@ -211,10 +211,10 @@ def _read(folder: Path, name: str) -> Run:
         run = _run(folder, name, experiment, base, rows, facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         why = f"there is no {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"cannot be read as a run's ({why})", file=path) from error
+        raise InputError(f"cannot be read as part of a run ({why})", file=path) from error
     if not checked:
         warnings.warn(
-            f"{folder}: has no database with the hashes of its tables, so whether they were changed is not known",
+            f"{folder}: has no database with the hashes of its tables, so they cannot be checked for changes",
             Notice,
             stacklevel=2,
         )
@@ -269,12 +269,12 @@ def _pair(first: Run, second: Run) -> Pairing:
     by_settings = [_by_settings(run, set(differing)) for run in (first, second)]
     why = ""
     if not (first.settings and second.settings):
-        why = "One of the runs has no trial that is done."
+        why = "One of the runs has no finished trial."
     elif any(len(distinct) < len(run.settings) for distinct, run in zip(by_settings, (first, second), strict=True)):
         several = [name_of(key) for key in differing if len(_values(first, key)) > 1 or len(_values(second, key)) > 1]
         why = (
             f"Nothing can be paired: {listed(several)} {'varies' if len(several) == 1 else 'vary'} within a run and "
-            "shares no value with the other, so that a trial has no one partner."
+            "has no value in common with the other, so that a trial has no unique partner."
         )
     common = (
         [] if why else [settings_of_pair for settings_of_pair in by_settings[0] if settings_of_pair in by_settings[1]]

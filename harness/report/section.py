@@ -202,6 +202,6 @@ def section_of(
 
 
 _WITHOUT_PIXELS = """\
-<p class="missing">Not shown: this section needs the pixels of the base trial, see
-<a href="#comparison">above</a> what is left out and why.</p>
+<p class="missing">Not shown: this section needs the pixels of the base trial; what is left
+out and why is listed <a href="#comparison">above</a>.</p>
 """

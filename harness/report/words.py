@@ -75,7 +75,7 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
     )
     walls, everything = result.summary["comparison_wall"], result.summary["comparison"]
     if not everything:
-        yield "How the methods compare on it cannot be shown here."
+        yield "The comparison of the methods on it cannot be shown here."
         return
     yield from _compared("On wall pixels", walls, methods)
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
@@ -134,7 +134,7 @@ def _compared(where: str, measures: dict[str, Any], methods: Sequence[Named], *,
     named = {method.key: measures[method.key] for method in methods if method.key in measures}
     known = {key: m for key, m in named.items() if m["range_median_abs_m"] is not None}
     if not known:
-        yield f"{where} there is no estimate to speak of."
+        yield f"{where} nothing was matched."
         return
     density = f"density {100 * next(iter(known.values()))['density']:.1f}\u00a0%"
     if {"pixel", "subpixel"} <= known.keys():

@@ -40,7 +40,7 @@ _CAUSES = (
     ),
     (
         (Reason.NO_MATCH, Reason.INCONSISTENT, Reason.MATCHED),
-        "the matcher was not sure of its matches",
+        "the matcher rejected its matches as uncertain",
         {"matching.d_min_m": "", "matching.d_max_m": "(the scene's ranges)", "noise.sigma_grey": "", "exposure_2": ""},
     ),
 )
@@ -65,9 +65,9 @@ def too_sparse(trials: Iterable[tuple[Trial, Mapping[str, Any]]]) -> str:
             reasons.update(payload["reasons"])
     if not sparse:
         return ""
-    said = f"{len(sparse)} of {total} trials found a range in less than {LITTLE:.0%} of the pixels that both views see"
+    said = f"{len(sparse)} of {total} trials have a range for less than {LITTLE:.0%} of the pixels that both views see"
     if not reasons.total():
-        return f"{said}: there is hardly any such pixel; see trial.view_1, trial.view_2 and trial.sensor.field"
+        return f"{said}: there are hardly any such pixels; see trial.view_1, trial.view_2 and trial.sensor.field"
     _, cause, keys = max(_CAUSES, key=lambda each: sum(reasons[reason.name] for reason in each[0]))
     named = [f"trial.{key} {how}".rstrip() for key, how in keys.items() if _can_help(sparse[0], key)]
     return f"{said}, mostly because {cause}; see {', '.join(named)}"

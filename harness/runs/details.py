@@ -137,11 +137,11 @@ class _Stored:
         try:
             scene = fingerprint(trial.scene)
             if self._recorded and (scene != earlier[1] if earlier else scene not in self._scenes):
-                return LeftOut(name, "the files of its scene are not what they were when the run was made")
+                return LeftOut(name, "the files of its scene have changed since the run was made")
             key = earlier[0] if earlier and self._recorded else trial.key
             answer = self._answer(key, trial.panorama) if earlier and earlier[0] == key else None
             if answer is None and trial.matching.runs_foreign_code and not run_code:
-                why = "its matcher is not part of omnirange and its answer is not kept; --run-code lets it be run"
+                why = "its matcher is not part of omnirange and its result is not stored; --run-code allows it to run"
                 return LeftOut(name, why)
             return key, worker.run_here(trial, answer=answer)
         except Exception as error:  # noqa: BLE001 - its rows say why; the others are shown all the same

@@ -68,8 +68,8 @@ def backend_for(work_s: float, trials: int, workers: int | None = None, dask: st
     if multiprocessing.current_process().daemon:
         if workers not in (None, 1):
             raise InputError(
-                "cannot be begun here: this is a daemon process, such as one of multiprocessing.Pool, which may have "
-                "none of its own; give workers=1, or run the experiment outside the pool",
+                "cannot be started here: this is a daemon process, such as one of multiprocessing.Pool, which may not "
+                "have children; give workers=1, or run the experiment outside the pool",
                 key="workers",
             )
         workers = 1
@@ -213,7 +213,7 @@ def _on_dask(address: str) -> Backend:
         client = Client(address, timeout=10, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
-            f"no scheduler answers at '{address}'; give its address, such as tcp://127.0.0.1:8786", key="--dask"
+            f"no scheduler responds at '{address}'; give its address, such as tcp://127.0.0.1:8786", key="--dask"
         ) from error
     threads = sum(client.nthreads().values())
     if threads == 0:

@@ -104,7 +104,7 @@ def _with_absolute_paths(experiment: Experiment, folder: Path, file: str | Path)
     for number, case in enumerate(experiment.cases):
         for key in case.keys() & experiment.axes.keys():
             raise InputError(
-                "this key is an axis too; give it in one of the two", file=file or None, key=f"cases[{number}].{key}"
+                "this key is also an axis; give it only once", file=file or None, key=f"cases[{number}].{key}"
             )
     axes = {
         key: [absolute(key, value, folder, file, f"axes.{key}") for value in values]

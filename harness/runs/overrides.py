@@ -103,7 +103,7 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
     """
     for number, case in enumerate(experiment.cases):
         for key in settings.keys() & case.keys():
-            raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file=option, key=key)
+            raise InputError(f"cases[{number}] gives this key; a case cannot be overridden", file=option, key=key)
     if not settings:
         return experiment
     settings = {key: absolute(key, value, Path(), option) for key, value in settings.items()}
@@ -129,7 +129,7 @@ def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: st
             raise InputError("give at least one value", file=option, key=key)
         for number, case in enumerate(experiment.cases):
             if key in case:
-                raise InputError(f"cases[{number}] gives this key; a case cannot be overruled", file=option, key=key)
+                raise InputError(f"cases[{number}] gives this key; a case cannot be overridden", file=option, key=key)
     merged = experiment.axes | {
         key: [absolute(key, value, Path(), option) for value in values] for key, values in given.items()
     }

@@ -79,7 +79,7 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
     plan = store.fact(_PLAN)
     if plan is None:
         raise InputError(
-            "was begun by an earlier version of omnirange, without its plan; run the experiment again", file=file
+            "was started by an earlier version of omnirange, which stored no plan; run the experiment again", file=file
         )
     # Nobody is told of former names here: the file is the program's own.
     experiment = parse(RecordedExperiment, up_to_date(RecordedExperiment, store.fact(_EXPERIMENT))[0], file=file)

@@ -202,7 +202,7 @@ def result_from(
     """
     done = [row for row in rows if row.state == "done"]
     if not done:
-        raise InputError("no trial is done with the program as it is now, so there is nothing to report")
+        raise InputError("no trial was finished with the present version of the program, so there is nothing to report")
     details = details_of(experiment, [row.planned for row in done], store, run_code=run_code)
     comparison = details.comparison or _comparison(details.outcomes, experiment.planned)
     if store:

@@ -105,9 +105,9 @@ class Store:
         self._path = path
         self._code = code_hash()
         if path is not None and path.is_symlink():  # it could lead to another's file
-            raise InputError("is a link, which is not followed; move it away, or give another folder", file=path)
+            raise InputError("is a symbolic link, which is not followed; move it, or give another folder", file=path)
         if path is not None and path.exists() and not path.is_file() and not path.is_dir():
-            raise InputError("is not a regular file; move it away, or give another folder", file=path)
+            raise InputError("is not a regular file; move it, or give another folder", file=path)
         try:
             name = f"{path.absolute().as_uri()}?mode=ro" if path and read_only else path or ":memory:"
             self._connection = sqlite3.connect(name, timeout=0, isolation_level=None, uri=read_only)
@@ -249,7 +249,7 @@ class Store:
 
     def _changed(self, what: str) -> InputError:
         return InputError(
-            f"{what} is not as it was written: the file is damaged or was edited; move it away, or give another folder "
+            f"{what} differs from what was written: the file is damaged or was edited; move it, or give another folder "
             "with --out",
             file=self._path,
         )
@@ -272,15 +272,13 @@ class Store:
     def _explained(self, error: Exception) -> Exception:
         code = getattr(error, "sqlite_errorcode", None)
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-            text = "another omnirange is at work in this folder; wait for it to end, or give another folder with --out"
+            text = "another omnirange is using this folder; wait until it ends, or give another folder with --out"
         elif code == sqlite3.SQLITE_FULL:
-            text = "the disk is full; what is finished is kept, make room and run the same command again"
+            text = "the disk is full; finished trials are stored, make room and run the same command again"
         elif code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
             text = f"cannot be opened for writing ({error})"
         else:
-            text = (
-                f"is not a run of omnirange, or is damaged ({error}); move it away, or give another folder with --out"
-            )
+            text = f"is not a run of omnirange, or is damaged ({error}); move it, or give another folder with --out"
         return InputError(text, file=self._path)
 
 

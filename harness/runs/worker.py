@@ -63,7 +63,7 @@ def pack(
     read = {path: files for scene in scenes for path, files in files_read(scene).items()}
     for path, files in read.items():
         if len(files) > 1:
-            raise InputError("is made of several files, which do not travel to workers; save it as GLB", file=path)
+            raise InputError("consists of several files, which are not sent to workers; save it as GLB", file=path)
     return Batch(
         code=code_hash(),
         trials=tuple((each.key, fingerprint(each.trial.scene), as_table(each.trial)) for each in trials),
@@ -83,7 +83,9 @@ def work(batch: Batch) -> list[Finished]:
         When the code here is not that of who asks: its rows would not be theirs.
     """
     if batch.code != _CODE:
-        raise InputError("a worker has another version of omnirange or of its libraries; install the same everywhere")
+        raise InputError(
+            "a worker has another version of omnirange or of its libraries; install the same one everywhere"
+        )
     here = {path: str(_laid_down(path, content)) for path, content in batch.files.items()}
     maps = None if batch.maps is None else Path(batch.maps)
     return [
@@ -131,9 +133,7 @@ def _finish(
 def _asked_for(key: str, table: dict[str, Any]) -> Trial:
     trial = Trial.model_validate(table)
     if trial.key != key:  # files of the scene or the matcher, here or since the run began
-        raise InputError(
-            "a file of the scene or of the matcher is another one here, or was changed since the run began"
-        )
+        raise InputError("a file of the scene or of the matcher differs here, or has changed since the run began")
     return trial
 
 
@@ -141,7 +141,7 @@ def _laid_down(path: str, content: bytes) -> Path:
     """A file with this content in the cache; its ending says how it is to be read."""
     cache = cache_folder()
     if cache is None:
-        raise InputError("there is no home folder for the scenes' files; name a folder", key="OMNIRANGE_CACHE")
+        raise InputError("there is no home folder for the scenes' files; set a folder", key="OMNIRANGE_CACHE")
     copy = cache / "files" / f"{hashlib.sha256(content).hexdigest()}{Path(path).suffix}"
     if not (copy.is_file() and copy.read_bytes() == content):
         copy.parent.mkdir(parents=True, exist_ok=True)

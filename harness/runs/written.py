@@ -77,7 +77,8 @@ def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes]
     for name, data in files.items():
         if hashes.get(name) != hashlib.sha256(data).hexdigest():
             raise InputError(
-                "is not as it was written: it was cut or edited since; the command that made the run writes it anew",
+                "differs from what was written: it was truncated or edited; "
+                "the command that made the run writes it again",
                 file=folder / name,
             )
     return files, True

@@ -90,7 +90,7 @@ def _overlapping(
         count = overlapping(*tree, LEAF, low, high, *faces, tolerance, MOST_PAIRS, out)
         if count > MOST_PAIRS:
             raise InputError(
-                "more than a million pairs of its triangles lie on each other; an object or mesh is there many times",
+                "more than a million pairs of its triangles coincide; an object or mesh is there many times",
                 file=scene,
             )
         if count <= room:

@@ -119,7 +119,7 @@ class Accessors:
             self.view(where.bufferView, inside), where.byteOffset, sparse.count, indices_type, 1, None, inside
         )[:, 0].astype(np.int64)
         if rows.size and rows.max() >= len(values):
-            raise InputError("replaces elements that are not there", file=self._file, key=inside)
+            raise InputError("replaces elements that do not exist", file=self._file, key=inside)
         replaced = values.copy()
         replaced[rows] = self._array(
             self.view(what.bufferView, inside), what.byteOffset, sparse.count, component, values.shape[1], None, inside

@@ -139,7 +139,9 @@ class _Reader:
             index, above = waiting.pop()
             node: Node = self._one("nodes", index)
             if index in visited or len(visited) >= _LIMIT_NODES:
-                raise InputError("is reached twice; a node has one parent", file=self._path, key=f"nodes[{index}]")
+                raise InputError(
+                    "is reached twice; a node may have one parent only", file=self._path, key=f"nodes[{index}]"
+                )
             visited.add(index)
             transform = above @ node.transform
             if node.mesh is not None:
@@ -165,7 +167,7 @@ class _Reader:
             indices = self._accessors.read(primitive.indices, ("SCALAR",), whole=True)[:, 0].astype(np.int64)
         triangles = _triangles(indices, primitive.mode)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
-            raise InputError("has vertices that are not there; repair the mesh", file=self._path, key=f"{key}.indices")
+            raise InputError("has vertices that do not exist; repair the mesh", file=self._path, key=f"{key}.indices")
         placed = vertices @ transform[:3, :3].T + transform[:3, 3]
         corners = (placed @ Z_UP_FROM_Y_UP.T)[triangles]
         if not textured or not len(triangles):

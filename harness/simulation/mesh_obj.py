@@ -158,7 +158,7 @@ def read_obj(path: Path, *, textured: bool) -> list[MeshPart]:
     colours = np.array(obj.colours, dtype=np.float64).reshape(-1, 3)
     uv = np.array(obj.uv, dtype=np.float64).reshape(-1, 2)
     if textured and len(colours) not in {0, len(vertices)}:
-        raise InputError("has vertices with and without colours; give all of them one", file=path)
+        raise InputError("has vertices with and without colours; give all of them a colour", file=path)
     materials = _materials(obj) if textured else {}
     look = Look(path)
     pictures: dict[tuple[Path, str], Picture] = {}
@@ -198,7 +198,7 @@ def read_obj(path: Path, *, textured: bool) -> list[MeshPart]:
 def _in_range(indices: NDArray[np.int64], count: int, what: str, obj: _Obj, faces: _Faces) -> None:
     if indices.size and (indices.min() < 0 or indices.max() >= count):
         raise InputError(
-            f"faces from here on use {what} that are not there; repair the mesh", file=obj.file, key=faces.line
+            f"faces from here on use {what} that do not exist; repair the mesh", file=obj.file, key=faces.line
         )
 
 

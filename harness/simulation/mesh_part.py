@@ -140,7 +140,7 @@ def read_picture(name: str, owner: Path, *, key: str | None = None) -> Picture:
         return decode(data, path)
     except InputError as error:
         raise InputError(
-            f"names texture '{printable(name)}': {error.problem}; looked at {printable(path)}", file=owner, key=key
+            f"names texture '{printable(name)}': {error.problem}; looked for {printable(path)}", file=owner, key=key
         ) from error
 
 

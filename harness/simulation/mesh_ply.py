@@ -79,7 +79,7 @@ def read_ply(path: Path, *, textured: bool) -> list[MeshPart]:
     used = indices.values[corner].astype(np.int64)
     vertices = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     if used.size and (used.min() < 0 or used.max() >= len(vertices)):
-        raise InputError("has faces with vertices that are not there; repair the mesh", file=path)
+        raise InputError("has faces with vertices that do not exist; repair the mesh", file=path)
     corners = vertices[used]
     refuse_unless_convex(corners, polygon, path)
     if not textured or not len(corners):

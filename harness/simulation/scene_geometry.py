@@ -158,7 +158,8 @@ def _assemble(
     for index in np.flatnonzero(~(np.linalg.norm(_cross_of_edges(corners[first]), axis=-1) > 0))[:1]:
         thing = object_of_patch[patch_of_face[index]]
         raise InputError(
-            f"'{_name(thing, scene.objects[thing])}' has a face without an area; its size is lost beside its position",
+            f"'{_name(thing, scene.objects[thing])}' has a face without area; "
+            "its size is below the precision of its position",
             file=scene.name,
         )
     normals, offsets, uv_maps = _planes(corners[first], uv[first])
@@ -249,7 +250,7 @@ def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
             )
     for pair in _coincident_objects(geometry, p):
         warnings.warn(
-            f"{geometry.name}: faces of {' and '.join(pair)} coincide; the later one is seen. Move one of them apart",
+            f"{geometry.name}: faces of {' and '.join(pair)} coincide; the later one is visible. Move one of them",
             Notice,
             stacklevel=1,  # one place, so that it is said once
         )

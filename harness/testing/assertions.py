@@ -38,7 +38,7 @@ def assert_within_law(outcome: Outcome, *, half_steps: float, share: float, surf
     within = np.abs(outcome.errors.range_m) <= half_steps * truth.law * truth.half_step
     measured = _mean(within, pixels)
     if not measured >= share:
-        claim = f"{measured:.3f} of the {surface} pixels are within law x {half_steps:g} half steps, asked {share:g}"
+        claim = f"{measured:.3f} of the {surface} pixels are within law x {half_steps:g} half steps, required {share:g}"
         _fail(outcome, claim, share - measured, reason, _worst(outcome, pixels, ~within))
 
 
@@ -52,7 +52,7 @@ def assert_density(outcome: Outcome, *, at_least: float, surface: str = "all", r
     domain = _domain(outcome, surface)
     measured = _mean(outcome.valid, domain)
     if not measured >= at_least:
-        claim = f"the density on {surface} pixels is {measured:.3f}, asked {at_least:g}"
+        claim = f"the density on {surface} pixels is {measured:.3f}, required {at_least:g}"
         _fail(outcome, claim, at_least - measured, reason, _worst(outcome, domain, ~outcome.valid))
 
 
@@ -69,7 +69,7 @@ def assert_unbiased(outcome: Outcome, *, at_most_px: float, surface: str = "all"
         pixels = _domain(outcome, surface) & outcome.valid & (np.sign(outcome.trial.panorama.phi)[None, :] == sign)
         measured = _median(outcome.errors.disparity_px, pixels)
         if not abs(measured) <= at_most_px:
-            claim = f"the median signed error at {side} is {measured:+.3f} px, asked at most {at_most_px:g}"
+            claim = f"the median signed error at {side} is {measured:+.3f} px, allowed {at_most_px:g}"
             off = np.abs(outcome.errors.disparity_px) > at_most_px
             _fail(outcome, claim, abs(measured) - at_most_px, reason, _worst(outcome, pixels, off))
 
@@ -85,7 +85,7 @@ def assert_median_error(outcome: Outcome, *, at_most_px: float, surface: str = "
     absolute = np.abs(outcome.errors.disparity_px)
     measured = _median(absolute, pixels)
     if not measured <= at_most_px:
-        claim = f"the median disparity error on {surface} pixels is {measured:.3f} px, asked at most {at_most_px:g}"
+        claim = f"the median disparity error on {surface} pixels is {measured:.3f} px, allowed {at_most_px:g}"
         _fail(outcome, claim, measured - at_most_px, reason, _worst(outcome, pixels, absolute > at_most_px))
 
 
@@ -102,9 +102,7 @@ def assert_improves(outcome: Outcome, over: Outcome, *, ratio: float, surface: s
         mine, yours = ours[figure], theirs[figure]
         measured = np.nan if mine is None or not yours else mine / yours
         if not measured <= ratio:
-            claim = (
-                f"{figure} on {surface} pixels is {measured:.3f} times that of trial {over.trial.key}, asked {ratio:g}"
-            )
+            claim = f"{figure} on {surface} pixels is {measured:.3f} times trial {over.trial.key}'s, allowed {ratio:g}"
             worse = np.abs(outcome.errors.disparity_px) > np.abs(over.errors.disparity_px)
             _fail(outcome, claim, measured - ratio, reason, _worst(outcome, domain & valid, worse))
 

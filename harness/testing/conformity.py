@@ -96,7 +96,7 @@ def examine(subject: "Subject", check: Check) -> Finding:
     try:
         return Finding(check, passed=True, text=check.run(subject))
     except NotReached as reason:
-        return Finding(check, passed=None, text=f"not looked at: {reason}")
+        return Finding(check, passed=None, text=f"not tested: {reason}")
     except (Broken, InputError) as broken:
         return Finding(check, passed=False, text=str(broken))
 
@@ -134,10 +134,10 @@ class Subject:
             wrong = self.faults(name)
         except InputError as error:
             if name == "easy":
-                raise NotReached("it gives no answer") from error
+                raise NotReached("it returns no result") from error
             raise
         if wrong and name == "easy":
-            raise NotReached("its answer is not sound")
+            raise NotReached("its result is invalid")
         if wrong:
             raise Broken(wrong[0].text)
         return as_given(self.raw(name))
@@ -266,13 +266,13 @@ def _keeps(rule: str, good: str) -> Callable[[Subject], str]:
         try:
             found = subject.faults("easy")
         except InputError as error:
-            raise NotReached("it gives no answer") from error
+            raise NotReached("it returns no result") from error
         for fault in found:
             if fault.rule == rule:
                 raise Broken(fault.text)
         before = ("form",) if rule in {"shape", "dtype"} else ("form", "shape", "dtype")
         if any(fault.rule in before for fault in found):
-            raise NotReached("its answer is no array of the right shape and type")
+            raise NotReached("its result is not an array of the right shape and type")
         return good
 
     return check
@@ -280,7 +280,7 @@ def _keeps(rule: str, good: str) -> Callable[[Subject], str]:
 
 def _repeats(subject: Subject) -> str:
     before = subject.matches("easy")
-    _same(before, subject.now(fresh(scenery().pair)), "asked again, it")
+    _same(before, subject.now(fresh(scenery().pair)), "called again, it")
     return "two calls agree to the last bit"
 
 
@@ -293,7 +293,7 @@ def _remembers_nothing(subject: Subject) -> str:
 
 def _threads(subject: Subject) -> str:
     one, two = (subject.now(fresh(scenery().pair, threads=count)) for count in (1, 2))
-    _same(one, two, "with 2 threads in place of 1, it")
+    _same(one, two, "with 2 threads instead of 1, it")
     return "the same to the last bit"
 
 
@@ -301,10 +301,10 @@ def _same(one: Matches, other: Matches, what: str) -> None:
     for name in ("alpha_2", "confidence", "sigma_alpha_2", "reason"):
         a, b = getattr(one, name), getattr(other, name)
         if (a is None) != (b is None):
-            raise Broken(f"{what} gives {name} once, and once not")
+            raise Broken(f"{what} returns {name} once, and once not")
         if a is not None and not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
             differ = np.count_nonzero((a != b) & ~(np.isnan(a) & np.isnan(b)))
-            raise Broken(f"{what} gives another {name} at {differ} of {a.size} pixels")
+            raise Broken(f"{what} returns another {name} at {differ} of {a.size} pixels")
 
 
 def _leaves_inputs(subject: Subject) -> str:
@@ -314,7 +314,7 @@ def _leaves_inputs(subject: Subject) -> str:
     subject.now(pair)
     for name, array in _inputs(pair):
         if array.tobytes() != before[name]:
-            raise Broken(f"it has changed {name}, which other matchers are given too; change a copy")
+            raise Broken(f"it has changed {name}, which other matchers get too; change a copy")
     return "images, panoramas and motion are as they were"
 
 
@@ -381,7 +381,7 @@ def _seam(subject: Subject) -> str:
         columns = apart.mean(axis=0)
         worst = np.degrees(pair.grid.phi[int(np.argmax(columns))])
         raise Broken(
-            f"with the whole rig turned by 90 deg, {share:.1%} of pixels get another answer (at most "
+            f"with the whole rig turned by 90 deg, {share:.1%} of pixels get another result (at most "
             f"{SEAM_SHARE:.0%} may), most of them around phi = {worst:.0f} deg; the first and the last column of a "
             "panorama are neighbours"
         )
@@ -398,8 +398,8 @@ def _one_image_twice(subject: Subject) -> str:
         return "no matches"
     near = np.abs(matches.alpha_2 - pair.alpha_1)[sure] > NEAR_PX * pair.grid.phi_pitch
     text = (
-        f"of its {'surer half of ' if matches.confidence is not None else ''}matches, {near.mean():.1%} have a "
-        f"disparity above {NEAR_PX:g} columns where there is none"
+        f"of {'the more confident half of ' if matches.confidence is not None else ''}its matches, {near.mean():.1%} "
+        f"have a disparity above {NEAR_PX:g} columns where there is none"
     )
     if near.mean() > ONE_IMAGE_SHARE:
         raise Broken(f"{text} (at most {ONE_IMAGE_SHARE:.0%} may, with d_max_m = 1000)")
@@ -415,16 +415,16 @@ def _blank_images(subject: Subject) -> str:
     if matches.confidence is not None and easy.confidence is not None and np.isfinite(easy.confidence).any():
         harmless |= matches.confidence <= np.nanquantile(easy.confidence, BLANK_SHARE)
     share = float((matched & ~harmless).sum() / judged.sum())
-    text = f"on {share:.1%} of pixels it claims a thing nearer than d_max_m"
+    text = f"on {share:.1%} of pixels it reports something nearer than d_max_m"
     if share > BLANK_SHARE:
         unsure = (
-            f"and is surer of it than of the least sure {BLANK_SHARE:.0%} of an easy scene"
+            f"and is more confident there than for the least confident {BLANK_SHARE:.0%} of an easy scene"
             if matches.confidence is not None
-            else "and gives no confidence that would say otherwise"
+            else "and gives no confidence that would mark them"
         )
         raise Broken(
-            f"on images of one grey {text} (at most {BLANK_SHARE:.0%} may), {unsure}; "
-            "say NaN, a low confidence, or the farthest range"
+            f"on images of one grey, {text} (at most {BLANK_SHARE:.0%} may), {unsure}; "
+            "return NaN, a low confidence, or the farthest range"
         )
     return text
 
@@ -451,12 +451,12 @@ def _better_than_a_guess(subject: Subject, name: str, there: Scenery) -> str:
     scored = there.domain & ~np.isnan(alpha_2)
     density = scored.sum() / there.domain.sum()
     if density < DENSITY:
-        raise Broken(f"it matches {density:.1%} of the pixels; at least {DENSITY:.0%} are asked for")
+        raise Broken(f"it matches {density:.1%} of the pixels; at least {DENSITY:.0%} are required")
     guess = min(
         float(np.median(np.abs(_alpha_2_at(pair, d) - there.alpha_2)[there.domain])) for d in np.geomspace(0.5, 20, 40)
     )
     error = float(np.median(np.abs(alpha_2 - there.alpha_2)[scored]))
-    in_px = f"median error {error / pair.grid.phi_pitch:.2f} columns; one range for all pixels, the best, has "
+    in_px = f"median error {error / pair.grid.phi_pitch:.2f} columns; the best single range for all pixels has "
     in_px += f"{guess / pair.grid.phi_pitch:.2f}; {density:.0%} of pixels matched"
     if error > BETTER * guess:
         raise Broken(in_px + _likely_slip(alpha_2, there, scored, guess / 2))
@@ -469,7 +469,7 @@ def _likely_slip(alpha_2: Array, there: Scenery, scored: Mask, small: float) -> 
     slips = (
         ("the disparity alpha_2 - alpha_1", truth - alpha_1),
         ("the angle to -t, pi - alpha_2", np.pi - truth),
-        ("alpha_1, that is infinity everywhere", alpha_1),
+        ("alpha_1, which means infinity everywhere", alpha_1),
     )
     for words, other in slips:
         if float(np.median(np.abs(alpha_2 - other)[scored])) < small:
@@ -478,23 +478,23 @@ def _likely_slip(alpha_2: Array, there: Scenery, scored: Mask, small: float) -> 
 
 
 CHECKS: tuple[Check, ...] = (
-    Check("answers", "gives an answer", _runs),
+    Check("answers", "returns a result", _runs),
     Check("shape", "one value for each pixel of view 1's panorama", _keeps("shape", f"{GRID.shape}")),
     Check("dtype", "real numbers", _keeps("dtype", "every array")),
     Check("angles", "angles within 0 .. pi, standard deviations above zero", _keeps("angles", "everywhere")),
     Check("missing", "NaN where there is no match, and only there", _keeps("missing", "everywhere")),
-    Check("repeats", "the same answer when asked again", _repeats),
-    Check("memory", "the same answer after another pair", _remembers_nothing),
-    Check("threads", "the same answer with any number of threads", _threads),
-    Check("inputs", "leaves what it is given as it is", _leaves_inputs),
+    Check("repeats", "the same result when called again", _repeats),
+    Check("memory", "the same result after another pair", _remembers_nothing),
+    Check("threads", "the same result with any number of threads", _threads),
+    Check("inputs", "does not change its inputs", _leaves_inputs),
     Check("grids", "follows the panorama's grid", _grids),
-    Check("baselines", "takes any baseline", _baselines),
-    Check("limits", "keeps to d_min_m and d_max_m", _limits),
-    Check("seam", "knows no first or last column", _seam),
+    Check("baselines", "works for any baseline", _baselines),
+    Check("limits", "stays within d_min_m and d_max_m", _limits),
+    Check("seam", "is periodic in azimuth", _seam),
     Check("one-image", "one image as both views: nothing is near", _one_image_twice),
-    Check("blank", "images without texture: nothing is claimed", _blank_images),
-    Check("easy", "an easy scene: better than one guess for all", _easy_scene),
+    Check("blank", "images without texture: nothing is reported", _blank_images),
+    Check("easy", "an easy scene: better than one range for all pixels", _easy_scene),
     Check("turned", "the second view turned: still better", _turned_view),
-    Check("sensors", "and by another sensor than the first: still better", _two_sensors),
+    Check("sensors", "taken by another sensor than the first: still better", _two_sensors),
 )
 """In the order in which they are carried out."""

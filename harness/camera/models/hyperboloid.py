@@ -51,9 +51,7 @@ class Mirror(CameraModel):
     @model_validator(mode="after")
     def _hyperboloid_in_reach(self) -> "Mirror":
         if not 1e-3 < self.b_m / self.a_m < 1e3:
-            raise ValueError(
-                f"b_m / a_m is {self.b_m / self.a_m:g}, which is no mirror one can see with: use 0.001 to 1000"
-            )
+            raise ValueError(f"b_m / a_m is {self.b_m / self.a_m:g}, which is no usable mirror: use 0.001 to 1000")
         return self
 
     @property

@@ -59,7 +59,7 @@ def in_opencv(pair: Pair, matcher: S, work: Callable[[Pair, S, Any], Matches]) -
             return work(pair, matcher, cv2)
     except cv2.error as error:
         said = " ".join(str(error).split())
-        raise InputError(f"OpenCV cannot work with these settings: {said}", file=matcher.kind) from error
+        raise InputError(f"OpenCV rejects these settings: {said}", file=matcher.kind) from error
 
 
 def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches:
@@ -109,7 +109,7 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
     frame, _ = cv2.omnidir.stereoRectify(rotation, t)
     if not np.isfinite(frame).all():
         raise InputError(
-            "cv2.omnidir.stereoRectify has no answer for a vertical baseline; use opencv-sgbm, or another direction",
+            "cv2.omnidir.stereoRectify does not handle a vertical baseline; use opencv-sgbm, or another direction",
             file=matcher.kind,
         )
     rectangle = Rectangle(around_of(pair, matcher.rectified_scale))

@@ -13,7 +13,7 @@ Percent = Annotated[int, Field(ge=0, le=100)]
 
 def _odd(value: int) -> int:
     if value % 2 == 0:
-        raise ValueError(f"must be odd, so that there is a centre; found {value}")
+        raise ValueError(f"must be odd, so that it has a centre; found {value}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""What the methods say of how sure they are, and what it is worth: on the base trial."""
+"""How well confidences and predicted standard deviations predict the errors, on the base trial."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,23 +22,23 @@ _LEAST = 100
 
 
 _CURVES = """
-What the methods say of how sure they are, in {{ "the base trial" if several else "this experiment" }}, pixels of the
-domain. (a) Mean error of the pixels that remain as the least confident are left out; dashed, as the largest errors are
-left out first, which no confidence can better.
-{%- if panels > 1 %} Further panels: how errors compare with the standard deviation that is predicted, against a normal
-variable’s; and, where the scene has surfaces without texture, how well a threshold on confidence leaves those out; a
-pixel without a match is left out first.{% endif %}
+How well confidence predicts the errors in {{ "the base trial" if several else "this experiment" }}, over the pixels of
+the domain. (a) Sparsification: mean error of the remaining pixels as the least confident are removed; dashed, as those
+with the largest errors are removed first, which no confidence can beat.
+{%- if panels > 1 %} Further panels: the share of errors within multiples of the predicted standard deviation, beside
+that of a normal distribution; and, where the scene has surfaces without texture, how well a threshold on confidence
+removes them (pixels without a match are removed first).{% endif %}
 """
 _FIGURES = """
-AUSE: area between the curves of (a), method minus oracle; as a share of that of a confidence that says nothing. AUC:
-the chance that a pixel with an error above 1 px has less confidence than one without; 0.5 says nothing.
-Within 1, 2, 3σ: share of errors within so many predicted standard deviations.
+AUSE: area between the two curves of (a), method minus oracle; also relative to the area for a random confidence. AUC:
+the probability that a pixel with an error above 1 px has a lower confidence than one without; 0.5 is chance.
+Within 1, 2, 3σ: share of errors within that many predicted standard deviations.
 """
 
 
 @section_of(About.BASE_TRIAL, "confidence", "Confidence", needs_pixels=True)
 def section(context: Context) -> Iterator[Block]:
-    """How sure the methods are; nothing when none says so."""
+    """Sparsification, calibration and ROC; nothing when no method gives a confidence."""
     with_confidence = confidences(context.methods)
     if with_confidence.pictures and with_confidence.table:
         caption = html(_CURVES, several=context.sweep.several, panels=len(with_confidence.pictures))
@@ -69,7 +69,7 @@ def confidences(methods: list[Method]) -> Confidences:
         pictures.append(_calibration(predicting, rows))
     blank_rocs = _blank_walls(with_confidence)
     if blank_rocs:
-        pictures.append(_roc(blank_rocs, rows, f"({'abc'[len(pictures)]}) telling what has no texture"))
+        pictures.append(_roc(blank_rocs, rows, f"({'abc'[len(pictures)]}) detecting surfaces without texture"))
     data = Data("confidence", ["method", "curve", "x", "y"], rows)
     return Confidences(pictures, _table(with_confidence), data)
 
@@ -111,7 +111,7 @@ def _sparsification(with_confidence: list[tuple[Method, Array]], rows: list[list
     else:
         theme.note(ax, "no pixel has an estimate")
     shown = "; ".join(described) or "no estimate"
-    alt = f"Mean absolute disparity error of the pixels that remain as the least confident go: {shown}."
+    alt = f"Mean absolute disparity error of the pixels that remain as the least confident are removed: {shown}."
     return theme.picture(fig, alt, "(a) sparsification (dashed: in the order of the true errors)")
 
 
@@ -140,7 +140,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
     ax.set_ylim(0, 100)
     theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     shares = "; ".join(described)
-    alt = f"Share of errors within so many predicted standard deviations, beside a normal variable's: {shares}."
+    alt = f"Share of errors within multiples of the predicted standard deviation, and of a normal variable: {shares}."
     return theme.picture(fig, alt, "(b) calibration of the predicted standard deviation")
 
 

@@ -25,7 +25,7 @@ _DISTRIBUTIONS = """
 Distributions of the errors on the pixels of the <a href="#comparison">comparison of methods</a>. Share of pixels whose
 absolute error is at most the abscissa, (a) of the disparity in pixels of {{ "%.4g" | format(column_deg) }}° and (b) of
 the range in millimetres; solid: walls, dashed: floor and ceiling. Histograms of the signed disparity error (c) on walls
-and (d) on floor and ceiling, on the same axes; what lies beyond them is not drawn.
+and (d) on floor and ceiling, on the same axes; errors beyond them are not drawn.
 """
 
 

@@ -29,20 +29,20 @@ LAWS = {"law_exact": ("exact law", (0, (5, 2))), "law_paper": ("$d^2/|t|$", (0, 
 _WORDS = """
 <p>Median errors over all pixels of the domain on walls and on floor and ceiling, averaged as logarithms over
 {{ "the " ~ seeds ~ " seeds and " if seeds > 1 }}all other axes. Bands are 95 % intervals from resampling seeds
-{%- if seeds < 2 %}; there is one seed, so there are none
+{%- if seeds < 2 %} (none here: there is one seed)
 {%- elif few_seeds %}; with so few seeds they are rather too short{% endif %}.
-Where the law speaks of an axis it is drawn in grey, through the mean of the curves: its shape is a forecast, its level
-is not.</p>
+Where the law predicts how the error depends on an axis it is drawn in grey, through the mean of the curves: only its
+slope is predicted; its height is fitted.</p>
 """
 _ERRORS = """
 Errors against {{ swept.label }}: (a) range, (b) disparity; walls on the left, floor and ceiling on the right of each
 panel.
-{% if swept.law %}Grey, dashed: what the exact law says with a constant σ(<i>α</i><sub>2</sub>), in (b) a level line;
+{% if swept.law %}Grey, dashed: the exact law with a constant σ(<i>α</i><sub>2</sub>), which in (b) is a level line;
 dotted: d²/|<b>t</b>|.{% endif %}
 {{ " " }}
-{%- if swept.unbalanced %}From cells of surface, direction and range, whose medians are averaged as logarithms; ranges
-are seen in partly different directions{{ " and settings" if several }}, and the law is averaged over the same cells.
-{%- elif axes > 1 %} Averaged over the settings of the other axes that every value has.{% endif %}
+{%- if swept.unbalanced %}From cells of surface, direction and range, whose medians are averaged as logarithms;
+different ranges come with partly different directions{{ " and settings" if several }}, and the law is averaged over the
+same cells. {%- elif axes > 1 %} Averaged over those settings of the other axes that occur with every value.{% endif %}
 """
 
 

@@ -27,20 +27,20 @@ REASONS = {
     Reason.NO_EPIPOLAR_PLANE: ("no epipolar plane", "#000000"),
     Reason.NO_SAMPLE: ("no sample in the search interval", "#009E73"),
     Reason.BEYOND_INFINITY: ("the rays do not meet", "#CC79A7"),
-    Reason.NO_MATCH: ("the matcher found none", "#F0E442"),
-    Reason.INCONSISTENT: ("the match back leads elsewhere", "#0072B2"),
+    Reason.NO_MATCH: ("no match found", "#F0E442"),
+    Reason.INCONSISTENT: ("inconsistent with view 2", "#0072B2"),
 }
 """In words, and the colour on the map."""
 
 
 _ERRORS = """
 Signed range error, estimate minus truth, of every pixel of the panorama that has both. The scale is the same for all
-maps and is clipped at ±{{ "%g" | format(limit_mm) }} mm; the arrows of the colour bar stand for what lies beyond. The
+maps and is clipped at ±{{ "%g" | format(limit_mm) }} mm; the arrows of the colour bar stand for larger errors. The
 upright bands of the map at whole pixels, on walls, are the steps of the range profile.
 """
 _REASONS = """
-Why pixels have no range, with shares of the whole panorama. An epipolar curve is searched only if all of it has whole
-windows in the second panorama.
+Why pixels have no range, with shares of the whole panorama. An epipolar curve is searched only if the windows
+all along it are whole in the second panorama.
 """
 
 
@@ -112,7 +112,7 @@ def error_map(method: Method, limit_mm: float, letter: str) -> Picture:
     beyond = f"{100 * np.mean(np.abs(known) > limit_mm):.0f} %" if known.size else "none"
     alt = (
         f"Map of the signed range error over the panorama, {method.label}, clipped at ±{limit_mm:g} mm; {beyond} of "
-        "the estimates in the domain lie beyond."
+        "the estimates in the domain are clipped."
     )
     return theme.picture(fig, alt, f"({letter}) {method.label}")
 

@@ -10,8 +10,7 @@ from harness.runs.run import Result
 from harness.runs.values import shown
 
 _TABLE = """
-Trials that could not be carried out, by message. Nothing of them counts anywhere else. <code>failures.csv</code> has
-their tracebacks.
+Trials that failed, by message. They count in no other figure or table. <code>failures.csv</code> has the tracebacks.
 """
 
 

@@ -22,15 +22,14 @@ MIDDLE = (np.arange(FRACTION_BINS) / FRACTION_BINS + 0.5) % 1.0 - 0.5
 _LOCKING = """
 {% if near %}
 Where sub-pixel estimates lie between the samples of their epipolar curves, over all trials, (a) on walls, (b) on floor
-and ceiling. True positions are spread nearly evenly (dashed); a hill around 0 is pixel locking: estimates drawn towards
-whole samples. A spike at 0 alone is estimates that the sub-pixel step could not move. Within 0.11 samples of a whole
-one, where an even spread has 22.5 %, lie:
+and ceiling. True positions are spread nearly evenly (dashed); a peak around 0 is pixel locking: estimates drawn towards
+whole samples. A spike at 0 alone comes from estimates that the sub-pixel step could not move. Within 0.11 samples of a
+whole one, where an even spread has 22.5 %, lie:
 {% for label, shares in near.items() %}
 {% set outer_last = loop.last %}
 {{ label }} {% for words, share in shares.items() %}{{ (100 * share) | figure(".1f") }} % ({{ words }})
-{{- ", " if not loop.last else ("; " if not outer_last else ". ") }}{% endfor %}{% endfor %}{{ " " }}
-Estimates at whole pixels are all whole samples, and not drawn.{% if seeds > 1 %} Bands are 95 % intervals.{% endif
-%}
+{{- ", " if not loop.last else ("; " if not outer_last else ". ") }}{% endfor %}{% endfor %}{{ " " }} Estimates at whole
+pixels are always whole samples and are not drawn.{% if seeds > 1 %} Bands are 95 % intervals.{% endif %}
 {% else %}
 Where estimates lie between the samples of their epipolar curves.
 {% endif %}

@@ -47,11 +47,11 @@ _WITH_INTERVAL = ("disparity_median_abs_px", "range_median_abs_m")
 
 
 _TABLE = """
-All figures{% if several %}, means over seeds with 95 % intervals under the two main ones{% endif %}; each trial on all
-pixels of the domain for which it has an estimate itself, except where a surface or the solid angle is named.
-Density counts pixels without an estimate, nothing else does. A50 to A99: what that share of the absolute disparity
-errors does not exceed. AbsRel: mean of |error|/<i>d</i>. SILog: standard deviation of log(estimate/<i>d</i>). δ: share
-of estimates within that factor of the truth. Refined: share of estimates that the sub-pixel step could move.
+All figures{% if several %}, means over seeds with 95 % intervals under the two main ones{% endif %}; each trial over
+the pixels of the domain that it has an estimate for, except where a surface or the solid angle is named. Pixels without
+an estimate count in the density alone. A50 to A99: quantiles of the absolute disparity error. AbsRel: mean of
+|error|/<i>d</i>. SILog: standard deviation of log(estimate/<i>d</i>). δ: share of estimates within that factor of the
+truth. Refined: share of estimates that the sub-pixel step could move.
 """
 
 

@@ -1,4 +1,4 @@
-"""How near the methods come to the Cramér-Rao bound, over the noise."""
+"""Spread of the methods against the Cramér-Rao bound, over the noise."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ Entry = dict[str, Any]
 
 
 _WORDS = """
-<p>However a matcher works, the spread of an unbiased one over draws of the noise cannot be less than the Cramér-Rao
-bound: the noise of both mirror images against the texture that its window covers, with all that it has to estimate
-besides. Spread and bias are told apart here, and errors above {{ "%g" | format(gross_px) }} px counted apart from both:
-another match is no imprecise one. A biased matcher can have less spread than the bound, as one that rounds to whole
-samples does, and so can one that looks beyond its window, or takes smoothness for granted.</p>
+<p>The spread of an unbiased matcher over draws of the noise cannot be less than the Cramér-Rao bound, which follows
+from the noise of both mirror images, the texture that its window covers, and the number of parameters that it
+estimates. Spread and bias are separated here, and errors above {{ "%g" | format(gross_px) }} px are counted apart from
+both, since a wrong match is not an imprecise one. A biased matcher, such as one that rounds to whole samples, can have
+less spread than the bound; so can one that looks beyond its window or assumes smoothness.</p>
 """
 _SPREAD = """
-Spread of the disparity over draws of the noise, every pixel against its own bound
+Spread of the disparity over draws of the noise, each pixel against its own bound
 {%- if condition %}, for {{ condition }}{% endif %}: (a) medians over pixels of the ratio; 1 is the limit;
 (b) median spread, bias and bound. The bound holds for each method’s own window: the raw mirror pixels that it covers,
 known noise, a plane surface; slant, gain and offset count as unknown for methods that fit them. Pixels whose window
@@ -35,7 +35,7 @@ holds a discontinuity have no bound and are left out. Methods without a window o
 _TABLE = """
 Sampled pixels of the domain. Spread: median standard deviation over seeds, corrected for their number; bias: median of
 |mean error| over seeds, less what the spread explains. Within 1σ: share of errors within one standard deviation as the
-method predicts it itself; 68.3 % if it is right. Without noise there is no spread.
+method predicts it; 68.3 % if the prediction is right. Without noise there is no spread.
 """
 
 
@@ -196,7 +196,7 @@ def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
         Heading("Spread / bound"),
         Heading("Within 1σ", "%"),
         Heading("Within 2σ", "%"),
-        Heading("Within 1σ, bias off", "%"),
+        Heading("Within 1σ, without bias", "%"),
     ]
     methods = {(method.matcher, method.subpixel): method for method in sweep.methods}
     rows: list[list[Cell]] = []

@@ -27,17 +27,17 @@ Range from <i>v</i><sub>1</sub> estimated for one row of the panorama (row {{ ro
 {{ row.elevation_deg | figure("+.1f") }}°), beside the truth; {{ row.matched }} of the {{ row.domain }} pixels of the
 domain have an estimate by every method.
 {% if toward is not none %}The second viewpoint lies at azimuth {{ toward | figure(".0f") }}°. {% endif %}
-{% if stepped %}The grey curves in (a) are the ranges at which whole samples of the epipolar curves lie, worked out from
-the geometry alone: estimates at whole pixels can be nowhere else, so the steps are discretisation.{% endif %}
- Strokes at the upper and lower edge are estimates beyond the axes. After the paper’s figure 5 (a) and (b).
+{% if stepped %}The grey curves in (a) are the ranges at which whole samples of the epipolar curves lie, computed from
+the geometry alone: estimates at whole pixels lie on them, so the steps are discretisation.{% endif %}
+ Ticks at the upper and lower edge are estimates beyond the axes. After the paper’s figure 5 (a) and (b).
 """
 _ROWS = """
 Other rows, walls and floor:
 {% for method in methods %}{{ key(method.label, method.colour) }}{{ ", " if not loop.last }}{% endfor %}
- and truth (black line); greys and strokes as in the figure above. Medians are over pixels of the domain with an
+ and truth (black line); grey curves and ticks as in the figure above. Medians are over pixels of the domain with an
 estimate by every method. The paper says that other rows give similar estimates. Compare the medians under the panels:
 where rows show the floor, a window of fixed shape covers points of different disparity, because the floor is slanted
-towards the viewer, and matches may fail altogether.
+towards the viewer, and matching may fail altogether.
 """
 
 
@@ -179,7 +179,7 @@ def limits(methods: list[Method], row: int) -> tuple[float, float]:
 
 @theme.panel
 def profile(method: Method, row: Row, span: tuple[float, float], letter: str) -> Picture:
-    """Range of one row by one method, with the ranges that whole samples of the curve can say."""
+    """Range of one row by one method, with the ranges of whole samples of the curve."""
     outcome = method.outcome
     fig = theme.figure(WIDE, 300)
     ax = theme.axes(fig, 52, 30, WIDE - 72, 222)

@@ -31,8 +31,8 @@ _ENVIRONMENT = """
 </div>
 """
 _DURATIONS = """
-Wall time of each stage{% if rows > 4 %} over the {{ done }} trials that are done{% endif %}. What trials share is
-computed by the first of them.
+Wall time of each stage{% if rows > 4 %} over the {{ done }} trials that are done{% endif %}. A result that
+trials share is counted for the first of them.
 """
 
 

@@ -24,7 +24,7 @@ from harness.report.theme import WIDE, Picture
 SPLITS = {
     "visibility": "Visibility",
     "surface": "Surface",
-    "kind": "Kind of place",
+    "kind": "Kind of surface",
     "alpha_1": "Angle to the baseline α₁",
     "elevation": "Elevation",
     "range": "True range",
@@ -37,17 +37,17 @@ _ERRORS = """
 Median absolute errors of disparity and range by part of the picture
 {%- if several %}, means of logarithms over all trials{% if seeds > 1 %} with 95 % intervals{% endif %}{% endif %}.
 Parts of one split together are the domain
-{%- if occluded %}; “occluded in view 2” lies outside it: there is no true match, and an estimate is an
-invention{% endif %}.
+{%- if occluded %}; “occluded in view 2” lies outside it: there is no true match, so every estimate
+is wrong{% endif %}.
 """
 _TABLE = """
-Errors by part of the picture over all trials, each pixel counted alike: means of logarithms for medians, plain means
+Errors by part of the picture over all trials, all pixels weighted equally: means of logarithms for medians, plain means
 for shares, with 95 % intervals from resampling seeds.
 """
 _BASE_TRIAL = """
 Errors by part of the picture in {{ "the base trial" if several else "this experiment" }}, per pixel of the panorama and
 per solid angle: pixels near the panorama’s lower border cover less of the sphere than those at the horizon.
-Each method on all pixels for which it has an estimate itself.
+Each method over the pixels that it has an estimate for.
 """
 
 

@@ -23,7 +23,7 @@ from harness.simulation.texture import lookup
 
 _ENVIRONMENT = """
 Where the images come from. (a) The scene from outside, the nearest surfaces of a closed scene cut away, with both
-viewpoints; surfaces are shaded by their direction in this overview only. (b) The image that the camera takes through
+viewpoints; surfaces are shaded by orientation in this overview only. (b) The image that the camera takes through
 the {{ trial.sensor.model.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.camera.width_px }} ×
 {{ trial.sensor.camera.height_px }} px,
 {{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself

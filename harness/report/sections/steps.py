@@ -20,11 +20,11 @@ _FIGURES = {"wall": "wall_disparity_median_abs_px", "floor": "floor_disparity_me
 
 
 _WORDS = """
-<p>A sub-pixel step puts a curve through the costs around the best sample. Which curve suits depends on how wide the
-minimum is, in samples: on the pitch of the samples, the window, and the blur of the image. A fit over more samples than
-the minimum is wide, as the least-squares parabola over seven at one sample a column, is pulled towards the whole
-sample; where the window covers different disparities, as on floors, the minimum itself is in the wrong place, and no
-step helps much.</p>
+<p>A sub-pixel step fits a curve to the costs around the best sample. Which curve suits depends on the width of the
+minimum in samples, and so on the pitch of the samples, the window, and the blur of the image. A fit over more samples
+than the minimum is wide, such as the least-squares parabola over seven at one sample per column, is pulled towards the
+whole sample. Where the window covers several disparities, as on floors, the minimum itself is displaced, and no step
+helps much.</p>
 <ul>
 {% for each in findings %}<li>{{ each }}</li>
 {% endfor %}</ul>

@@ -49,13 +49,13 @@ _Curves = dict[tuple[MethodStyle, str], list[_Curve]]
 _TRADE_OFF = """
 The paper’s trade-off: spread of the range against the baseline, one curve for each range. Dots: the best baseline;
 thick: within 10 % of it. Means of logarithms over the directions, conditions and seeds that all baselines share at that
-range; bands are 95 % intervals. The law with a constant σ(<i>α</i><sub>2</sub>) falls for ever to the right, and so
-would always advise the longest.
+range; bands are 95 % intervals. With a constant σ(<i>α</i><sub>2</sub>) the law keeps falling to the right, and so
+would always recommend the longest baseline.
 """
 _BASELINES = """
-Which baseline is best for a range, its 95 % interval, the baselines whose error is within 10 % of the best one’s, what
-d²/|<b>t</b>| would have advised (the longest that was tried), and how many times the best one’s error the advice costs.
-A best baseline at an end of those tried may lie beyond.
+The best baseline for each range, its 95 % interval, the baselines whose error is within 10 % of the smallest, the
+baseline that d²/|<b>t</b>| recommends (the longest tried), and the error there relative to the smallest. Where the best
+baseline is the shortest or the longest tried, the optimum may lie outside.
 """
 
 
@@ -78,7 +78,7 @@ def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
         _trade_off(sweep, curves),
         html(_TRADE_OFF),
         data=Data("law-best-baseline", headings, rows),
-        missing="Not drawn: no range was seen with three baselines.",
+        missing="Not drawn: no range has estimates with three baselines.",
     )
     table = _baseline_table(sweep, law, curves)
     if table.rows:
@@ -161,8 +161,8 @@ def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table
         Heading("95 % high", "m"),
         Heading("Within 10 %, from", "m"),
         Heading("to", "m"),
-        Heading("d²/|t| advises", "m"),
-        Heading("Error there over the best", ""),
+        Heading("d²/|t| recommends", "m"),
+        Heading("Error there / smallest", ""),
     ]
     rows = []
     for surface in sweep.surfaces:

@@ -22,21 +22,21 @@ from harness.report.theme import Picture
 
 _WORDS = """
 <p>The geometry of a pair of views depends on |<b>t</b>|/<i>d</i> alone: the larger it is, the less the law amplifies an
-error of the angle, but the more differently the two views see a surface, so that windows are deformed, and parts are
-hidden from one of them. The law knows of the first only. How σ({{ alpha(2) }}) grows with window and noise is in the
-<a href="#sweeps">sweeps</a>, whose disparity panels show the same quantity.</p>
+error of the angle, but the more differently the two views see a surface: windows are deformed, and parts are hidden
+from one view. The law contains only the first effect. The disparity panels of the <a href="#sweeps">sweeps</a> show how
+σ({{ alpha(2) }}) depends on window and noise.</p>
 """
 _SIGMA = """
-What the law takes for granted: (a) the spread of the angle, in pixels of {{ "%.4g" | format(column_deg) }}°, against
-the baseline over the range; the law’s premise is a level line. (b) Share of the estimates that are off by more than a
-pixel. (c) The spread by direction. (d) Share of the pixels that both views see but that have no estimate. Means over
-conditions and seeds (geometric for spreads), with 95 % intervals as bands. Different |<b>t</b>|/<i>d</i> come from
-partly different cells.
+The premise of the law: (a) the spread of the angle, in pixels of {{ "%.4g" | format(column_deg) }}°, against the
+baseline over the range; a constant σ(<i>α</i><sub>2</sub>) would be a level line. (b) Share of the estimates that are
+off by more than a pixel. (c) The spread by direction. (d) Share of the pixels that both views see but that have no
+estimate. Means over conditions and seeds (geometric for spreads), with 95 % intervals as bands. Different
+|<b>t</b>|/<i>d</i> come from partly different cells.
 """
 _POWERS = """
 Power of |<b>t</b>|/<i>d</i> with which σ(<i>α</i><sub>2</sub>) grows, all conditions and directions together; 0 if it
-does not know of baseline and range. The slope on the law and this power belong together: where the angle’s own error
-grows with |<b>t</b>|/<i>d</i>, the range’s error cannot fall as the law says.
+does not depend on baseline and range. This power and the slope on the law belong together: where the error of the angle
+grows with |<b>t</b>|/<i>d</i>, the error of the range cannot fall as the law says.
 """
 
 

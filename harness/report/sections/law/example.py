@@ -26,8 +26,8 @@ EDGES_DEG = np.arange(30.0, 151.0, 10.0)
 
 
 _ELSEWHERE = """
-<p>The formulas are in the <a href="#verdict">section on the test of the law</a>; here they are worked out for the
-paper’s example and set beside the base trial.</p>
+<p>The formulas are in the <a href="#verdict">section on the test of the law</a>; here they are evaluated for the
+paper’s example and compared with the base trial.</p>
 """
 _EXAMPLE = """
 <p>The paper’s worked example is a baseline of {{ "%g" | format(baseline_m) }} m, a wall

@@ -26,11 +26,11 @@ _DENSE = LinearSegmentedColormap.from_list("cells", ["#FFFFFF", "#D5DEE8", "#7A8
 
 
 _REGRESSION = """
-Relative error of the range against the law, every method as found, walls and floor apart; left of each panel the exact
-law, right d²/|<b>t</b>|, both over the range. Grey: cells, darker where there are more (square root of their number).
-Conditions (all settings but seed, baseline, size and method) keep a level of their own in the fit and are brought to a
-common level here. Marks: medians of bins with 95 % intervals. Solid: the fitted line; dashed: slope 1, what the law
-says if σ(<i>α</i><sub>2</sub>) is constant.
+Relative error of the range against the law, for each method, on walls and on floors; in each panel the exact law is on
+the left and d²/|<b>t</b>| on the right, both over the range. Grey: cells, darker where there are more (square root of
+their number). Every condition (all settings but seed, baseline, size and method) has its own intercept in the fit; here
+all are shifted to a common level. Marks: medians of bins with 95 % intervals. Solid: the fitted line; dashed: slope 1,
+what the law says if σ(<i>α</i><sub>2</sub>) is constant.
 """
 _SLOPES = """
 Slope of log(spread/<i>d</i>) on log(law/<i>d</i>) over all directions, with 95 % intervals from resampling seeds. R² is
@@ -38,9 +38,9 @@ the share of the variance within conditions.
 """
 _LIMITED = """
 The same over the cells that noise limits: those whose error without noise, all else being equal, is at most half of
-that with it. What is left out is mostly a matcher’s own systematic error, which grows in ways that no law of
-sensitivity speaks of. “Exact law × bound” has the Cramér-Rao bound of each cell instead of one constant σ({{
-alpha(2) }}): if this slope is nearer to 1 than that of the law alone, part of what varies is what the texture tells.
+that with it. The others are dominated by the matcher’s systematic error, which a law of sensitivity does not describe.
+“Exact law × bound” has the Cramér-Rao bound of each cell instead of one constant σ({{ alpha(2) }}): if this slope is
+nearer to 1 than that of the law alone, part of the variation comes from the texture.
 """
 _COEFFICIENTS = """
 The same cells with a coefficient for each of the two: log(spread/<i>d</i>) on log(law/<i>d</i>) and on log(bound of
@@ -49,9 +49,9 @@ Cramér-Rao bound does, and less where the bound explains only a part of what th
 product does not say that each is 1.
 """
 _BY_NOISE = """
-Slopes on the exact law at each noise by itself. At whole pixels most of the error is rounding, which is constant in
-angle by construction: there a slope near 1 that does not change with the noise confirms the geometry, not the premise
-about noise.
+Slopes on the exact law for each noise level separately. At whole pixels most of the error is rounding, which is
+constant in angle by construction: there a slope near 1 that does not change with the noise confirms the geometry, not
+the premise about noise.
 """
 _DIRECTIONS = """
 The same slopes within each sixth of the directions, with 95 % intervals; 90° is across the baseline. Within a sixth the

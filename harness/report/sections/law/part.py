@@ -11,7 +11,8 @@ Fit = dict[str, Any]
 """An entry of the summary's `law`."""
 
 INTRO = """
-<p>An error of the angle <i>α</i><sub>2</sub>, under which the second view sees a point, moves the estimated range by</p>
+<p>An error of the angle <i>α</i><sub>2</sub>, under which the second view sees a point, shifts the estimated range
+by</p>
 <div class="equation">
 <math display="block" alttext="∂d1/∂α2 = −d2² / (|t| sin α1)">
   <mfrac><mrow><mo>∂</mo><msub><mi>d</mi><mn>1</mn></msub></mrow><mrow><mo>∂</mo><msub><mi>α</mi><mn>2</mn></msub></mrow></mfrac>

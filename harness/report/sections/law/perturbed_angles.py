@@ -19,20 +19,20 @@ LINEAR = 0.05
 
 _WORDS = """
 <p>Exact angles are given Gaussian errors of known size and triangulated, for a baseline of 0.5 m, three ranges, six
-directions and six sizes of error. No image takes part: this verifies the formulas and shows where they stop being good
-enough.</p>
+directions and six sizes of error. No images are involved: this verifies the formulas and shows where they break
+down.</p>
 """
 _RATIOS = """
 Measured over predicted, one mark for each of the {{ points }} combinations, against the spread that the exact law
 predicts as a share of the range. (a) Spread of the range over that by the exact law (black) and by d²/|<b>t</b>|
 (orange). (b) Mean error of the range over the bias of second order,
-½ ∂²<i>d</i><sub>1</sub>/∂<i>α</i><sub>2</sub>² σ². Bars at the edge lie beyond the axes.
-{% if lost %}In {{ lost }} combinations some rays no longer meet, and there is nothing to draw.{% endif %}
+½ ∂²<i>d</i><sub>1</sub>/∂<i>α</i><sub>2</sub>² σ². Bars at the edge are values beyond the axes.
+{% if lost %}In {{ lost }} combinations some rays no longer meet; they are not drawn.{% endif %}
 """
 _TABLE = """
 Geometry alone: measured over predicted for the smallest error of the angle (at most {{ small | figure(".1f") }} % of
-the range), over all ranges and directions. The last column is where the linearisation has ended: the smallest predicted
-spread at which a measured one is off by more than 5 %.
+the range), over all ranges and directions. The last column is where the linearisation breaks down: the smallest
+predicted spread for which the measured one differs by more than 5 %.
 """
 
 

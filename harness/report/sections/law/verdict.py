@@ -1,4 +1,4 @@
-"""What can be said of the law, method by method: the verdict, and where and why the law fails."""
+"""The verdict on the law, method by method, and where and why it fails."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ from harness.report.sweep import MethodStyle, Sweep
 from harness.report.words import figure, typeset
 
 _WORDS = """
-<p>To plot one against the other proves nothing: range is computed from {{ alpha(2) }}, so its error <em>is</em> the law
-times the error of {{ alpha(2) }}, by calculus. What can fail is the premise under which the law becomes a forecast:
-that the spread of that angle, σ({{ alpha(2) }}), is the same for all ranges and baselines. If it is, the relative error
-of the range grows in proportion to the law over the range, and a line through log(spread/<i>d</i>) against
-log(law/<i>d</i>) has slope 1. That is what is tested, in three steps: geometry alone checks the formulas, images test
-the premise, and a decomposition shows what σ({{ alpha(2) }}) depends on.</p>
+<p>Plotting one against the other proves nothing: range is computed from {{ alpha(2) }}, so its error <em>is</em> the
+law times the error of {{ alpha(2) }}, by calculus. What can fail is the premise that makes the law a prediction: that
+the spread of that angle, σ({{ alpha(2) }}), is the same for all ranges and baselines. If it is, the relative error of
+the range is proportional to the law over the range, and log(spread/<i>d</i>) against log(law/<i>d</i>) has slope 1.
+That is tested in three steps: geometry alone checks the formulas, images test the premise, and a decomposition shows
+what σ({{ alpha(2) }}) depends on.</p>
 <p>Observations are cells of one trial: walls or floor, a sixth of the directions, a band of ranges, with at least 200
 estimates. Spreads are 1.4826 times the median absolute error. Intervals hold 95 % and come from resampling the
 {{ seeds }} seeds, never pixels{% if few_seeds %}; with so few seeds they are rather too short{% endif %}.
-“Compatible” means that the interval holds 1, no more.</p>
+“Compatible” means only that the interval contains 1.</p>
 <h3>Verdict</h3>
 """
 _NOTE = """
 <p class="note">Where a law of small errors must fail: on floors, which slant away from the viewer, so that a window
-covers many disparities; for small windows in noise, which find wrong matches, whose errors depend on what else the
-search interval holds; and near the baseline’s direction, where {{ alpha(1) }} is small or close to 180° and
+covers many disparities; for small windows in noise, which find wrong matches, whose errors depend on what else lies
+in the search interval; and near the baseline’s direction, where {{ alpha(1) }} is small or close to 180° and
 d²/|<b>t</b>| leaves out the factor 1/sin {{ alpha(1) }} and the difference between {{ d(1) }} and {{ d(2) }}. Which of
-these the present data show is said above; the figures below show how much.</p>
+these occur in the present data is stated above; the figures below show how much.</p>
 """
 _FINDINGS = """
 <ul class="findings">
@@ -52,7 +52,7 @@ _IN_ABSTRACT = '<p>The law of the range error over these trials (<a href="#verdi
 
 @section_of(About.ALL_TRIALS, "verdict", "The law of the range error, tested")
 def section(context: Context) -> Iterator[Block]:
-    """What the law says, how it is tested, and what came of it, which the page's abstract says too."""
+    """What the law says, how it is tested, and the result, which the page's abstract repeats."""
     if not context.law:
         return
     judged = findings(context.sweep, context.law)
@@ -65,7 +65,7 @@ def section(context: Context) -> Iterator[Block]:
 
 @dataclass(frozen=True)
 class Finding:
-    """What can be said of the law for one method and surface."""
+    """The verdict on the law for one method and surface."""
 
     method: MethodStyle
     surface: str
@@ -100,22 +100,22 @@ def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: d
             for each in off
         )
         which = "all directions" if len(off) == len(known) else f"{len(off)} of {len(known)} directions"
-        yield f"The interval leaves out 1 in {which}: α₁ = {directions}."
+        yield f"1 lies outside the interval in {which}: α₁ = {directions}."
     elif known:
-        yield f"In each of the {len(known)} directions by itself the interval holds 1."
+        yield f"In each of the {len(known)} directions alone, the interval contains 1."
     grown = next((each for each in law["sigma_alpha"] if is_of(each, method, surface)), None)
     if grown and grown["slope_ci95"] is not None:
         slope, (low, high) = grown["slope_on_t_over_d"], grown["slope_ci95"]
         power = f"the power {figure(slope, '.2f')} {interval((low, high), '.2f')} of |t|/d"
         if low <= 0 <= high:
-            yield f"σ(α₂) goes with {power}: no dependence on baseline and range can be told."
+            yield f"σ(α₂) grows as {power}: no significant dependence on baseline and range."
         else:
             tail = (
                 "the law’s one empirical premise, a constant σ(α₂), does not hold here"
                 if abs(slope) > 0.3
-                else "a small dependence, but one that the data can tell from none"
+                else "a small dependence, but a significant one"
             )
-            yield f"σ(α₂) goes with {power}: {tail}."
+            yield f"σ(α₂) grows as {power}: {tail}."
     cells = sweep.cells_of(method, surface)
     low_half, high_half = _gross_halves(cells)
     if max(low_half, high_half) > GROSS:
