@@ -12,9 +12,10 @@ from pydantic import ValidationError
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens, fold_radius
 from harness.camera.models.hyperboloid import Mirror, point_on_mirror, rim_radius
-from harness.camera.sensor import Sensor, in_field, load_sensor, on_image, pixel_directions, project, rays_of, unproject
+from harness.camera.sensor import Sensor, in_field, on_image, pixel_directions, project, rays_of, unproject
 from harness.errors import InputError
 from harness.geometry.angles import angle_between, cylinder_point, normalise, wrap_angle
+from harness.io.calibrations.sensors import load_sensor
 from harness.spec import dump_toml, parse
 
 # The contract of the camera: the round trip closes to a millionth of what the best matcher resolves.

@@ -9,10 +9,11 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from harness.camera.sensor import Sensor, in_use, load_sensor, pixel_directions, project, unproject, used
+from harness.camera.sensor import Sensor, in_use, pixel_directions, project, unproject, used
 from harness.camera.unwrap import unwrap
 from harness.errors import InputError
 from harness.geometry.panorama import directions
+from harness.io.calibrations.sensors import load_sensor
 from harness.matching.interface import Reason
 from harness.matching.opencv.settings import StereoBM, StereoReconstruct, StereoSGBM
 from harness.matching.semi_global.match import SemiGlobal

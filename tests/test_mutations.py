@@ -14,8 +14,9 @@ from mutations import mutated
 from PIL import Image
 from sweeps import write_small
 
-from harness.camera.sensor import Sensor, load_sensor
+from harness.camera.sensor import Sensor
 from harness.errors import InputError
+from harness.io.calibrations.sensors import load_sensor
 from harness.matching.registry import BUILT_IN
 from harness.runs.load import load_experiment, load_matcher
 from harness.simulation.scene import load_scene

@@ -18,10 +18,11 @@ from PIL import Image
 from sweeps import begin, kill_group, omnirange, write_small
 
 from harness.camera.intrinsics import Camera
-from harness.camera.sensor import Sensor, load_sensor
+from harness.camera.sensor import Sensor
 from harness.errors import InputError
 from harness.geometry.panorama import Grid, cylinder
 from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.io.calibrations.sensors import load_sensor
 from harness.io.view_folder import pose_in
 from harness.matching import program
 from harness.matching.pair import Pair

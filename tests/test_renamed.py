@@ -11,8 +11,9 @@ from pydantic import AliasChoices, Field
 import harness
 from harness.camera.lens import Lens
 from harness.camera.models import Mirror
-from harness.camera.sensor import Sensor, load_sensor
+from harness.camera.sensor import Sensor
 from harness.errors import InputError, Notice
+from harness.io.calibrations.sensors import load_sensor
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys, dotted_up_to_date, up_to_date, up_to_date_key
 from harness.runs.details import details_of

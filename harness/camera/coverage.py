@@ -19,6 +19,8 @@ _ANGLES = 361
 """Angles off the axis for the profile of resolution: half a degree apart at most."""
 _NEAR_POLE = math.radians(5)
 """Within this of a panorama's poles its resolution around them grows without end."""
+HARDLY = 0.02
+"""A ring of which no more than this is on the image is no image circle: the image ends before it, on all sides."""
 _SIDES = ("left", "right", "top", "bottom")
 
 

@@ -26,7 +26,6 @@ from harness.errors import InputError
 from harness.files import path_of
 from harness.geometry.angles import Array
 from harness.spec import Spec, as_table, parse
-from harness.toml import read_toml
 
 
 class Sensor(Spec):
@@ -74,19 +73,14 @@ class Sensor(Spec):
         return masked
 
 
-def load_sensor(path: Path) -> Sensor:
-    """Read a sensor file (TOML).
+def sensor_of(table: Mapping[str, Any], file: Path) -> Sensor:
+    """The sensor in the table of a file, with the mask that it names beside the file.
 
     Raises
     ------
     InputError
         Names the file, the key and what would be right.
     """
-    return sensor_of(read_toml(path), path)
-
-
-def sensor_of(table: Mapping[str, Any], file: Path) -> Sensor:
-    """The sensor in the table of a file, with the mask that it names beside the file; errors as in `load_sensor`."""
     given, mask = dict(table), table.get("mask")
     if isinstance(mask, str):
         given["mask"] = str(path_of(mask, file.parent, file=file, key="mask").absolute())

@@ -1,6 +1,8 @@
 """A page on what a sensor sees: its image with circle, blind spot and elevations, and its resolution."""
 
+import io
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from harness.camera.coverage import Coverage, Ring, has_circle
+from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
 from harness.camera.sensor import pixel_directions
 from harness.report import theme
 from harness.report.markup import template
@@ -46,19 +48,22 @@ def build_page(
     return template("sensor.html.j2").render(
         found=found,
         title=title,
-        facts={name: typeset(text) for name, text in facts.items()},
-        warnings=[typeset(text) for text in warnings],
-        notes=[typeset(text) for text in notes],
+        facts={name: _typeset(text) for name, text in facts.items()},
+        warnings=[_typeset(text) for text in warnings],
+        notes=[_typeset(f"{text[:1].upper()}{text[1:]}.") for text in notes],
         pictures=pictures,
         sensor=dump_toml(found.sensor),
         vertical=bool(np.isfinite(found.resolution.elevation_rad).all()),
     )
 
 
+def _typeset(text: str) -> str:
+    """Words of the terminal as a page has them."""
+    return re.sub(r" deg\b", "°", typeset(text)).replace("px/deg", "px/°")
+
+
 def build_picture(found: Coverage, kind: str) -> bytes:
     """The same picture by itself, as `svg` or `png`."""
-    import io
-
     with theme.style():
         fig = theme.figure(2 * HALF, _HEIGHT)
         _draw_image(found, fig, 0)
@@ -112,7 +117,8 @@ def _draw_image(found: Coverage, fig: Figure, left: float) -> None:
     )
     ax.add_patch(Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=INK, linewidth=1.0))
     _draw_elevations(found, ax)
-    handles = [_draw_ring(ax, found.rim, _RIM, "edge of the field")] if has_circle(found.sensor) else []
+    shows_rim = has_circle(found.sensor) and found.rim.on_image > HARDLY
+    handles = [_draw_ring(ax, found.rim, _RIM, "edge of the field")] if shows_rim else []
     if found.blind is not None:
         handles.append(_draw_ring(ax, found.blind, _BLIND, "blind spot"))
     if has_circle(found.sensor) and np.isfinite(found.axis_px).all():
@@ -137,7 +143,7 @@ def _window(found: Coverage) -> tuple[np.ndarray, np.ndarray]:
     size = np.array([found.sensor.camera.width_px, found.sensor.camera.height_px], dtype=np.float64)
     low, high = np.full(2, -0.5), size - 0.5
     ring = found.rim.pixels[np.isfinite(found.rim.pixels).all(axis=-1)]
-    if found.rim.on_image > 0.02 and len(ring):
+    if found.rim.on_image > HARDLY and len(ring):
         low = np.maximum(np.minimum(low, ring.min(axis=0)), -0.35 * size)
         high = np.minimum(np.maximum(high, ring.max(axis=0)), 1.35 * size)
     room = 0.02 * (high - low)
@@ -151,7 +157,7 @@ def _draw_elevations(found: Coverage, ax: Axes) -> None:
     valid = found.valid[::fewer, ::fewer]
     elevation = np.where(valid, np.degrees(np.arcsin(np.clip(directions[..., 2], -1, 1))), np.nan)
     low, high = found.elevation_deg
-    step = next((each for each in _ELEVATION_STEPS if (high - low) / each <= 7), _ELEVATION_STEPS[-1])
+    step = next((each for each in _ELEVATION_STEPS if (high - low) / each <= 8), _ELEVATION_STEPS[-1])
     levels = np.arange(math.ceil(low / step) * step, high, step)
     u, v = np.arange(0, camera.width_px, fewer), np.arange(0, camera.height_px, fewer)
     if not len(levels):

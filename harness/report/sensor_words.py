@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.camera.coverage import Coverage, Ring, has_circle
+from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
 from harness.camera.sensor import Sensor
 
 _OFF_CENTRE = 0.03
@@ -58,7 +58,7 @@ def warnings_of(found: Coverage) -> list[str]:
             "the centre has to be moved with it."
         )
     rim = found.rim
-    if 0.02 < rim.on_image < 1 and rim.sides:
+    if HARDLY < rim.on_image < 1 and rim.sides:
         said.append(
             f"The edge of the field leaves the image at the {_listed(rim.sides)}: {1 - rim.on_image:.0%} of its "
             "directions are cut off there."
@@ -125,7 +125,7 @@ def _circle(found: Coverage) -> str:
     rim = found.rim
     if not has_circle(found.sensor):
         return "none: a panorama in longitude and latitude"
-    if rim.on_image <= 0.02 or not np.isfinite(rim.diameter_px).all():
+    if rim.on_image <= HARDLY or not np.isfinite(rim.diameter_px).all():
         return "none: the image ends before the field does, on all sides"
     u, v = rim.centre_px
     return f"{_across(rim)} across, around ({u:.1f}, {v:.1f})" + (
