@@ -12,23 +12,27 @@ and R' is again a proper rotation; ranges, angles and baselines are the same on 
 """
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.models.hyperboloid import HyperboloidCamera, Mirror
-from harness.camera.sensor import Sensor, parameters_of
+from harness.camera.models.unified import Unified, UnifiedCamera
+from harness.camera.mount import camera_from_sensor
+from harness.camera.sensor import Sensor
 from harness.errors import InputError
 from harness.geometry.angles import Array
-from harness.spec import Finite, Positive, Spec
+from harness.spec import LARGEST, Finite, Positive, Spec
 
 
 class UnifiedParameters(Spec):
     """Parameters of the unified model."""
 
-    xi: Positive
+    xi: Annotated[float, Field(ge=0, le=LARGEST)]
     """Distance of the projection's centre from the sphere's, no unit."""
     gamma_u_px: Positive
     """Generalised focal length along u, pixels: OpenCV's K[0, 0]."""
@@ -43,14 +47,23 @@ class UnifiedParameters(Spec):
 
 
 def to_unified(sensor: Sensor) -> UnifiedParameters:
-    """The unified model that projects as the mirror does; its lens is written otherwise: see `unified_lens`.
+    """The unified model that projects as the sensor's does; a mirror's lens is written otherwise: see `unified_lens`.
 
     Raises
     ------
     InputError
-        When the sensor's camera model is another one.
+        When the sensor's camera model is neither a hyperboloid nor the unified model itself.
     """
-    camera = _hyperboloid(sensor)
+    camera = _unified_or_hyperboloid(sensor)
+    if isinstance(camera, UnifiedCamera):
+        return UnifiedParameters(
+            xi=camera.xi,
+            gamma_u_px=camera.fu,
+            gamma_v_px=camera.fv,
+            skew_px=camera.skew,
+            cx_px=camera.cu,
+            cy_px=camera.cv,
+        )
     return UnifiedParameters(
         xi=camera.xi,
         gamma_u_px=camera.gamma_u,
@@ -65,24 +78,34 @@ def unified_lens(sensor: Sensor) -> Lens:
     """The lens as the unified model writes it, whose normalised plane is larger by f/gamma.
 
     With m = s x, s = f/gamma, `x' = x (1 + k1 r²)` reads `m' = m (1 + (k1/s²) |m|²)`; a tangential term shrinks by 1/s.
-    OpenCV's omnidir has no k3.
+    OpenCV's omnidir has no k3. The lens of a sensor of the unified model is its own.
 
     Raises
     ------
     InputError
-        When the sensor's camera model is another one.
+        When the sensor's camera model is neither a hyperboloid nor the unified model itself.
     """
-    camera = _hyperboloid(sensor)
+    camera = _unified_or_hyperboloid(sensor)
+    if isinstance(camera, UnifiedCamera):
+        return sensor.lens
     return Lens(
         k1=camera.k1_unified, k2=camera.k2_unified, p1=camera.p1_unified, p2=camera.p2_unified, k3=camera.k3_unified
     )
 
 
-def _hyperboloid(sensor: Sensor) -> HyperboloidCamera:
-    camera = parameters_of(sensor)
-    if not isinstance(camera, HyperboloidCamera):
-        raise InputError(f"a {sensor.model.title} is not written in the unified model", key="sensor.model")
-    return camera
+def _unified_or_hyperboloid(sensor: Sensor) -> UnifiedCamera | HyperboloidCamera:
+    if not isinstance(sensor.model, Mirror | Unified):
+        raise InputError(f"the {sensor.model.title} is not written in the unified model", key="sensor.model")
+    return sensor.model.parameters(sensor.camera, sensor.lens)
+
+
+def opencv_from_sensor(sensor: Sensor) -> Array:
+    """`[3, 3]`, orthogonal: turns directions of the sensor's frame into OpenCV's, as the camera is mounted.
+
+    By default that is `mirrored_frame` for a mirror, and the identity for a lens, which looks up.
+    """
+    untilted = camera_from_sensor(sensor.looks, mirrored=sensor.mirrored)
+    return untilted @ sensor.mount.R_sensor_from_untilted.T
 
 
 def from_unified(

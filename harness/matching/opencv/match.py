@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.conversions import mirrored_frame
+from harness.camera.conversions import mirrored_frame, opencv_from_sensor
 from harness.camera.fill import closed_image
 from harness.errors import InputError
 from harness.geometry.angles import Array
@@ -23,7 +23,6 @@ from harness.matching.opencv.rectify import (
     disparities,
     maps_to_view,
     mei,
-    mirrored_rotation,
     on_panorama,
     rectangle_for,
     rectify,
@@ -104,8 +103,15 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
     InputError
         When the baseline is vertical, for which `cv2.omnidir.stereoRectify` divides by zero.
     """
-    rotation = mirrored_rotation(pair.motion.R_v2_from_v1)
-    t = -rotation @ mirrored_frame(pair.t_v1)  # of p_v2 = R p_v1 + t
+    cameras = [mei(sensor) for sensor in pair.sensors]
+    first_frame, second_frame = map(opencv_from_sensor, pair.sensors)
+    rotation = second_frame @ pair.motion.R_v2_from_v1 @ first_frame.T
+    if np.linalg.det(rotation) < 0:
+        raise InputError(
+            "cv2.omnidir.stereoReconstruct has no answer for one mirror image and one that is none; use opencv-sgbm",
+            file=matcher.kind,
+        )
+    t = -rotation @ first_frame @ pair.t_v1  # of p_v2 = R p_v1 + t
     frame, _ = cv2.omnidir.stereoRectify(rotation, t)
     if not np.isfinite(frame).all():
         raise InputError(
@@ -118,8 +124,8 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
     _, _, _, cloud = cv2.omnidir.stereoReconstruct(
         first,
         second,
-        *mei(pair.sensors[0]),
-        *mei(pair.sensors[1]),
+        *cameras[0],
+        *cameras[1],
         rotation,
         t,
         cv2.omnidir.RECTIFY_LONGLATI,
@@ -130,6 +136,7 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
         pointType=cv2.omnidir.XYZ,
     )
     range_m = _ranges(cloud, rectangle)
+    frame = mirrored_frame(frame @ first_frame)  # as the rectangle has it, from v1's frame with z turned over
     range_m[_of_gaps(pair, matcher, rectangle, frame, range_m, cv2)] = np.nan
     looking = directions(pair.grid)
     row, column = rectangle.pixels_of(frame, looking)

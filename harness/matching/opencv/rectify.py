@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from harness.camera.conversions import mirrored_frame, to_unified, unified_lens
 from harness.camera.fill import closed_image
-from harness.camera.sensor import Sensor, in_field, on_image
+from harness.camera.models import Mirror, Unified
+from harness.camera.models.hyperboloid import HyperboloidCamera
+from harness.camera.sensor import Sensor, in_field, on_image, parameters_of, project, seam_px
 from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
 from harness.matching.interface import MatcherSettings
@@ -138,8 +140,13 @@ def mei(sensor: Sensor) -> tuple[Array, Array, Array]:
     Raises
     ------
     InputError
-        When the lens has a k3, which OpenCV's omnidir has not.
+        When the camera model is not one that OpenCV's omnidir has, or the lens has a k3, which it has not.
     """
+    if not isinstance(sensor.model, Mirror | Unified):
+        raise InputError(
+            f"OpenCV's omnidir knows the unified model alone, and no {sensor.model.title}; use opencv-sgbm",
+            key="sensor.model",
+        )
     if sensor.lens.k3:
         raise InputError(f"OpenCV's omnidir has no k3; it must be 0, found {sensor.lens.k3:g}", key="sensor.lens.k3")
     unified, lens = to_unified(sensor), unified_lens(sensor)
@@ -166,7 +173,7 @@ def rectify(pair: Pair, rectangle: Rectangle, interpolation: str, cv2: Any, bloc
     for image, sensor, R in zip(pair.images, pair.sensors, rotations, strict=True):
         u, v, valid = maps_to_view(sensor, rectangle, frame.tobytes(), np.asarray(R, dtype=np.float64).tobytes(), cv2)
         valid = valid & ~around_gaps(image, sensor, (u, v), block_px, cv2)
-        closed, _, _ = closed_image(image, sensor)
+        closed, _, _ = closed_image(image, sensor, seam_px(sensor))
         sampled = cv2.remap(closed, u, v, how, borderMode=cv2.BORDER_REPLICATE)
         images.append(np.where(valid, np.clip(np.rint(sampled), 0, 255), 0).astype(np.uint8))
         masks.append(valid)
@@ -184,7 +191,7 @@ def around_gaps(
 
     maps : where on the image each of them is, (u, v). Lanczos weighs four pixels to each side.
     """
-    _, _, gaps = closed_image(image, sensor)
+    _, _, gaps = closed_image(image, sensor, seam_px(sensor))
     if gaps is None or not gaps.any():
         return np.zeros(maps[0].shape, dtype=bool)
     reach = cv2.dilate(gaps.astype(np.uint8), np.ones((_LANCZOS_TAPS, _LANCZOS_TAPS), np.uint8))
@@ -196,22 +203,28 @@ def around_gaps(
 def maps_to_view(
     sensor: Sensor, rectangle: Rectangle, frame: bytes, rotation: bytes, cv2: Any
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Where on a view's mirror image each pixel of the rectangle is, (u, v), and whether the sensor sees it."""
+    """Where on a view's mirror image each pixel of the rectangle is, (u, v), and whether the sensor sees it.
+
+    By OpenCV's own map for a hyperboloid that is mounted as mirrors are, by the sensor's projection for others. Of an
+    image that is continued across its seam, u counts from the first of the columns before it.
+    """
     R_rect_from_v1, R_view_from_v1 = (np.frombuffer(each).reshape(3, 3) for each in (frame, rotation))
-    K, distortion, xi = mei(sensor)
-    u, v = cv2.omnidir.initUndistortRectifyMap(
-        K,
-        distortion,
-        xi,
-        R_rect_from_v1 @ mirrored_rotation(R_view_from_v1).T,
-        rectangle.K,
-        rectangle.shape[::-1],
-        cv2.CV_32FC1,
-        cv2.omnidir.RECTIFY_LONGLATI,
-    )
-    # Beyond the asymptote OpenCV's formula turns over and lands on the image again: the field says what is seen.
     looking = rectangle.directions(R_rect_from_v1) @ R_view_from_v1.T
-    valid = in_field(sensor, looking) & on_image(sensor, np.stack([u, v], axis=-1))
+    if not isinstance(parameters_of(sensor), HyperboloidCamera):
+        pixels, valid = project(sensor, looking)
+        pixels = np.nan_to_num(pixels, nan=-1.0) + np.array([seam_px(sensor), 0])
+        u, v = np.ascontiguousarray(np.moveaxis(pixels, -1, 0), dtype=np.float32)
+    else:
+        u, v = cv2.omnidir.initUndistortRectifyMap(
+            *mei(sensor),
+            R_rect_from_v1 @ mirrored_rotation(R_view_from_v1).T,
+            rectangle.K,
+            rectangle.shape[::-1],
+            cv2.CV_32FC1,
+            cv2.omnidir.RECTIFY_LONGLATI,
+        )
+        # Beyond the asymptote OpenCV's formula turns over and lands on the image again: the field says what is seen.
+        valid = in_field(sensor, looking) & on_image(sensor, np.stack([u, v], axis=-1))
     for array in (u, v, valid):
         array.flags.writeable = False
     return u, v, valid
