@@ -47,7 +47,7 @@ settings
 project, unproject, relative_motion
     Directions to pixels and back; the `Motion` between two `Pose`s.
 Trial, TrialMaps, Grid, Panorama, Pair, Matches, Reason, Camera, Mirror, Lens, FieldOfView
-    The types that these take and give. A matcher of one's own takes a `Pair` and gives `Matches`.
+    The types that these take and return. A matcher of your own takes a `Pair` and returns `Matches`.
 InputError
     What is raised when something given is wrong: one line that says where, what, and what would be right.
 

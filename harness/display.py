@@ -1,4 +1,4 @@
-"""How payloads show themselves: one line, in which arrays are told by type and shape and never printed."""
+"""The repr of payloads: one line, with the type and shape of arrays instead of their contents."""
 
 import base64
 import html
@@ -12,7 +12,7 @@ LONGEST = 160
 
 
 _NESTED = 60
-"""Characters of something inside a repr; of what is longer only the type is told, and its name if it has one."""
+"""Most characters of a value inside a repr; of a longer one only its type is shown, and its name if it has one."""
 
 
 class OneLine:

@@ -41,7 +41,7 @@ def nearest(word: str, choices: Sequence[str]) -> str:
 
 
 class Notice(UserWarning):
-    """Something that a user may want to know, in one line: the program goes on, and its numbers are right."""
+    """Something that a user may want to know, in one line: the program continues, and its numbers are right."""
 
 
 def one_line(text: str) -> str:

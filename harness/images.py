@@ -206,7 +206,7 @@ def _turned(image: Image.Image) -> bool:
 def _silence_libtiff() -> None:
     """Keep libtiff from writing about damaged files to stderr: what is wrong is said once, and by us.
 
-    Pillow has no setting for it. Where its library cannot be reached, as on Windows, libtiff goes on talking.
+    Pillow has no setting for it. Where its library cannot be reached, as on Windows, libtiff keeps printing.
     """
     with suppress(OSError, AttributeError):
         # Symbols are looked up in the libraries that this one needs, too.

@@ -70,7 +70,7 @@ def check() -> None:
 
 
 def is_real(error: BaseException) -> bool:
-    """Whether an error comes of Ctrl-C: one that was pressed, or that nobody here could have remembered.
+    """Whether an error is due to Ctrl-C: one that was pressed, or that nobody here could have remembered.
 
     A KeyboardInterrupt that somebody's code raises of itself is an error like any other.
     """

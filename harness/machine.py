@@ -32,7 +32,7 @@ def has_process_groups() -> bool:
 def kill(process: subprocess.Popen[bytes]) -> None:
     """End a program at once, with its process group where there are such, and wait for its end.
 
-    On Windows the program alone is ended: what it has started goes on.
+    On Windows only the program itself is ended: what it has started keeps running.
     """
     try:
         if has_process_groups():

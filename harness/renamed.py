@@ -2,7 +2,7 @@
 
 The field of a specification says what its key was called: `validation_alias=AliasChoices("model", "mirror")`, the
 present name first. Tables and dotted keys are brought up to date here before they are validated or kept, so that
-nothing beyond knows of a former name.
+no other module has to know former names.
 """
 
 import warnings

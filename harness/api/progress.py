@@ -94,7 +94,7 @@ class Progress:
         seconds = time.monotonic() - self._begun
         failed = f", {self._failed} of them failed" if self._failed else ""
         before = f", {self._before} done before" if self._before else ""
-        if self._longest:  # the line in a notebook gives way to the last one
+        if self._longest:  # the last line replaces the one in a notebook
             print(f"\r{'':<{self._longest}}\r", end="")
         print(
             f"{self._name}: {ran} of {self._total} trials run{failed}, in {duration(seconds)} "

@@ -147,8 +147,8 @@ class RunResult:
         Parameters
         ----------
         trial
-            The trial's key, its number in the experiment's order, or values of the keys that vary, as many as tell it
-            apart; the first trial when None.
+            The trial's key, its number in the experiment's order, or values of enough of the keys that vary to
+            identify it; the first trial when None.
 
         Returns
         -------
@@ -158,7 +158,7 @@ class RunResult:
         Raises
         ------
         InputError
-            When no trial, or more than one, is meant, or the trial cannot be carried out.
+            When no trial matches, or more than one, or the trial fails.
 
         Examples
         --------

@@ -38,7 +38,7 @@ def run(
     sets
         Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
     out
-        The run's folder: trials are stored there as they finish, and the same call goes on where it was stopped. When
+        The run's folder: trials are stored there as they finish, and the same call resumes where it was stopped. When
         None, the run is in memory.
     workers
         Processes; as many as pay when None.

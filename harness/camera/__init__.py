@@ -1,4 +1,4 @@
 """The sensor: a camera of one of the central models, and what its images become.
 
-Nothing here knows of scenes or of stereo.
+Nothing here depends on scenes or on stereo.
 """

@@ -1,4 +1,4 @@
-"""`omnirange motion`: how two photographs of one's own stand to each other."""
+"""`omnirange motion`: the motion between two photographs of your own."""
 
 from argparse import Namespace
 from pathlib import Path

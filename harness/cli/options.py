@@ -18,7 +18,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
-        # Of argparse: which words that begin with a dash are values and no options. Its own knows no 1e-3 and no inf.
+        # argparse's test for words that begin with a dash and are values. Its own does not recognise 1e-3 and inf.
         self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

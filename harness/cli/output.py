@@ -1,4 +1,4 @@
-"""Standard output that may be closed or full: what else a command does goes on."""
+"""Standard output that may be closed or full: the command continues."""
 
 import os
 import sys

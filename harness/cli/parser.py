@@ -1,4 +1,4 @@
-"""The command `omnirange`: its sub-commands, and what becomes of their errors."""
+"""The command `omnirange`: its sub-commands, and how their errors are reported."""
 
 import os
 import sys
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with interrupts.heard(), patient_output(), warnings.catch_warnings():
             warnings.showwarning = _Notices().show
-            warnings.simplefilter("default", Notice)  # said, whatever becomes of other warnings
+            warnings.simplefilter("default", Notice)  # shown, whatever filters apply to other warnings
             options = _parser().parse_args(arguments)
             try:
                 return options.run(options) or OK

@@ -1,4 +1,4 @@
-"""`omnirange range`: range from two photographs of one's own."""
+"""`omnirange range`: range from two photographs of your own."""
 
 from argparse import Namespace
 from pathlib import Path

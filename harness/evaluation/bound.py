@@ -16,7 +16,7 @@ the least over Λ alone is the parallel sum of `J_k = Σ s_k s_kᵀ` over the ra
 
     cov(θ) >= sigma² (J_1⁻¹ + J_2⁻¹),      s_k = (∂I_k/∂ξ x̂, I_k, 1),    ξ = 1/d.
 
-In words: to know how far a thing has moved one has to know where it was and where it is, each no better than with
+In words: to know how far something has moved one has to know where it was and where it is, each no better than with
 its texture given. Where both images are alike, J_1 = J_2 = Σ g², the variance is at least the well-known
 `2 sigma²/Σ g²`. Where image 2 has kappa pixels for one of image 1, J_2 = kappa J_1, and every pixel counts
 `kappa/(1 + kappa)`: noise sigma² (1/δ_1 + 1/δ_2) for densities δ of pixels on the surface. `docs/bound.md` has
@@ -222,7 +222,7 @@ def _on_one_plane(visible: Mask, planes: Array, window_px: int, *, goes_round: b
 
 
 def _smallest(values: Array, window_px: int) -> Array:
-    """The least value of each window; columns go round."""
+    """The least value of each window; columns are periodic."""
     return np.asarray(ndimage.minimum_filter(values, size=window_px, mode=("nearest", "wrap")))
 
 

@@ -1,7 +1,7 @@
-"""What a matcher's confidence is worth: does it put its errors in order, and is a predicted spread the true one?
+"""The quality of a matcher's confidence: does it rank the errors, and is a predicted spread the true one?
 
-Three questions, each a pure function of arrays of any one shape. What has no error (no estimate, or no truth: NaN)
-takes no part. An estimate whose confidence is NaN, of which its maker says nothing, is taken as the least confident.
+Three questions, each a pure function of arrays of any one shape. Pixels without an error (no estimate, or no truth:
+NaN) are left out. An estimate whose confidence is NaN counts as the least confident.
 
 Equal confidences are never put in an order that the arrays do not hold: results depend neither on the order of pixels
 nor on the sort.
@@ -36,13 +36,13 @@ class Sparsification:
     remaining: Array
     """`[STEPS]`: mean or median of |error| over the rest."""
     oracle: Array
-    """`[STEPS]`: the same when the largest errors are removed first: no confidence does better."""
+    """`[STEPS]`: the same when the largest errors are removed first, which no confidence can beat."""
     random: float
-    """The same, at any share, when confidence says nothing: that of all pixels."""
+    """The same, at any share, for a random confidence: that of all pixels."""
     ause: float
     """Area between `remaining` and `oracle` over the shares removed (area under the sparsification error)."""
     ause_over_random: float
-    """The same over the area between `random` and `oracle`: 0 for the oracle, 1 for a confidence that says nothing."""
+    """The same over the area between `random` and `oracle`: 0 for the oracle, 1 for a random confidence."""
     pixels: int
     """With an error."""
 
@@ -58,7 +58,7 @@ def sparsification(error: ArrayLike, confidence: ArrayLike, *, statistic: Statis
     error
         Signed or absolute; NaN where there is none.
     confidence
-        Of the same shape; larger is surer. Only its order counts.
+        Of the same shape; higher is more confident. Only its order counts.
     """
     error, confidence = _paired(error, confidence)
     has_error = ~np.isnan(error)
@@ -125,7 +125,7 @@ def calibration(error: ArrayLike, sigma: ArrayLike) -> Calibration:
 
 @dataclass(frozen=True)
 class Roc:
-    """How well a threshold on confidence tells bad pixels from good ones."""
+    """How well a threshold on confidence separates bad pixels from good ones."""
 
     caught: Array
     """`[thresholds + 1]`: share of the bad pixels below each threshold, ascending from 0 to 1 (true positives)."""
@@ -144,11 +144,11 @@ def roc(confidence: ArrayLike, bad: ArrayLike, *, among: ArrayLike | None = None
     Parameters
     ----------
     confidence
-        Larger is surer; only its order counts.
+        Higher is more confident; only its order counts.
     bad
         Of the same shape, bool: such as errors above one pixel (`exceeding`), or pixels without texture.
     among
-        Of the same shape, bool: the pixels that are asked about; all when not given.
+        Of the same shape, bool: the pixels that count; all when not given.
     """
     confidence = np.asarray(confidence, dtype=np.float64)
     chosen = np.ones(confidence.shape, dtype=bool) if among is None else np.asarray(among, dtype=bool)

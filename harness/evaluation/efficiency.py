@@ -1,7 +1,7 @@
-"""How near a matcher comes to the Cramér-Rao bound: its spread over draws of the noise against it, pixel by pixel.
+"""How near a matcher comes to the Cramér-Rao bound: its spread over draws of the noise over the bound, pixel by pixel.
 
-Spread and bias are told apart, and gross errors from both: a matcher that takes one brick for another is not imprecise
-but wrong, and no bound on precision speaks of it.
+Spread and bias are separated, and gross errors from both: a matcher that takes one brick for another is not imprecise
+but wrong, and a bound on precision does not apply.
 """
 
 from dataclasses import dataclass
@@ -97,8 +97,8 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
 def within_without_bias(errors_px: Array, sigma_px: Array) -> tuple[float, float, float] | None:
     """Share of errors within 1, 2 and 3 predicted standard deviations once each pixel's own bias is taken off.
 
-    A predicted standard deviation speaks of noise. Beside the share with the bias left in (`confidence.calibration`)
-    this one tells whether a share that looks right is right for the right reason: a sigma that is too large can hide a
+    A predicted standard deviation is about noise. Beside the share with the bias left in (`confidence.calibration`)
+    this one shows whether a share that looks right is right for the right reason: a sigma that is too large can hide a
     bias.
 
     Parameters

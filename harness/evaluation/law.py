@@ -25,7 +25,7 @@ def test_law(cells: pd.DataFrame) -> dict[str, Any]:
     Parameters
     ----------
     cells
-        See `law_images`; may be empty, and then only geometry is spoken of.
+        See `law_images`; may be empty, and then only geometry is reported.
     """
     images = fit_laws(cells) if len(cells) else []
     limited = noise_limited(cells) if len(cells) else cells

@@ -1,4 +1,4 @@
-"""The law of sensitivity on images, and what becomes of the angle's own error.
+"""The law of sensitivity on images, and how the error of the angle itself behaves.
 
 Range is computed from alpha_2, so by calculus its error is the law times the error of alpha_2: to plot one against
 the other proves nothing. What can fail is that sigma(alpha_2) depends neither on range nor on baseline. If it does
@@ -103,7 +103,7 @@ def noise_limited(cells: pd.DataFrame) -> pd.DataFrame:
     """Cells in which noise makes most of the error: the same cell without noise has at most half of it.
 
     There the premise of the law, that sigma(alpha_2) is one constant of the images, has its best chance: what is left
-    out are the matcher's own systematic errors, which the law does not speak of.
+    out are the matcher's own systematic errors, which the law does not cover.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def noise_limited(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
-    """Slopes of `log sigma(alpha_2)` on `log(|t|/d)`: 0 if the angle's error does not know of baseline and range."""
+    """Slopes of `log sigma(alpha_2)` on `log(|t|/d)`: 0 if the angle's error depends on neither baseline nor range."""
     slopes = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
         fit = _slope(np.log(part["baseline_m"] / part["range_m"]), np.log(part["sigma_alpha"]), part)

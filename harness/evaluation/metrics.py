@@ -30,7 +30,7 @@ def measure(domain: Mask, valid: Mask, errors: Errors) -> Measures:
     Parameters
     ----------
     domain
-        `[height, width]`: the pixels spoken of.
+        `[height, width]`: the pixels that count.
     valid
         `[height, width]`: those with an estimate.
 

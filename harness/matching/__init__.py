@@ -1,4 +1,4 @@
 """Matchers: from a pair of views to alpha_2. They return angles; the harness triangulates, the same for all.
 
-Nothing here knows of scenes or of the truth.
+Nothing here depends on scenes or on the truth.
 """

@@ -37,8 +37,8 @@ class Support:
 class MatcherSettings(Spec, ABC):
     """The settings of a matcher, and what it does: the base class of them all.
 
-    A matcher is a subclass with a `kind` of its own and a `match`. Whatever else the program wants to know of it is a
-    method or a property here, with an answer that holds for most.
+    A matcher is a subclass with a `kind` of its own and a `match`. Whatever else the program needs to know about it is
+    a method or a property here, with a default that suits most.
     """
 
     briefs: ClassVar[Mapping[str, str]] = {}
@@ -127,7 +127,7 @@ class MatcherSettings(Spec, ABC):
     def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
         """How the epipolar curves are sampled, and the distance of samples in columns.
 
-        A matcher that has no samples is held against whole columns, or against whole steps of alpha_2 where t is so
+        A matcher that has no samples is compared with whole columns, or against whole steps of alpha_2 where t is so
         steep that phi hardly follows the curves.
         """
         x, y, z = t_v1

@@ -211,7 +211,7 @@ class _Source:
     digest: str
     """SHA-256 over the names and contents of all files that count, and the versions of libraries."""
     code: str
-    """The same without data files: what a process that has loaded it goes by."""
+    """The same without data files, as a process that has loaded the module needs it."""
     states: Mapping[Path, State]
     """States of all files, and of the folders of packages."""
 

@@ -249,7 +249,7 @@ def _word(value: Any) -> str:
 
 
 def write_input(pair: Pair, program: Program, folder: Path) -> None:
-    """Write all that a matcher may know of a pair: no truth, and no scene."""
+    """Write everything that a matcher gets: neither the truth nor the scene."""
     poses = (Pose(), pose_in(pair.motion))
     turned = (np.eye(3), pair.motion.R_v2_from_v1.T)
     for view, panorama in enumerate(pair.panoramas()):

@@ -1,4 +1,4 @@
-"""Which files a third-party matcher is made of, and what is in them, as far as it can be told without running it."""
+"""The files that a third-party matcher consists of, and their contents, as far as can be found without running it."""
 
 import ast
 import hashlib

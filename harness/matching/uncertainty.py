@@ -80,7 +80,7 @@ def _seen_at(panorama: Panorama, curves: Curves, alpha_2: Array) -> Array:
 def _autocorrelation(values: Array) -> Array:
     """Correlation coefficients of pixels up to `_LAGS` rows and columns apart, `[2 lags + 1, 2 lags + 1]`."""
     height, width = values.shape
-    spectrum = np.abs(np.fft.rfft2(values, (2 * height, width))) ** 2  # padded: rows do not go round, columns do
+    spectrum = np.abs(np.fft.rfft2(values, (2 * height, width))) ** 2  # padded: columns are periodic, rows are not
     product = np.fft.irfft2(spectrum, (2 * height, width))
     rows = np.arange(-_LAGS, _LAGS + 1)
     at_lags = product[np.ix_(rows, rows)]

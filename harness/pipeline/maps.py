@@ -99,7 +99,7 @@ class TrialMaps(OneLine):
     """Predicted standard deviation of `alpha_2`, radians; NaN where nothing is predicted. The matcher's own, or from
     what is left between the views."""
     confidence: Array | None
-    """The matcher's own, the larger the surer; None for a matcher that has none."""
+    """The matcher's own, higher is more confident; None for a matcher that has none."""
     reason: NDArray[np.uint8]
     """`Reason`: why there is no range; 0 where there is one."""
     domain: Mask

@@ -1,4 +1,4 @@
-"""One trial: its stages, from the scene to the error, and all that comes of them."""
+"""One trial: its stages, from the scene to the error, and their results."""
 
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
@@ -376,7 +376,7 @@ def _finite(image: Image, work: Work, key: str) -> Image:
 
 
 def _check_view(work: Work, pose: Pose, key: str) -> None:
-    """Refuse a view that stands where there is nothing to see, and say which one it is."""
+    """Refuse a view from a position where there is nothing to see, and name it."""
     geometry = geometry_near(work.trial.scene, pose.position_m)
     try:
         check_viewpoint(geometry, pose.position_m - geometry.centre)

@@ -1,4 +1,4 @@
-"""The numbers behind maps and pictures of a panorama, summed up in blocks: as few, whatever their size."""
+"""The numbers behind maps and pictures of a panorama, averaged in a fixed number of blocks."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""Assembles the report: one HTML file that needs nothing else."""
+"""Assemble the report: one self-contained HTML file."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from harness.runs.run import Result
 def build_report(result: Result, failures: list[str] | None = None, sections: Sequence[Declared] | None = None) -> str:
     """The report of a finished experiment as HTML text, the same for the same result.
 
-    What is said of all trials comes from their rows. The base trial is shown in detail, once for each method.
+    Statements about all trials come from their rows. The base trial is shown in detail, once for each method.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:
 
 
 def _made(declared: Declared, context: Context, failures: list[str]) -> Section | None:
-    """The section; where it fails, one that says why, so that its failure costs no other."""
+    """The section; if it fails, one that says why, so that the others are unaffected."""
     title = declared.id
     try:
         title = declared.title_in(context)

@@ -1,4 +1,4 @@
-"""Jinja for the pages: templates of whole pages, and fragments of HTML that live beside what they speak of."""
+"""Jinja for the pages: templates of whole pages, and fragments of HTML that live beside the code they describe."""
 
 from functools import cache
 from typing import Any

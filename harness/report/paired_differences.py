@@ -1,4 +1,4 @@
-"""Runs side by side: what differs between them, and paired differences of their main figures."""
+"""Comparison of runs: what differs between them, and paired differences of their main figures."""
 
 import csv
 import io
@@ -53,14 +53,14 @@ _STEPS = {"none": "whole pixels", "parabola": "sub-pixel"}
 
 @dataclass(frozen=True)
 class Run:
-    """What a folder says of its run."""
+    """A run as its folder describes it."""
 
     folder: Path
     name: str
     """Unique among the runs compared."""
     experiment: str
     settings: list[dict[str, str]]
-    """Settings of each trial: dotted key and value, told apart as by `identity_of`; those that are none left out."""
+    """Settings of each trial: dotted key and the value's `identity_of`; without those that are None."""
     figures: list[dict[str, float]]
     """The figures of each trial that is done; NaN where there is none."""
     facts: dict[str, str]
@@ -85,7 +85,7 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """What the interval allows to be said of the second run."""
+        """The verdict on the second run that the interval allows."""
         if self.difference == 0 and self.between in (None, (0.0, 0.0)):
             return "the same"
         if self.between is None:
@@ -182,7 +182,7 @@ def build_comparison(*folders: Path) -> Comparison:
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
-    """The shortest ends of the paths that tell them apart."""
+    """The shortest ends of the paths that are unique."""
     parts = [Path(os.path.realpath(folder)).parts for folder in folders]  # of links in a circle, too
     if len(set(parts)) < len(parts):
         raise InputError(
@@ -317,7 +317,7 @@ def _few(texts: list[str]) -> str:
 
 
 def _by_settings(run: Run, without: set[str]) -> dict[tuple[tuple[str, str], ...], int]:
-    """Trials by all settings but some."""
+    """Trials by all settings except some."""
     return {
         tuple(sorted((key, value) for key, value in settings.items() if key not in without)): index
         for index, settings in enumerate(run.settings)

@@ -1,4 +1,4 @@
-"""A page on the range from two photographs: what was found, how sure it is, and where there is nothing."""
+"""A page on the range from two photographs: the range, its predicted standard deviation, and where there is none."""
 
 import numpy as np
 from matplotlib import colormaps

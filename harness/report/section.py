@@ -1,4 +1,4 @@
-"""A section of the report: what one is made from, and what it is made of."""
+"""A section of the report: its input and its blocks."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -126,7 +126,7 @@ class FixedTable:
 
 @dataclass(frozen=True)
 class InAbstract:
-    """What a section has to say at the head of the page, in the report of a sweep; not shown in the section itself."""
+    """What a section contributes to the head of the page, in the report of a sweep; not shown in the section itself."""
 
     kind: ClassVar = "abstract"
     html: Markup
@@ -154,7 +154,7 @@ class Section:
 
 
 class About(Enum):
-    """What a section speaks of, which decides where it stands."""
+    """What a section is about, which decides its position."""
 
     ALL_TRIALS = "all trials"
     """Made from rows. It comes first in the report of a sweep, after the base trial elsewhere."""

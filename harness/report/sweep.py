@@ -124,7 +124,7 @@ class Sweep:
 
     @cached_property
     def several(self) -> bool:
-        """Whether there is more to it than the trials that the report shows in detail."""
+        """Whether there are more trials than those that the report shows in detail."""
         return bool(self.axes) or len(self.seeds) > 1 or len({method.matcher for method in self.methods}) > 1
 
     def cells_of(self, method: MethodStyle, surface: str) -> pd.DataFrame:
@@ -210,7 +210,7 @@ def in_words(coordinates: Settings) -> str:
 
 
 def name_of(key: str) -> str:
-    """What people call a key, with its unit."""
+    """The name that people use for a key, with its unit."""
     name, unit = _NAMES.get(key, (key, ""))
     return f"{name} ({unit})" if unit else name
 

@@ -29,7 +29,7 @@ from PIL import Image
 from harness import interrupts
 
 PIXEL, SUBPIXEL, TRUTH = "#D55E00", "#0072B2", "#000000"
-"""Colours after Okabe and Ito, told apart by colour-blind readers too."""
+"""Colours after Okabe and Ito, which colour-blind readers can distinguish too."""
 SPARE = ("#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 INK, FAINT, PAPER = "#222222", "#8A8A8A", "#FFFFFF"
 OUTSIDE, UNMATCHED = "#DEDEDE", "#F1F1F1"
@@ -94,7 +94,7 @@ class Picture:
     height: int
     """CSS pixels."""
     alt: str
-    """What it shows, for those who do not see it."""
+    """Alternative text."""
     title: str = ""
     """The panel's own line under it, such as `(a) environment`."""
     failure: str = ""
@@ -130,7 +130,7 @@ _RESET = [key for key in mpl.rcParamsDefault if not key.startswith(_NOT_FOR_FIGU
 
 
 def panel(draw: Callable[_P, Picture]) -> Callable[_P, Picture]:
-    """Draw a panel such that its failure costs no other: under `style` it becomes a panel that says why.
+    """Draw a panel whose failure does not affect others: under `style` it becomes a panel that says why.
 
     Elsewhere the error is raised.
     """

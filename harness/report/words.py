@@ -1,4 +1,4 @@
-"""Numbers in words and cells. What is said here follows from the numbers, and says no more than they do."""
+"""Numbers in words and cells. Every sentence follows from the numbers alone."""
 
 import re
 from collections.abc import Iterator, Sequence

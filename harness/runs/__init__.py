@@ -1,1 +1,1 @@
-"""Many trials: the experiment file, the plan, the workers, the rows that are kept, and what is written for people."""
+"""Many trials: the experiment file, the plan, the workers, the stored rows, tables and reports."""

@@ -1,4 +1,4 @@
-"""From the rows of a run to the test of the law, and to the limit that noise sets."""
+"""The test of the law, and the spread over the noise, from the rows of a run."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -14,7 +14,7 @@ from harness.runs.values import Settings, shown
 
 _NOISE = "noise.sigma_grey"
 _NOT_A_CONDITION = ("seed", "view_2.baseline_m", *METHOD_KEYS)
-"""What the law is tested across (baseline, seed), or a column of its own. All else that varies is a condition."""
+"""Keys across which the law is tested (baseline, seed), or with a column of their own. All others are conditions."""
 
 
 def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
@@ -43,7 +43,7 @@ def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
 
 
 def law_of(cells: pd.DataFrame) -> dict[str, Any] | None:
-    """The `law` of `summary.json`; None where the trials do not differ in |t|/d enough to speak of it."""
+    """The `law` of `summary.json`; None where the trials do not differ enough in |t|/d."""
     if cells.empty or cells["baseline_m"].nunique() < 3:
         return None
     return test_law(cells)
@@ -55,7 +55,7 @@ def law_condition(planned: Planned) -> Settings:
 
 
 def noise_condition(planned: Planned) -> Settings:
-    """The coordinates of a trial without seed, noise and method: what spreads over the noise are compared within."""
+    """The coordinates of a trial without seed, noise and method: spreads over the noise are compared within it."""
     return {key: value for key, value in planned.coordinates.items() if key not in _NOT_A_DRAW}
 
 

@@ -1,4 +1,4 @@
-"""Trials that found next to nothing: how many there are, and which keys are likely to help."""
+"""Trials with hardly any estimates: how many there are, and which keys are likely to help."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping

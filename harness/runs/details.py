@@ -1,7 +1,6 @@
 """The trials that a report shows in detail: the base trial by each method, pixel by pixel.
 
-What the matchers answered is kept in the run's file. A report is made from that, and runs no code that is not part of
-this program.
+The matchers' results are stored in the run's file. A report is made from them, and runs no third-party code.
 """
 
 import contextlib
@@ -32,7 +31,7 @@ from harness.simulation.fingerprint import fingerprint
 from harness.spec import as_table, parse
 
 MOST_DETAILS = 6
-"""How many methods are looked at in detail: their maps and profiles still fit a page."""
+"""The most methods shown in detail: their maps and profiles still fit a page."""
 
 _FACT = "details"
 
@@ -62,16 +61,16 @@ class Details:
 def details_of(
     experiment: Experiment, done: list[Planned], store: Store | None = None, *, run_code: bool = True
 ) -> Details:
-    """Carry out the trials to be shown, the matching itself only where its answer is not kept.
+    """Run the trials to be shown; matching itself only where its result is not stored.
 
-    A method that fails is left out. A base trial that none can carry out gives way to the first trial that was done.
+    A method that fails is left out. If every method fails on the base trial, the first finished trial replaces it.
 
     Parameters
     ----------
     done
         The trials that are done.
     store
-        The run's file, where answers are kept; None for a run in memory.
+        The run's file, which stores the results; None for a run in memory.
     run_code
         Whether matchers may be run that are not part of this program.
     """
@@ -96,7 +95,7 @@ def details_of(
 
 
 def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, store: Store) -> None:
-    """Keep the answers of all that are shown in a run's file, with what came of their comparison."""
+    """Store the results of the trials shown in a run's file, with their comparison."""
     if details.left_out and isinstance(experiment, RecordedExperiment):
         return  # what is kept says more than what could be shown here
     trials = [
@@ -155,7 +154,7 @@ class _Stored:
 
 
 def with_method(base: Trial, other: Trial) -> Trial:
-    """The base trial, matched as another one is; with its own settings as far as they say the same."""
+    """The base trial with the matcher of another one; it keeps its own settings where both matchers have them."""
     matching = other.matching
     if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
         mixed = base.matching.model_dump() | {"kind": matching.kind, "subpixel": matching.subpixel}
@@ -175,7 +174,7 @@ _ARRAYS = ("alpha_2", "confidence", "sigma_alpha_2", "reason", "refined", "k")
 
 
 def packed(matches: Matches) -> bytes:
-    """A matcher's answer as a compressed NPZ archive of its arrays."""
+    """A matcher's result as a compressed NPZ archive of its arrays."""
     arrays = {name: array for name in _ARRAYS if (array := getattr(matches, name)) is not None}
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
@@ -183,7 +182,7 @@ def packed(matches: Matches) -> bytes:
 
 
 def unpacked(data: bytes, grid: Grid) -> Matches | None:
-    """The answer that was packed; None where the bytes are no answer on this panorama.
+    """The result that was packed; None where the bytes are not one on this panorama.
 
     Nothing in an archive is taken on trust: no pickle, no array larger than the panorama asks for.
     """

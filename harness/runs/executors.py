@@ -18,13 +18,13 @@ from harness.errors import InputError
 from harness.machine import available_cpus
 
 QUICK_S = 4.0
-"""Work below which more processes cost more than they save: each takes a second to begin."""
+"""Work below which more processes cost more than they save: each takes a second to start."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Environment of a process that does one thing at a time; read when the libraries are imported."""
 
 WORKER = {**ONE_THREAD, "OMNIRANGE_WORKER": "1"}
-"""Environment of a worker, which leaves it to the process that began it to tell the user what all of them meet."""
+"""Environment of a worker, which leaves notices that concern all workers to its parent."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Backend:
     """Called again when the executor is broken."""
     workers: int
     slots: int
-    """Batches handed over and not yet returned, at most."""
+    """The most batches submitted and not yet returned."""
     threads: int | None = 1
     """The threads of a trial."""
     remote: bool = False
@@ -53,15 +53,15 @@ def backend_for(work_s: float, trials: int, workers: int | None = None, dask: st
     trials
         How many there are to run.
     workers
-        Asked for; None for as many as pay.
+        As requested; None for as many as save time.
     dask
         Address of a scheduler.
 
     Raises
     ------
     InputError
-        When Dask is not installed, or there is no scheduler or worker; or when more than one worker is asked for in a
-        process that may not begin any.
+        When Dask is not installed, or there is no scheduler or worker; or when more than one worker is requested in a
+        process that may not start any.
     """
     if dask is not None:
         return _on_dask(dask)
@@ -87,7 +87,7 @@ def _in_process() -> Iterator[Executor]:
 
 
 class _InProcess(Executor):
-    """Runs what is submitted at once."""
+    """Runs what is submitted immediately."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -100,7 +100,7 @@ class _InProcess(Executor):
 
 
 class _Pool(ProcessPoolExecutor):
-    """Workers that do not run the script again which this process was started with: they need nothing of it.
+    """Workers that do not run this process's script again: they do not need it.
 
     So a script needs no main guard, and none of its lines is run twice.
     """
@@ -156,7 +156,7 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
 
 
 def _begin_server(context: Any) -> None:
-    """Begin the process that workers are forked from, deaf to Ctrl-C from its first moment, as they are to be."""
+    """Start the process that workers are forked from, which ignores Ctrl-C from the beginning, as they do."""
     from multiprocessing import forkserver, resource_tracker
 
     context.set_forkserver_preload(["harness.runs.server"])  # imported once, for all

@@ -47,7 +47,7 @@ class Experiment(Spec):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
     """The experiment's name: letters, digits, `_`, `.` and `-`. It also names the output folder."""
     description: str = ""
-    """What the experiment is for, for people."""
+    """A description for people."""
     trial: Trial
     """The base trial."""
     axes: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], DottedKeys(Trial, listed=True)] = Field(

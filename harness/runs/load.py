@@ -33,7 +33,7 @@ def load_experiment(
     ----------
     sets
         `key=value`, or keys and values: settings of the base trial; an axis over the same key is dropped. With
-        `matching.kind`, so are axes over settings that this matcher has not got.
+        `matching.kind`, so are axes over settings that this matcher does not have.
     axes
         `key=a,b,c`, or keys and lists of values: further axes, or other values of one that is there. In text, values
         are as in TOML, or plain words. With an axis over `matching.kind`, the experiment's own axes are dropped that

@@ -1,4 +1,4 @@
-"""What trials compare: methods, told apart by their settings and named so that no two names are alike."""
+"""The methods that trials compare, identified by their settings and named uniquely."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
@@ -9,19 +9,19 @@ from harness.matching.interface import MatcherSettings
 MethodId = tuple[str, str, tuple[str, ...]]
 """What a method is: the matcher's kind, its sub-pixel step, and the command of a program."""
 MethodName = tuple[str, str]
-"""What it is called in tables: the matcher and its sub-pixel step. Unique within an experiment."""
+"""Its name in tables: the matcher and its sub-pixel step. Unique within an experiment."""
 
 METHOD_KEYS = ("matching.kind", "matching.subpixel", "matching.command")
-"""The keys of a trial that tell methods apart: no axis and no condition."""
+"""The keys of a trial that distinguish methods; they are neither axes nor conditions."""
 
 
 def method_id(matcher: MatcherSettings) -> MethodId:
-    """What tells the method apart from others."""
+    """The identity of the method."""
     return matcher.kind, matcher.step, matcher.command_words
 
 
 def method_names(matchers: Iterable[MatcherSettings]) -> Mapping[MethodId, MethodName]:
-    """A name for each method: kind and step; for several that share these, with the words that tell commands apart."""
+    """A name for each method: kind and step; several that share these also by the words in which their commands differ."""
     alike: dict[MethodName, dict[MethodId, None]] = {}
     for matcher in matchers:
         kind, step, _ = identity = method_id(matcher)

@@ -9,12 +9,12 @@ from harness.pipeline.trial import RENDER, sharing_keys
 from harness.runs.experiment import Planned
 
 BATCH_S = 1.0
-"""Work that a worker is handed at a time: long beside the handing over, short beside what a kill may cost."""
+"""Work that a worker gets at a time: long enough to hide the overhead, short enough for a kill to cost little."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Trials in an order in which those that share the most stand together."""
+    """Trials in an order in which those that share the most are neighbours."""
 
     trials: tuple[Planned, ...]
     seconds: tuple[float, ...]

@@ -29,7 +29,7 @@ class RecordedExperiment(Experiment):
 
     @cached_property
     def planned(self) -> tuple[Planned, ...]:
-        """The trials as they were planned when the run was begun; nothing is looked at again."""
+        """The trials as they were planned when the run began; no file is read again."""
         return self._planned
 
     @cached_property
@@ -81,7 +81,7 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
         raise InputError(
             "was started by an earlier version of omnirange, which stored no plan; run the experiment again", file=file
         )
-    # Nobody is told of former names here: the file is the program's own.
+    # No notice of former names here: the file is the program's own.
     experiment = parse(RecordedExperiment, up_to_date(RecordedExperiment, store.fact(_EXPERIMENT))[0], file=file)
     known: dict[tuple[str, int], Any] = {}
     planned = []

@@ -1,4 +1,4 @@
-"""Run an experiment: rows of all trials in one file, the base trial in detail, and what is written for people."""
+"""Run an experiment: rows of all trials in one file, the base trial in detail, tables and reports."""
 
 import contextlib
 import csv
@@ -67,7 +67,7 @@ class Row:
 
 @dataclass(frozen=True, repr=False)
 class Result(OneLine):
-    """An experiment and what came of it."""
+    """An experiment and its results."""
 
     experiment: Experiment
     rows: list[Row]
@@ -81,7 +81,7 @@ class Result(OneLine):
 
     @property
     def outcomes(self) -> list[Outcome]:
-        """What came of the trials that are shown in detail."""
+        """The outcomes of the trials that are shown in detail."""
         return self.details.outcomes
 
     @property
@@ -110,7 +110,7 @@ class RunStatus:
 
 
 def open_run(experiment: Experiment, folder: Path) -> Store:
-    """Open the run of an experiment in a folder, or begin it.
+    """Open the run of an experiment in a folder, or start it.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def rows_of(experiment: Experiment, store: Store) -> list[Row]:
 def result_from(
     experiment: Experiment, rows: list[Row], store: Store | None = None, *, run_code: bool = True
 ) -> Result:
-    """The result that rows add up to, with the trials that are shown in detail; see `details.details_of`.
+    """The result that follows from the rows, with the trials that are shown in detail; see `details.details_of`.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def result_from(
 
 
 def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:
-    """Run all trials that are not done, in a folder or in memory, without a word.
+    """Run all trials that are not done, in a folder or in memory, without output.
 
     Raises
     ------
@@ -275,7 +275,7 @@ def write_summary(result: Result, store: Store, folder: Path) -> None:
 
 
 def write_report(result: Result, report: str, store: Store, folder: Path) -> None:
-    """Write `report.html`, and keep in the store that what is written, file by file, belongs to its rows.
+    """Write `report.html`, and record in the store which files belong to its rows.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def write_report(result: Result, report: str, store: Store, folder: Path) -> Non
 
 
 def is_reported(experiment: Experiment, store: Store, folder: Path) -> bool:
-    """Whether all that would be written from the rows is there already, and as it was written."""
+    """Whether all files that follow from the rows exist and are unchanged."""
     return is_written(_digest(experiment, store), store, folder)
 
 

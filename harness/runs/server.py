@@ -1,4 +1,4 @@
-"""Loaded once by the process that workers are forked from, in place of each of them."""
+"""Loaded once by the process that workers are forked from, instead of by each of them."""
 
 import sys
 from types import TracebackType

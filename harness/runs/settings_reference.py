@@ -162,7 +162,7 @@ def _of_field(key: str, field: FieldInfo, kinds: tuple[str, ...], expanded: dict
 
 
 def _of_tables(tables: Sequence[Any], stem: str, expanded: dict[Any, str]) -> Iterator[Setting]:
-    """The keys of tables that are told apart by their `kind`: equal ones once, with all kinds that have them."""
+    """The keys of tables with a `kind`: equal ones once, with all kinds that have them."""
     merged: dict[Setting, list[str]] = {}
     for table in tables:
         # A table inside one kind's table is expanded where it comes first, whichever kind that is.

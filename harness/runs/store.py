@@ -1,8 +1,8 @@
 """The file that holds a run: one SQLite database, safe against a kill at any moment.
 
-A trial is one row, written in one transaction when it is finished. Rows are told apart by the trial's key and the
-code that made them: those of other code are never read, and never overwritten. Each has a seal, the hash of all that
-is in it: one that was cut or changed since is refused.
+A trial is one row, written in one transaction when it is finished. Rows are identified by the trial's key and the
+code that made them: those of other code are never read, and never overwritten. Each has a seal, the hash of its
+contents: a row that was truncated or changed is refused.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ _APPLICATION, _SCHEMA = 0x6F6D6E69, 2
 """SQLite's `application_id` of our files ("omni"), and the `user_version`, that of the tables below."""
 
 _DAMAGE = (sqlite3.Error, UnicodeError)
-"""What reading a damaged file raises; the second from names that are no text any more."""
+"""What reading a damaged file raises; the second from names that are no longer text."""
 
 _TABLES = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL, seal TEXT NOT NULL);
@@ -46,12 +46,12 @@ CREATE TABLE trials (
 _ANSWERS = """CREATE TABLE IF NOT EXISTS answers (
     key TEXT NOT NULL, code TEXT NOT NULL, data BLOB NOT NULL, PRIMARY KEY (key, code)
 )"""
-"""Apart from the others: files begun before there were any are good still."""
+"""Made separately: older files without this table stay valid."""
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What is kept of a trial."""
+    """A finished trial as it is stored."""
 
     key: str
     scene: str
@@ -151,7 +151,7 @@ class Store:
         self._do("COMMIT")
 
     def finished(self, keys: Iterable[str]) -> dict[str, Finished]:
-        """The rows that today's code made of these trials, by key.
+        """The rows of these trials that the present code made, by key.
 
         Raises
         ------
@@ -171,13 +171,13 @@ class Store:
         return found
 
     def states(self, keys: Iterable[str]) -> dict[str, str]:
-        """The states alone, which is quicker."""
+        """Only the states, which is quicker."""
         wanted = set(keys)
         rows = self._rows("SELECT key, state FROM trials WHERE code = ?", self._code)
         return {key: state for key, state in rows if key in wanted}
 
     def unused_rows(self, keys: Iterable[str], scenes: Iterable[str]) -> UnusedRows:
-        """How many rows are of other code than today's, or of none of these trials."""
+        """How many rows are from other code, or of none of these trials."""
         wanted, known = set(keys), set(scenes)
         rows = self._rows("SELECT key, code, scene FROM trials")
         strange = [scene for key, code, scene in rows if code == self._code and key not in wanted]
@@ -207,12 +207,12 @@ class Store:
         return row.key, self._code, row.scene, row.state, row.payload, row.seconds, row.message, row.traceback
 
     def answer(self, key: str) -> bytes | None:
-        """What is kept of a matcher's answer to a trial, None if nothing is; see `answers`."""
+        """The stored result of a matcher for a trial; None if there is none."""
         row = self._do("SELECT data FROM answers WHERE key = ? AND code = ?", key, self._code).fetchone()
         return None if row is None else bytes(row[0])
 
     def set_answers(self, answers: Mapping[str, bytes]) -> None:
-        """Keep these answers, by key of the trial, and no others."""
+        """Store these results, by key of the trial, and no others."""
         self._do("BEGIN IMMEDIATE")
         try:
             self._connection.execute("DELETE FROM answers")
@@ -227,7 +227,7 @@ class Store:
                 self._connection.rollback()
 
     def fact(self, name: str) -> Any:
-        """Something else that the run knows, None if it does not.
+        """A stored fact about the run; None if there is none.
 
         Raises
         ------
@@ -243,7 +243,7 @@ class Store:
         return json.loads(value)
 
     def set_fact(self, name: str, value: Any) -> None:
-        """Keep something JSON-able beside the rows."""
+        """Store something JSON-able beside the rows."""
         text = json.dumps(value)
         self._do("INSERT OR REPLACE INTO facts VALUES (?, ?, ?)", name, text, _seal(name, text))
 

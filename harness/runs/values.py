@@ -1,4 +1,4 @@
-"""Values of settings as text: for people, for tables, and to tell them apart."""
+"""Values of settings as text: for people, for tables, and as identities."""
 
 import json
 import math
@@ -45,9 +45,9 @@ def value_of(text: str) -> Any:
 
 
 def identity_of(key: str, value: Any) -> str:
-    """What tells the values of a key apart: equal texts for equal values, however a number is written.
+    """The identity of a key's value: equal texts for equal values, however a number is written.
 
-    A parameter of a matcher may tell 1 from 1.0, and then so do its trials.
+    A matcher may distinguish 1 from 1.0 in a parameter, and then so do its trials.
     """
     exact = key == "matching" or key.startswith("matching.parameters")
     return json.dumps(value if exact else _in_one_type(value), sort_keys=True)

@@ -31,10 +31,10 @@ _CODE = code_hash()
 
 @dataclass(frozen=True)
 class Batch:
-    """Trials to run one after the other, in a form that travels."""
+    """Trials to run one after the other, in a form that can be sent to a worker."""
 
     code: str
-    """`code_hash` of who asks."""
+    """`code_hash` of the caller."""
     trials: tuple[tuple[str, str, dict[str, Any]], ...]
     """The key of each trial, its scene's fingerprint and its table."""
     scene_files: tuple[str, ...]
@@ -44,7 +44,7 @@ class Batch:
     maps: str | None = None
     """The folder in which to keep every trial's maps, absolute; None to keep none."""
     files: dict[str, bytes] = field(default_factory=dict)
-    """The contents of the scenes' files by path, for a worker that has not got them."""
+    """The contents of the scenes' files by path, for a worker that does not have them."""
 
 
 def pack(
@@ -75,12 +75,12 @@ def pack(
 
 
 def work(batch: Batch) -> list[Finished]:
-    """Run a batch. A trial that fails is a row like any other, and the next one is run.
+    """Run a batch. A failed trial becomes a row like any other, and the next one is run.
 
     Raises
     ------
     InputError
-        When the code here is not that of who asks: its rows would not be theirs.
+        When the code here differs from the caller's.
     """
     if batch.code != _CODE:
         raise InputError(
@@ -97,14 +97,14 @@ def work(batch: Batch) -> list[Finished]:
 def run_here(
     trial: Trial, *, threads: int | None = None, answer: Matches | None = None, scene_file: str = ""
 ) -> Outcome:
-    """Run a trial with all that this thread has kept from those before; see `trial.run_trial`."""
+    """Run a trial with this thread's cache; see `trial.run_trial`."""
     if not hasattr(_local, "cache"):
         _local.cache = StageCache(backing={"render": RenderCache()})
     return run_trial(trial, _local.cache, threads=threads, answer=answer, scene_file=scene_file)
 
 
 def forget() -> None:
-    """Let go of what this thread has kept."""
+    """Drop this thread's cache."""
     _local.__dict__.clear()
 
 

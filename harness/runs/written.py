@@ -1,4 +1,4 @@
-"""The files made from a run's rows, and the hashes by which one that was changed since is noticed."""
+"""The files made from a run's rows, and the hashes that reveal later changes."""
 
 import hashlib
 from collections.abc import Mapping
@@ -42,12 +42,12 @@ def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
 
 
 def set_reported(digest: str, store: Store, folder: Path) -> None:
-    """Keep that all that is written, file by file, belongs to the rows with this digest."""
+    """Record that the files belong to the rows with this digest."""
     store.set_fact(_FACT_OF_REPORT, [digest, _hashes(folder)])
 
 
 def is_written(digest: str, store: Store, folder: Path) -> bool:
-    """Whether all that would be written from the rows with this digest is there, and as it was written."""
+    """Whether all files that follow from the rows with this digest exist and are unchanged."""
     hashes = _hashes(folder)
     return None not in hashes.values() and store.fact(_FACT_OF_REPORT) == [digest, hashes]
 
@@ -59,7 +59,7 @@ def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes]
     -------
     files : dict of bytes
     checked : bool
-        Whether they were held against the hashes in the run's database. A copy of the tables alone has none.
+        Whether they were compared with the hashes in the run's database. A copy of the tables alone has none.
 
     Raises
     ------

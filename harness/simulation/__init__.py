@@ -1,4 +1,4 @@
 """Worlds with a known answer: what a sensor sees in a scene, and how far away everything is.
 
-Nothing here knows of stereo.
+Nothing here depends on stereo.
 """

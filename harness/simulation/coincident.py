@@ -177,7 +177,7 @@ def settle(
 
 
 def encloses(corners: Array, p: Array) -> bool:
-    """Whether a watertight surface `[triangles, 3, 3]` goes round a point: a ray crosses it an odd number of times.
+    """Whether a watertight surface `[triangles, 3, 3]` encloses a point: a ray crosses it an odd number of times.
 
     The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
     """

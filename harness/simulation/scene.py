@@ -172,7 +172,7 @@ class Scene(Spec):
     name: str
     """The scene's name."""
     description: str = ""
-    """What the scene is, for people."""
+    """A description for people."""
     closed: bool = True
     """Whether every ray hits something: one that escapes is then an error. An open scene shows the background
     there."""

@@ -73,7 +73,7 @@ def truth(
     valid
         `[rows, columns]`, bool.
     pose_2, sensor_2
-        The second view. With a pose alone the field is not asked after.
+        The second view. With a pose alone the field is ignored.
     wrap_columns
         The first and last columns are neighbours, as in a panorama of 360 degrees. Wrong for a mirror image.
 

@@ -68,7 +68,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of a check."""
+    """The result of a check."""
 
     check: Check
     passed: bool | None
@@ -103,13 +103,13 @@ def examine(subject: "Subject", check: Check) -> Finding:
 
 @dataclass
 class Subject:
-    """A matcher on trial; what it has answered is kept."""
+    """A matcher under test; its results are kept."""
 
     matcher: MatcherSettings
     _answers: dict[str, Any] = field(default_factory=dict)
 
     def raw(self, name: str) -> Any:
-        """What it returned for one of the pairs by name, unchecked."""
+        """What it returned for one of the named pairs, unchecked."""
         if name not in self._answers:
             try:
                 self._answers[name] = self.matcher.answer(fresh(PAIRS[name]()))
@@ -143,7 +143,7 @@ class Subject:
         return as_given(self.raw(name))
 
     def now(self, pair: Pair, **limits: float) -> Matches:
-        """Its answer to any pair, made anew, with other limits."""
+        """Its result for any pair, computed again, with other limits."""
         self.matches("easy")
         matcher = self.matcher.model_copy(update=limits)
         given = matcher.answer(pair)
@@ -464,7 +464,7 @@ def _better_than_a_guess(subject: Subject, name: str, there: Scenery) -> str:
 
 
 def _likely_slip(alpha_2: Array, there: Scenery, scored: Mask, small: float) -> str:
-    """What the answer looks like, when it is something else than alpha_2."""
+    """What the result looks like, if it is something other than alpha_2."""
     truth, alpha_1 = there.alpha_2, there.pair.alpha_1
     slips = (
         ("the disparity alpha_2 - alpha_1", truth - alpha_1),

@@ -38,7 +38,7 @@ class CameraModel(Spec, ABC):
         """What the compiled functions are given: a named tuple of numbers, of a class of the model's own."""
 
     def goes_round(self, camera: Camera) -> bool:  # noqa: ARG002
-        """Whether the image goes on across its left and right borders, as a panorama of 360 degrees does."""
+        """Whether the image is periodic across its left and right borders, as a panorama of 360 degrees is."""
         return False
 
     def refuse_unused(self, camera: Camera, lens: Lens) -> None:

@@ -1,1 +1,1 @@
-"""OpenCV's matchers, behind the same door as those here."""
+"""OpenCV's matchers, through the same interface as the others."""

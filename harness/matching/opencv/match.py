@@ -1,4 +1,4 @@
-"""What people use today, behind the same door as the matchers here: OpenCV's StereoBM, StereoSGBM and
+"""What people use today, through the same interface as the matchers here: OpenCV's StereoBM, StereoSGBM and
 `omnidir.stereoReconstruct`. They need the extra `peers`.
 """
 
@@ -39,7 +39,7 @@ S = TypeVar("S", bound=OpenCV)
 
 
 def in_opencv(pair: Pair, matcher: S, work: Callable[[Pair, S, Any], Matches]) -> Matches:
-    """What one of OpenCV's matchers makes of a pair; none of them says how sure it is, nor why it has no answer.
+    """The matches of one of OpenCV's matchers; none of them gives a confidence, or a reason where there is no match.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ _PRE_FILTERS = {"xsobel": "XSOBEL", "normalized": "NORMALIZED_RESPONSE"}
 
 
 def _ranges(cloud: Any, rectangle: Rectangle) -> Array:
-    """Ranges `[rows, columns]` of OpenCV's points, which are a list: where each belongs is told by its direction."""
+    """Ranges `[rows, columns]` of OpenCV's points, which are a list: each is assigned to a pixel by its direction."""
     range_m = np.full(rectangle.shape, np.nan)
     points = np.zeros((0, 3)) if cloud is None else np.asarray(cloud, dtype=np.float64).reshape(-1, 3)
     # The points are in the rectified frame: no rotation, and `pixels_of` expects our frame.

@@ -73,7 +73,7 @@ _TEXTURED = 0.25
 """The least texture per pixel that a pixel's surroundings need, as a share of the window's."""
 
 _ACROSS_SEAM = 6
-"""Windows by which an image that goes round is continued on both sides."""
+"""How many windows a periodic image is continued by on both sides."""
 
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""

@@ -40,7 +40,7 @@ class WindowMatcher(MatcherSettings):
     smaller, and fewer matches on the floor are gross."""
     window_px: Annotated[int, Field(ge=1, le=99)] = 11
     """Side of the window, panorama pixels; odd, so that it has a centre. 11 is large enough for the filtered
-    texture to be told apart, and small enough that a window on a wall stays nearly at one disparity."""
+    texture to be distinguishable, and small enough that a window on a wall stays nearly at one disparity."""
     sampling: Sampling = "phi"
     """Whether the samples along an epipolar curve are equally spaced in phi, by columns, or in alpha_2. `column`
     needs `phi`."""
@@ -65,7 +65,7 @@ class WindowMatcher(MatcherSettings):
         if self.kind == "column":
             if self.sampling != "phi":
                 raise ValueError(
-                    f'kind = "column" needs sampling = "phi", which goes by columns; found sampling = "{self.sampling}"'
+                    f'kind = "column" needs sampling = "phi", in whole columns; found sampling = "{self.sampling}"'
                 )
             parts = self.samples_per_column
             if parts < 1 or abs(parts * self.pitch_px - 1) > 1e-6:

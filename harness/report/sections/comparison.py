@@ -1,4 +1,4 @@
-"""The methods side by side on the base trial, and what of it could not be shown."""
+"""The methods compared on the base trial, and what could not be shown."""
 
 from collections.abc import Iterator
 

@@ -48,7 +48,7 @@ def section(context: Context) -> Iterator[Block]:
 
 @dataclass(frozen=True)
 class Confidences:
-    """Figures and a table; empty when no method says anything."""
+    """Figures and a table; empty when no method gives a confidence."""
 
     pictures: list[Picture]
     table: Table | None
@@ -145,7 +145,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
 
 
 def _blank_walls(with_confidence: list[tuple[Method, Array]]) -> list[tuple[Method, Roc]]:
-    """How well confidence tells pixels without texture; a pixel without a match has the least of all."""
+    """How well confidence detects pixels without texture; a pixel without a match has the least of all."""
     rocs = []
     for method, confidence in with_confidence:
         outcome = method.outcome

@@ -77,7 +77,7 @@ class Swept:
     pictures: list[Picture]
     data: Data
     law: bool
-    """Whether the law says anything of this axis."""
+    """Whether the law predicts a dependence on this axis."""
     unbalanced: bool
     """Whether the means at different values are over different groups of cells, where no group has them all."""
 

@@ -108,13 +108,13 @@ class Row:
     domain: int
     """Pixels of the domain in it."""
     matched: int
-    """How many of these every method has an estimate for."""
+    """Pixels of these for which every method has an estimate."""
     wall: float
     """The share of the domain that lies on walls."""
 
     @property
     def surface(self) -> str:
-        """What the row shows, in a word or two."""
+        """The row in a word or two."""
         if self.wall >= 0.99:
             return "wall"
         return "floor or ceiling" if self.wall <= 0.01 else "walls and floor"

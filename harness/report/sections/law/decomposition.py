@@ -1,4 +1,4 @@
-"""What the law takes for granted: how the angle's own error, mismatches and losses grow."""
+"""The premise of the law: how the angle's own error, mismatches and losses grow."""
 
 import math
 from collections.abc import Iterator

@@ -14,7 +14,7 @@ from harness.report.section import About, Block, Context, Figure, Paragraph, Tab
 from harness.report.theme import FAINT, HALF, INK, Picture
 
 LINEAR = 0.05
-"""The linearisation has ended where a spread is off by more than this share."""
+"""The linearisation breaks down where a spread is off by more than this share."""
 
 
 _WORDS = """

@@ -65,12 +65,12 @@ def slope_table(sweep: Sweep, fits: list[Fit]) -> Table:
 
 
 def noise_table(sweep: Sweep, fits: list[Fit]) -> Table:
-    """Slopes on the exact law at each noise by itself."""
+    """Slopes on the exact law for each noise level separately."""
     return _table(sweep, fits, Heading("Noise", "grey"), lambda fit: number(fit["sigma_grey"], "g"))
 
 
 def _table(sweep: Sweep, fits: list[Fit], heading: Heading, cell: Callable[[Fit], Cell]) -> Table:
-    """A row for each fit, with a column for what tells the fits of one method and surface apart."""
+    """A row for each fit, with a column for what distinguishes the fits of one method and surface."""
     rows = [
         [*_who(surface, method), cell(fit), *_slope_cells(fit), count(fit["cells"])]
         for surface in sweep.surfaces

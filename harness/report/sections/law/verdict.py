@@ -91,7 +91,7 @@ def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
 
 
 def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: dict[str, Any]) -> Iterator[str]:
-    """Where the slope's interval leaves out 1, and how the angle's own error grows."""
+    """Where 1 lies outside the slope's interval, and how the angle's own error grows."""
     known = [each for each in exact["by_alpha_1"] if each["slope_ci95"] is not None]
     off = [each for each in known if not each["slope_ci95"][0] <= 1 <= each["slope_ci95"][1]]
     if known and off:
