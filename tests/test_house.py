@@ -107,6 +107,12 @@ def test_functions_fit_a_screen_and_take_a_dozen_parameters() -> None:
     assert not long
 
 
+def test_no_docstring_begins_with_of() -> None:
+    """A docstring says what comes back or is done."""
+    of = "^\\s*" + 3 * '"' + "Of "
+    assert not [str(path.relative_to(ROOT)) for path in sources() if re.search(of, text_of(path), re.MULTILINE)]
+
+
 def test_nothing_tracked_is_large() -> None:
     """A clone stays quick: half a megabyte a file holds every mesh, texture and figure so far."""
     assert not [str(path.relative_to(ROOT)) for path in tracked() if path.stat().st_size > 500_000]

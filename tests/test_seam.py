@@ -79,7 +79,7 @@ def outcome(sensor: Sensor, kind: str, cache: StageCache, *, bound: bool = False
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["column", "slanted"])
 def test_bound(kind):
-    """Of windows of the panorama, and of the image itself."""
+    """Windows of the panorama, and of the image itself."""
     cache = StageCache()
     here, there = (outcome(sensor, kind, cache, bound=True).bound_px for sensor in (HERE, THERE))
     np.testing.assert_array_equal(np.isfinite(here), np.isfinite(there))

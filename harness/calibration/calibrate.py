@@ -31,7 +31,7 @@ _ROUGH_PX = 3.0
 _LEAST_SIGMA_PX = 1e-3
 """No residual below a few of these is an outlier: of corners that are free of noise all that is left is rounding."""
 _LEAST_CORNERS = 6
-"""Of a board that loses more to outliers than leaves it these, nothing is used."""
+"""A board with fewer corners left after outliers is dropped."""
 _FEW_IMAGES = 5
 _VAGUE_PX = 1.0
 
@@ -49,7 +49,7 @@ class SensorCalibration(OneLine):
     left_out: Corners | None
     """Those that were not: outliers."""
     poses: BoardPoses
-    """Of the boards of `corners`."""
+    """Poses of the boards of `corners`."""
     residuals: Array
     """`[m, 2]`: predicted less measured pixels."""
     grid: RayGrid

@@ -48,7 +48,7 @@ class Window:
     """`[3, 3]`: its right, its down and its viewing direction in the sensor's frame."""
     size: int
     tangent: float
-    """Of half its angle."""
+    """Tangent of half its angle."""
 
     def directions(self, x: Array, y: Array) -> Array:
         """Directions `[..., 3]` in the sensor's frame of its pixels."""

@@ -16,13 +16,13 @@ LEAST_IMAGES = 4
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Halves(OneLine):
-    """What two halves of the images say of each other."""
+    """Two halves of the images, each calibrated and compared with the other."""
 
     images: tuple[tuple[str, ...], tuple[str, ...]]
     rms_px: tuple[float, float]
-    """Of each half's own corners, pixels."""
+    """RMS residual of each half's own corners, pixels."""
     other_rms_px: tuple[float, float]
-    """Of the other half's corners, whose boards alone were placed anew, pixels."""
+    """RMS residual of the other half's corners, with only their boards' poses estimated again, pixels."""
     difference_px: Array
     """`[k]`: distance between the pixels at which the two see a grid's rays, a turn of the whole sensor apart; NaN
     where one of them sees nothing."""

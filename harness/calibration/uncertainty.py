@@ -18,7 +18,7 @@ from harness.display import OneLine
 from harness.geometry.angles import Array
 
 _UNDETERMINED = 1e-13
-"""Of the normal matrix scaled to a diagonal of 1: a share of the largest eigenvalue that is rounding."""
+"""Eigenvalues of the normal matrix, scaled to a diagonal of 1, below this share of the largest are rounding."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)

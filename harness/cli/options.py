@@ -22,7 +22,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Of argparse: refuse what is no choice, here with the choice that was meant."""
+        """Refuse what is not a choice, and name the nearest one; overrides argparse's."""
         if action.choices is not None and value not in action.choices:
             what = "command " if action.metavar == "COMMAND" else ""
             hint = nearest(str(value), [str(each) for each in action.choices])

@@ -25,7 +25,7 @@ MOST = 4000
 RATIO = 0.8
 """Distance of the nearest descriptor over that of the second nearest, at most (Lowe, 2004)."""
 _CONTRAST = 0.02
-"""Of a keypoint, at least; half of OpenCV's default, for photographs that are not quite sharp."""
+"""Least contrast of a keypoint; half of OpenCV's default, for photographs that are not quite sharp."""
 _CONTRAST_OF_ONE = 0.04
 """Contrast at which a keypoint's standard deviation is the unit: it goes with 1/contrast, whatever the scale, as noise
 moves the extremum of a flatter hill farther. On rendered pairs the product is constant within 10 %."""
@@ -168,7 +168,7 @@ def match_features(first: Features, second: Features) -> Correspondences:
 
 
 def _nearest(some: NDArray[np.float32], others: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Of each descriptor the nearest among others, and whether the ratio test holds."""
+    """The nearest of the others for each descriptor, and whether the ratio test holds."""
     index, sure = np.zeros(len(some), np.intp), np.zeros(len(some), bool)
     if len(others) < 2:
         return index, sure

@@ -9,10 +9,10 @@ from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
 from harness.camera.sensor import Sensor
 
 _OFF_CENTRE = 0.03
-"""Of the image's smaller side: nearer than that to its middle is where cameras usually have it."""
+"""Share of the image's smaller side within which the principal point usually is from the middle."""
 _LITTLE_USED = 0.25
 _EVEN = 0.02
-"""Two diameters that differ by less, in parts, are one in words."""
+"""Two diameters that differ by a smaller share are given as one."""
 
 
 def title_of(found: Coverage) -> str:

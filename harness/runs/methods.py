@@ -21,7 +21,7 @@ def method_id(matcher: MatcherSettings) -> MethodId:
 
 
 def method_names(matchers: Iterable[MatcherSettings]) -> Mapping[MethodId, MethodName]:
-    """A name for each method: kind and step; several that share these also by the words in which their commands differ."""
+    """A name for each method: kind and step, and where these are shared the words in which the commands differ."""
     alike: dict[MethodName, dict[MethodId, None]] = {}
     for matcher in matchers:
         kind, step, _ = identity = method_id(matcher)

@@ -15,7 +15,7 @@ from harness.geometry.angles import Array
 LEAF = 4
 """Boxes in a leaf."""
 _BITS = 21
-"""Of each coordinate of a middle; three coordinates fit 63 bits."""
+"""Bits of each coordinate of a middle; three coordinates fit 63."""
 
 
 class BoxTree(NamedTuple):

@@ -30,7 +30,7 @@ class WrittenSensor(OneLine):
     text: str
     format: str
     kind: str
-    """Of the camera model that was written."""
+    """The `kind` of the camera model that was written."""
     conversion: Conversion
 
 

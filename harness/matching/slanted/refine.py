@@ -155,8 +155,8 @@ class _Warp:
     s: Array
     """-R t: the derivative of q = R x + w s by the inverse range w."""
     camera: tuple[Any, FieldLimits, float, float]
-    """Of the other view: the camera model's parameters, the limits of its field, and, if its image goes round, how many
-    columns it has been continued by, and how many make a turn; else 0."""
+    """The other view's camera model and limits of its field; if its image is periodic, the number of columns that it is
+    continued by, and of those in a turn; else 0."""
     x: Array
     """`[height, width, 3]`, unit directions of the first of the two views' mirror pixels, continued across the seam."""
     valid: Mask
