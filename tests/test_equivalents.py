@@ -170,6 +170,30 @@ class TestNearest:
             convert(first, seen(first, 150), Target("eucm"))
 
 
+@pytest.mark.parametrize(
+    ("first", "width"),
+    [
+        (optics("hyperboloid", NARROW), 640),
+        (optics("eucm", alpha=0.6, beta=1.1), 640),
+        (optics("equirectangular", Camera(width_px=640, height_px=320, focal_px=320 / np.pi, cy_px=159.5)), 640),
+    ],
+    ids=["a mirror", "a lens", "a panorama"],
+)
+def test_optics_are_in_the_lens_frame(first, width):
+    """X along u, Y along v, Z into the scene; derivatives against central differences with a step of 1e-5."""
+    rays = np.array([[0.1, -0.2, 0.9], [-0.4, 0.3, 0.7]])
+    pixels = first.project(rays)
+    assert np.abs(first.unproject(pixels) - rays / np.linalg.norm(rays, axis=-1, keepdims=True)).max() < 1e-12
+    slopes = first.jacobian(rays)
+    for axis in range(3):
+        step = 1e-5 * np.eye(3)[axis]
+        numeric = (first.project(rays + step) - first.project(rays - step)) / 2e-5
+        assert slopes[..., axis] == pytest.approx(numeric, abs=1e-5)
+    assert (slopes[:, 0, 0] > 0).all()
+    assert (slopes[:, 1, 1] > 0).all()
+    assert first.camera.width_px == width
+
+
 def test_the_border_is_half_a_pixel_outside_the_outermost_centres():
     edge = edge_pixels(CAMERA)
     assert edge.min(axis=0).tolist() == [-0.5, -0.5]

@@ -1,6 +1,8 @@
 """`omnirange sensor`: what it says, what it draws, and what it converts."""
 
 import re
+import tempfile
+from pathlib import Path
 
 import calibration_files as files
 import numpy as np
@@ -137,6 +139,14 @@ def rays_apart(one, other):
     return np.abs(unproject(one, pixels)[0] - unproject(other, pixels)[0]).max()
 
 
+def from_text(text, camera=None, **choices):
+    """A sensor from a calibration file's text, whose field ends before the image's corners."""
+    with tempfile.TemporaryDirectory() as folder:
+        return harness.load_sensor(
+            files.write(Path(folder), text), camera=camera, **({"angle_max_deg": 70.0} | choices)
+        )
+
+
 EXACT = [
     (MIRROR, "opencv", None),
     (MIRROR, "opencv-xml", "unified"),
@@ -153,6 +163,19 @@ EXACT = [
     (FISHEYE, "basalt", None),
     (FISHEYE, "colmap", None),
     (FISHEYE, "toml", None),
+    (from_text(files.OMNIDIR_YAML), "opencv", None),
+    (from_text(files.OMNIDIR_XML, looks="down", mirrored=True), "opencv-xml", None),
+    (from_text(files.FISHEYE_YAML, looks="forward"), "opencv", None),
+    (from_text(files.KALIBR, 0), "kalibr", None),
+    (from_text(files.KALIBR, 1), "kalibr", None),
+    (from_text(files.KALIBR, 2, angle_max_deg=50.0), "kalibr", None),
+    (from_text(files.KALIBR, 3, looks="down"), "kalibr", None),
+    (from_text(files.CAMODOCAL), "camodocal", None),
+    (from_text(files.OCAMCALIB), "ocamcalib", None),
+    (from_text(files.BASALT, 0), "basalt", None),
+    (from_text(files.BASALT, 3), "basalt", None),
+    (from_text(files.COLMAP, 0), "colmap", None),
+    (from_text(files.COLMAP, 1, angle_max_deg=50.0), "colmap", None),
 ]
 
 

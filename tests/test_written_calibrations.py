@@ -99,7 +99,21 @@ def test_colmap_reads_it_and_projects_alike(kind, tmp_path):
     assert (camera.width, camera.height) == (640, 480)
 
 
-@pytest.mark.parametrize("line", [each for each in files.COLMAP.splitlines() if not each.startswith("#")])
+COLMAP_LINES = [
+    *(each for each in files.COLMAP.splitlines() if not each.startswith("#")),
+    "1 SIMPLE_PINHOLE 640 480 420.5 318.7 243.4",
+    "1 PINHOLE 640 480 420.5 421.5 318.7 243.4",
+    "1 SIMPLE_RADIAL 640 480 420.5 318.7 243.4 -0.1",
+    "1 RADIAL 640 480 420.5 318.7 243.4 -0.1 0.02",
+    "1 FULL_OPENCV 640 480 420.5 421.5 318.7 243.4 -0.1 0.02 1e-3 -2e-3 0.003 0 0 0",
+    "1 SIMPLE_FISHEYE 640 480 300.5 318.7 243.4",
+    "1 FISHEYE 640 480 300.5 301.5 318.7 243.4",
+    "1 RADIAL_FISHEYE 640 480 300.5 318.7 243.4 -0.02 0.003",
+    "1 THIN_PRISM_FISHEYE 640 480 300.5 301.5 318.7 243.4 -0.02 0.003 0 0 -0.001 0.0002 0 0",
+]
+
+
+@pytest.mark.parametrize("line", COLMAP_LINES, ids=lambda line: line.split()[1])
 def test_colmap_projects_what_is_read_as_here(line, tmp_path):
     pycolmap = pytest.importorskip("pycolmap", reason="COLMAP's own package is not installed")
     _, model, width, height, *parameters = line.split()

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 from argparse import Namespace
 from pathlib import Path
@@ -54,6 +55,11 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> None:
     """Describe the sensor, or write its calibration."""
+    from harness.runs.executors import ONE_THREAD
+
+    # The matrices of a fit are small: threads would wait for each other.
+    os.environ.update({name: value for name, value in ONE_THREAD.items() if "NUMBA" not in name} | os.environ)
+
     from harness.io.calibrations.sensors import read_sensor
 
     found = read_sensor(options.file, chosen(options, options.camera))

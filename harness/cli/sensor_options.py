@@ -40,12 +40,12 @@ def add_choices(command: Parser) -> None:
     command.add_argument(
         "--looks",
         choices=("up", "down", "forward"),
-        help="where the camera's optical axis points (as its file says: up)",
+        help="where its optical axis points (default: up, for a calibration)",
     )
     command.add_argument(
         "--mirrored",
         action=argparse.BooleanOptionalAction,
-        help="whether its image is reversed left to right, as in a mirror (as its file says: no)",
+        help="whether its image is reversed left to right, as in a mirror (default: no, for a calibration)",
     )
     command.add_argument(
         "--size", type=int, nargs=2, metavar=("W", "H"), help="its image's size, for a calibration that does not say it"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, used
 
 _OFF_CENTRE = 0.03
 """Share of the image's smaller side within which the principal point usually is from the middle."""
@@ -36,7 +36,7 @@ def facts_of(found: Coverage) -> dict[str, str]:
         "image circle": _circle(found),
         "blind spot": _blind(found),
         "resolution": _resolution(found),
-        "used": f"{found.used:.1%} of the image's pixels see something",
+        "used": f"{found.used:.1%} of the image's pixels see something{_hidden(found.sensor)}",
     }
     return {name: text for name, text in said.items() if text}
 
@@ -119,6 +119,12 @@ def _mount(sensor: Sensor) -> str:
     ]
     text = f"looks {sensor.looks}, {'mirrored' if sensor.mirrored else 'not mirrored'}"
     return f"{text}; turned by {', '.join(turns)}" if turns else text
+
+
+def _hidden(sensor: Sensor) -> str:
+    """What a mask takes away."""
+    pixels = used(sensor)
+    return "" if pixels is None else f"; the mask hides {1 - pixels.mean():.1%} of them all"
 
 
 def _circle(found: Coverage) -> str:
