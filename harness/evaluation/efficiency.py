@@ -12,19 +12,19 @@ from scipy import special
 from harness.geometry.angles import Array
 
 GROSS_PX = 3.0
-"""An error beyond this is another match, not an imprecise one."""
+"""An error beyond this is a wrong match, not an imprecise one."""
 
 MIN_DRAWS = 0.5
-"""The least share of a pixel's draws that must be there, and not gross, for its spread to count."""
+"""The least share of a pixel's draws that must have an estimate without gross error for its spread to count."""
 
 
 @dataclass(frozen=True)
 class Efficiency:
-    """What the draws of one condition say; medians are over pixels."""
+    """Spread and bias over the draws of one condition; medians are over pixels."""
 
     draws: int
     pixels: int
-    """With enough draws, and with a bound where one is asked for."""
+    """Pixels with enough draws, and with a bound if bounds are given."""
     density: float
     """Share of the sampled pixels and draws that have an estimate."""
     gross: float
@@ -32,7 +32,7 @@ class Efficiency:
     std_px: float
     """Median standard deviation over draws."""
     bias_px: float
-    """Median of |mean error over draws|; the mean itself is uncertain by std/√draws, which is taken off in squares."""
+    """Median of |mean error over draws|; the mean itself is uncertain by std/√draws, which is subtracted in squares."""
     std_over_bound: float | None
     """Median of the ratio, pixel by pixel; None without a bound."""
     std_over_bound_quartiles: tuple[float, float] | None
@@ -95,7 +95,7 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
 
 
 def within_without_bias(errors_px: Array, sigma_px: Array) -> tuple[float, float, float] | None:
-    """Share of errors within 1, 2 and 3 predicted standard deviations once each pixel's own bias is taken off.
+    """Share of errors within 1, 2 and 3 predicted standard deviations once each pixel's own bias is subtracted.
 
     A predicted standard deviation is about noise. Beside the share with the bias left in (`confidence.calibration`)
     this one shows whether a share that looks right is right for the right reason: a sigma that is too large can hide a

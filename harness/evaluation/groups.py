@@ -1,8 +1,7 @@
 """Statistics of many overlapping groups of pixels at once.
 
-A median needs its values in order. To sort once for all groups, and to count by the classes of pixels that are in the
-same groups, is some thirty times as fast as a median for each. What differs between trials of one geometry is only the
-values.
+A median needs its values in order. Sorting once for all groups, and counting by classes of pixels that are in the same
+groups, is some thirty times as fast as a median for each group. Trials of one geometry differ only in the values.
 """
 
 from collections.abc import Sequence

@@ -42,7 +42,7 @@ def test_law(cells: pd.DataFrame) -> dict[str, Any]:
 
 
 def _fit_by_noise(cells: pd.DataFrame) -> list[dict[str, Any]]:
-    """Fits of the exact law at each noise by itself, with `sigma_grey`; none where the noise does not vary.
+    """Fits of the exact law for each noise level separately, with `sigma_grey`; none where the noise does not vary.
 
     Rounding to whole samples is an error constant in angle by construction. Where slopes do not depend on the noise, it
     is that error which follows the law, not the noise's.
@@ -75,7 +75,7 @@ test_law.__test__ = False  # type: ignore[attr-defined]  # a test of physics, no
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the slopes of one method on one surface allow to be said."""
+    """The verdict on one method and surface that its slopes allow."""
 
     matcher: str
     subpixel: str
@@ -91,7 +91,7 @@ class Verdict:
 
 
 def verdicts(images: list[dict[str, Any]], cells: pd.DataFrame, *, directions: bool = True) -> Iterator[Verdict]:
-    """What the slopes allow to be said, method by method and surface by surface; never more than their intervals.
+    """The verdict for each method and surface; it never claims more than the intervals of the slopes allow.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _judged(fit: dict[str, Any]) -> str:
 
 
 def _directions(fit: dict[str, Any]) -> str:
-    """Where the law fails although it may hold on the whole: directions whose own interval leaves 1 out."""
+    """Where the law fails although it may hold overall: directions with 1 outside their own interval."""
     judged = [part for part in fit["by_alpha_1"] if part["slope_ci95"] is not None]
     outside = [part for part in judged if not part["slope_ci95"][0] <= 1 <= part["slope_ci95"][1]]
     if not outside:

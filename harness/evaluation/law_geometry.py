@@ -2,7 +2,7 @@
 
 Exact angles (and apart from them |t|) are perturbed by known noise, and the spread and bias of the triangulated range
 are compared with the exact law, with the paper's d²/|t|, with d/|t| (eq. 10) and with the bias of second order. This
-says nothing of images; it verifies the formulas and shows where their linearisation ends.
+says nothing about images; it verifies the formulas and shows where their linearisation breaks down.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ SMALL_SIGMA_DEG = 0.02
 """Small enough that the range's relative spread is below 2 % everywhere on the grid: the linearisation holds."""
 SIGMAS_DEG = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DRAWS = 100_000
-"""Each used with both signs. The standard error of a spread is 1/sqrt(2 draws), 0.2 %: well below the 1 % asked."""
+"""Each used with both signs. The standard error of a spread is 1/sqrt(2 draws), 0.2 %: well below the required 1 %."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class GeometryCheck:
 
 
 def second_order_bias(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float, sigma: float) -> Array:
-    """`½ ∂²d_1/∂alpha_2² sigma²`, metres: what an unbiased error of the angle adds to the range on average.
+    """`½ ∂²d_1/∂alpha_2² sigma²`, metres: the mean error of the range for an unbiased error of the angle.
 
     With delta = alpha_2 - alpha_1, `∂²d_1/∂alpha_2² = 2 |t| sin alpha_1 cos delta / sin³ delta`.
     """

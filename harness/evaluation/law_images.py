@@ -1,6 +1,6 @@
 """The law of sensitivity on images, and how the error of the angle itself behaves.
 
-Range is computed from alpha_2, so by calculus its error is the law times the error of alpha_2: to plot one against
+Range is computed from alpha_2, so by calculus its error is the law times the error of alpha_2: plotting one against
 the other proves nothing. What can fail is that sigma(alpha_2) depends neither on range nor on baseline. If it does
 not, the relative error of the range grows with the law: `log(spread/d)` against `log(law/d)` has slope 1 over cells
 that differ in range, baseline and direction. Here that slope is fitted, with an interval from resampling the seeds
@@ -71,8 +71,8 @@ def fit_law_and_bound(cells: pd.DataFrame) -> list[dict[str, Any]]:
     """Both at once: coefficients of `log(law/d)` and of `log(bound)` in one regression of `log(spread/d)`.
 
     A slope of 1 on their product (`fit_laws` with `bound`) may hide that one makes up for the other. Here each has a
-    coefficient of its own: 1 for the law if range answers to the angle as calculus says, and 1 for the bound if the
-    angle's error follows the texture as the bound does; 0 if it takes no notice.
+    coefficient of its own: 1 for the law if range depends on the angle as calculus says, and 1 for the bound if the
+    angle's error follows the texture as the bound does; 0 if it is independent of it.
 
     Parameters
     ----------
@@ -136,10 +136,10 @@ def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
-    """Which baseline has the smallest error at each range, and which one the naive law would have advised.
+    """Which baseline has the smallest error at each range, and which one the naive law recommends.
 
     Errors are averaged as logarithms over directions, conditions and seeds, over the directions and conditions that
-    every baseline has seen at that range. The naive law, d²/|t| with a constant sigma, always advises the longest.
+    every baseline has at that range. The naive law, d²/|t| with a constant sigma, always recommends the longest.
 
     Returns
     -------
@@ -238,7 +238,7 @@ def _within_conditions(x: pd.DataFrame, y: "pd.Series[float]", part: pd.DataFram
 
 
 def _interval(draws: Array, part: pd.DataFrame) -> list[float] | None:
-    """The central 95 % of bootstrap draws; None with a single seed, which tells nothing of its spread."""
+    """The central 95 % of bootstrap draws; None with a single seed, which has no spread."""
     draws = draws[np.isfinite(draws)]
     if part["seed"].nunique() < 2 or not draws.size:
         return None

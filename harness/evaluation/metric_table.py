@@ -1,6 +1,6 @@
 """The table of metrics: one entry each, which rows, tables, report, terminal and `compare` all read.
 
-A metric that is not about every pixel of the domain carries the part that it is about before its name, as in
+A metric over a part of the domain has that part before its name, as in
 `wall_range_median_abs_m`; see `metric`.
 """
 
@@ -20,9 +20,9 @@ class Metric:
     name: str
     """As in rows, `trials.csv` and `summary.json`; with the unit that it has there."""
     quantity: str
-    """What it is about: the first part of the heading."""
+    """The quantity: the first part of the heading."""
     statistic: str
-    """What is made of it: the second part of the heading; may be empty."""
+    """The statistic: the second part of the heading; may be empty."""
     unit: str
     """As shown."""
     scale: float
@@ -30,9 +30,9 @@ class Metric:
     form: str
     """Format of what is shown."""
     better: Better
-    """Which way is better."""
+    """Which direction is better."""
     of: Callable[[Tally], float] | None = None
-    """How it is made of a trial's errors over the domain. None for the core figures, which also exist for parts of the
+    """Computes it from a trial's errors over the domain. None for the core figures, which also exist for parts of the
     picture; see `metrics.CORE`."""
     geometric: bool = False
     """Averaged over trials as a geometric mean, which suits medians of positive errors; otherwise arithmetically."""
@@ -44,7 +44,7 @@ class Metric:
 
     @property
     def short(self) -> str:
-        """The heading for where room is scarce: errors are absolute unless said otherwise."""
+        """A short heading: errors are absolute unless stated otherwise."""
         return self.heading.replace(", median |error|", "").replace(", mean |error|", ", mean")
 
 

@@ -1,4 +1,4 @@
-"""The figures that sum up an estimate. A pixel without an estimate counts in the density and nowhere else."""
+"""The figures that summarise an estimate. A pixel without an estimate counts in the density only."""
 
 from typing import Any
 
@@ -61,7 +61,7 @@ def _core(disparity: Array, distance: Array) -> Measures:
 
 
 def measure_more(errors: Tally) -> Measures:
-    """The metrics beyond the core, over the domain: every entry of `METRICS` that says how it is made."""
+    """The metrics beyond the core, over the domain: every entry of `METRICS` with a function of its own."""
     made = {name: metric.of for name, metric in METRICS.items() if metric.of is not None}
     if not errors.matched:
         return dict.fromkeys(made)

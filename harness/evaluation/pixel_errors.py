@@ -12,7 +12,7 @@ from harness.geometry.epipolar import Curves
 from harness.simulation.truth import Truth
 
 MIN_SINE_ALPHA_1 = 0.5
-"""Directions nearer than 30° to the baseline are left out: there range answers to angle more than twice as strongly."""
+"""Directions nearer than 30° to the baseline are left out: the range is over twice as sensitive to the angle there."""
 
 _WALL = 0.5
 """A surface is a wall when its normal is more than 60° from the vertical."""
@@ -23,9 +23,9 @@ class Reference(OneLine):
     """The truth in the matcher's terms, on view 1's panorama `[height, width]`."""
 
     domain: NDArray[np.bool_]
-    """Pixels that every figure is about: the truth is visible in both views and sin(alpha_1) >= 0.5."""
+    """Pixels that figures are computed over: the truth is visible in both views and sin(alpha_1) >= 0.5."""
     sideways: NDArray[np.bool_]
-    """Pixels with sin(alpha_1) >= 0.5, whatever is seen there."""
+    """Pixels with sin(alpha_1) >= 0.5, whether or not anything is seen there."""
     wall: NDArray[np.bool_]
     """Pixels on steep surfaces; the rest of the domain is floor or ceiling."""
     range_m: Array

@@ -40,7 +40,7 @@ WALL, FLOOR = "wall", "floor or ceiling"
 
 @dataclass(frozen=True)
 class Region:
-    """Some pixels, and their name."""
+    """A named part of the picture."""
 
     split: str
     """Which division of the picture it is part of: `surface`, `alpha_1`, ..."""
@@ -64,7 +64,7 @@ class CellPixels:
 
 @dataclass(frozen=True, repr=False)
 class Layout(OneLine):
-    """All that scoring needs of the truth but the truth itself, ready for many trials of one geometry.
+    """What scoring derives from the truth, ready for many trials of one geometry.
 
     Arrays `[n]` are of the pixels of `groups`.
     """

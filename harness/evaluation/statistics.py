@@ -37,7 +37,7 @@ def mean_over_seeds(values: pd.DataFrame, *, logarithmic: bool = False) -> Curve
     ----------
     values
         One row a group, one column a value of the axis; `seed` is the first level of the rows' index. Missing values
-        count nowhere.
+        are left out.
     logarithmic
         Geometric means of positive values.
     """

@@ -30,7 +30,7 @@ _ON_AXIS = 1e-9
 class Curves(OneLine):
     """The epipolar curve of every pixel of a panorama, ready to be sampled. Its arrays are read-only.
 
-    Compared by identity, so that what is derived from curves can be kept by them.
+    Compared by identity, so that results derived from curves can be cached with them.
     """
 
     grid: Grid
@@ -63,7 +63,7 @@ def alpha_1(grid: Grid, t: ArrayLike) -> Array:
 def epipolar_curves(
     grid: Grid, t: ArrayLike, *, d_min_m: float, d_max_m: float, sampling: Sampling = "phi", pitch_px: float = 1.0
 ) -> Curves:
-    """Lay out the curve and the search interval of every pixel; kept, since many trials share one geometry.
+    """The curve and the search interval of every pixel; cached, since many trials share one geometry.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ class Grid(Spec):
 
 @lru_cache(maxsize=8)
 def cylinder(grid: Grid) -> Array:
-    """Points `x = [cos phi, sin phi, z]` at the pixel centres `[height, width, 3]`; read-only, kept."""
+    """Points `x = [cos phi, sin phi, z]` at the pixel centres `[height, width, 3]`; read-only, cached."""
     points = cylinder_point(grid.phi[None, :], grid.z[:, None])
     points.flags.writeable = False
     return points
@@ -75,7 +75,7 @@ def cylinder(grid: Grid) -> Array:
 
 @lru_cache(maxsize=8)
 def directions(grid: Grid) -> Array:
-    """Unit vectors towards the pixel centres `[height, width, 3]`; read-only, kept."""
+    """Unit vectors towards the pixel centres `[height, width, 3]`; read-only, cached."""
     unit = normalise(cylinder(grid))
     unit.flags.writeable = False
     return unit
@@ -115,6 +115,6 @@ class Panorama(OneLine):
 
     grid: Grid
     values: NDArray[np.float32]
-    """`[height, width]`; grey levels, or a filter's answer. Finite everywhere, but meant only where `valid`."""
+    """`[height, width]`; grey levels, or a filter's response. Finite everywhere, but meaningful only where `valid`."""
     valid: NDArray[np.bool_]
     """`[height, width]`: made only of pixels that the sensor sees."""

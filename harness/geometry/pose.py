@@ -1,4 +1,4 @@
-"""Where a view stands and how it is turned; the relative pose of two views."""
+"""Position and rotation of a view; the relative pose of two views."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Range by the sine rule, and how it answers to errors (sections 5 and 6 of the paper)."""
+"""Range by the sine rule, and its sensitivity to errors (sections 5 and 6 of the paper)."""
 
 import numpy as np
 from numpy.typing import ArrayLike

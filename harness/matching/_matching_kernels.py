@@ -1,4 +1,4 @@
-"""What the compiled loops of several matchers share: names of costs and answers, and the distance of census codes."""
+"""What the compiled loops of several matchers share: names of costs and results, and the distance of census codes."""
 
 import numpy as np
 

@@ -10,7 +10,7 @@ _TRUNCATE = 4.0
 
 
 def kernel_reach(sigma_px: float) -> int:
-    """How many pixels to each side the filter looks at."""
+    """Reach of the filter to each side, pixels."""
     return int(_TRUNCATE * sigma_px + 0.5)
 
 

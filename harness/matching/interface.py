@@ -1,4 +1,4 @@
-"""What every matcher is and gives: settings that can be run on a pair; matches, or reasons why there are none."""
+"""The interface of matchers: settings that can be run on a pair; matches, or reasons why there are none."""
 
 import json
 from abc import ABC, abstractmethod
@@ -42,10 +42,10 @@ class MatcherSettings(Spec, ABC):
     """
 
     briefs: ClassVar[Mapping[str, str]] = {}
-    """What it is in a line of `omnirange list`, by each `kind` that it has."""
+    """Its line in `omnirange list`, for each `kind` that it has."""
 
     kind: str = ""
-    """Which matcher."""
+    """The kind of matcher."""
 
     d_min_m: Positive = 1.0
     """Shortest range searched, metres from viewpoint 1. The floor is nearest at the bottom row, 1.22 m away under a
@@ -96,7 +96,7 @@ class MatcherSettings(Spec, ABC):
 
     @property
     def runs_foreign_code(self) -> bool:
-        """Whether to match is to run code that is not part of this program."""
+        """Whether matching runs code that is not part of this program."""
         return False
 
     @property
@@ -127,7 +127,7 @@ class MatcherSettings(Spec, ABC):
     def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
         """How the epipolar curves are sampled, and the distance of samples in columns.
 
-        A matcher that has no samples is compared with whole columns, or against whole steps of alpha_2 where t is so
+        A matcher that has no samples is compared with whole columns, or with whole steps of alpha_2 where t is so
         steep that phi hardly follows the curves.
         """
         x, y, z = t_v1
@@ -149,7 +149,7 @@ class Parametrised(MatcherSettings):
     """Settings with parameters that only the matcher understands."""
 
     parameters: Annotated[dict[str, JsonValue], Field(default_factory=dict)]
-    """What only the matcher itself understands: a table, handed on as it is."""
+    """A table that only the matcher itself understands, passed on unchanged."""
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -162,7 +162,7 @@ class Parametrised(MatcherSettings):
 
     @property
     def runs_foreign_code(self) -> bool:
-        """Always: what takes parameters is somebody else's function or program."""
+        """Always true: only third-party functions and programs take parameters."""
         return True
 
     def __hash__(self) -> int:
@@ -197,7 +197,7 @@ class Reason(IntEnum):
 class Matches(OneLine):
     """What a matcher found, on view 1's panorama; every array `[height, width]`.
 
-    Only `alpha_2` is asked for. What else a matcher knows makes more of the report.
+    Only `alpha_2` is required. The other arrays add to the report.
     """
 
     alpha_2: Array
@@ -227,14 +227,14 @@ class Fault:
     """Something wrong with a matcher's answer."""
 
     rule: Literal["form", "shape", "dtype", "angles", "missing"]
-    """What it breaks: which thing is returned, of which shape and type, angles in range, NaN where there is no match
-    and only there."""
+    """The rule that it breaks: the form of what is returned, its shape or type, angles in range, or NaN exactly where
+    there is no match."""
     text: str
     """In words, with the first pixel that it concerns."""
 
 
 def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
-    """What somebody's matcher returned, checked; arrays of its own, read-only.
+    """What a third-party matcher returned, checked; copies, read-only.
 
     Parameters
     ----------
@@ -267,9 +267,9 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
 
 
 def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
-    """All that is wrong with an answer, the gravest first: after a wrong form, shape or type nothing else is looked at.
+    """All faults of a matcher's result, the gravest first: after a wrong form, shape or type nothing else is checked.
 
-    Asked for is what `as_matches` takes, where every array has the panorama's shape and holds real numbers; `alpha_2`
+    Required is what `as_matches` takes, where every array has the panorama's shape and holds real numbers; `alpha_2`
     within 0 .. pi radians, or NaN where there is no match; `confidence`, `sigma_alpha_2` and `k` finite where there is
     a match and NaN where there is none, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
     `refined` true only there.
@@ -329,7 +329,7 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
 
 
 def _arrays_of(answer: Any) -> dict[str, Any]:
-    """The arrays of an answer by name; none when it has no form that is known."""
+    """The arrays of a result by name; none if its form is not known."""
     if isinstance(answer, np.ndarray):
         answer = Matches(answer)
     elif isinstance(answer, tuple) and len(answer) == 2:

@@ -1,6 +1,6 @@
-"""What a matcher is given: two mirror images, their sensors, how the views lie to each other, and what is made of them.
+"""The input of a matcher: two mirror images, their sensors, the motion between the views, and panoramas made of them.
 
-Panoramas and filtered panoramas are made when they are first asked for, and shared by all matchers that ask for the
+Panoramas and filtered panoramas are made when they are first needed, and shared by all matchers that need the
 same.
 """
 
@@ -31,7 +31,7 @@ Share = Callable[[str, Hashable, Callable[[], Any]], Any]
 
 
 def sharing() -> Share:
-    """A `Share` that keeps everything as long as the pair it was made for."""
+    """A `Share` that keeps everything as long as its pair exists."""
     results: dict[tuple[str, Hashable], Any] = {}
 
     def share(stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
@@ -64,7 +64,7 @@ class Pair(OneLine):
     log_sigma_px: float = 1.5
     """How panoramas are made, and filtered, unless a matcher asks for something else."""
     threads: int | None = None
-    """How many may be used; all available CPUs when None. No answer may depend on it."""
+    """How many may be used; all available CPUs when None. No result may depend on it."""
     keys: tuple[Hashable, Hashable] = field(default_factory=lambda: (object(), object()))
     """What identifies each image and its pose where results are shared."""
     share: Share = field(default_factory=sharing)

@@ -1,4 +1,4 @@
-"""A matcher that is a function of somebody else's."""
+"""A matcher that is a third-party function."""
 
 import copy
 import inspect
@@ -48,11 +48,11 @@ class Plugin(Parametrised):
         return as_matches(self.answer(pair), pair.grid, self.kind)
 
     def answer(self, pair: Pair) -> Any:
-        """What the function returned, before it is checked."""
+        """What the function returned, unchecked."""
         return answer(pair, self)
 
     def check(self) -> None:
-        """See whether the function is there, and takes its parameters."""
+        """Check that the function exists, and takes its parameters."""
         plugins.check(self.kind, self.parameters)
 
     def identity(self) -> str:
@@ -61,7 +61,7 @@ class Plugin(Parametrised):
 
 
 def answer(pair: Pair, matcher: Plugin) -> Any:
-    """What the function returned, before it is checked.
+    """What the function returned, unchecked.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
 
 
 def _place_in(function: Callable[..., Any], error: BaseException) -> str:
-    """Where in the function's own file an error came up."""
+    """Where in the function's own file an error was raised."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     lines = [each for each in traceback.extract_tb(error.__traceback__) if code and each.filename == code.co_filename]
     return f" ({lines[-1].filename}, line {lines[-1].lineno})" if lines else ""

@@ -1,6 +1,6 @@
-"""Functions of other people: found by name, asked what they take, and known again by their source.
+"""Third-party functions: found by name, checked for their parameters, and identified by their source.
 
-A name is `package.module:function`, or what an installed package gives in the entry point group `omnirange.matchers`.
+A name is `package.module:function`, or a name from the entry point group `omnirange.matchers`.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ ENTRY_POINTS = "omnirange.matchers"
 
 @lru_cache(maxsize=1)
 def entry_points() -> Mapping[str, importlib.metadata.EntryPoint]:
-    """What installed packages offer, by name."""
+    """Entry points of installed packages, by name."""
     return {each.name: each for each in importlib.metadata.entry_points(group=ENTRY_POINTS)}
 
 
@@ -55,7 +55,7 @@ def find(kind: str) -> Callable[..., Any]:
 
 
 def check(kind: str, parameters: Mapping[str, Any]) -> None:
-    """See whether a function can be called as `function(pair, limits, **parameters)`.
+    """Check that a function can be called as `function(pair, limits, **parameters)`.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def check(kind: str, parameters: Mapping[str, Any]) -> None:
 
 
 def takes(kind: str, name: str) -> bool:
-    """Whether a function has a parameter of this name; one that cannot be asked has."""
+    """Whether a function has a parameter of this name; true if that cannot be told."""
     try:
         taken = _taken(find(kind))
     except (InputError, TypeError):
@@ -96,7 +96,7 @@ def takes(kind: str, name: str) -> bool:
 
 
 def digest(kind: str, parameters: Mapping[str, Any]) -> str:
-    """SHA-256 of what the name and the parameters do not tell: the function's source, and the files in parameters.
+    """SHA-256 of what name and parameters do not determine: the function's source, and the files in parameters.
 
     A function counts with its module; a module in a package with all files of the package, data too. What they import
     counts likewise: installed libraries by their version, anything else by its files. Nothing is imported.
@@ -139,14 +139,14 @@ def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], 
 
 
 class _Exit(BaseException):
-    """Somebody else's code wants the process to end."""
+    """Third-party code tried to end the process."""
 
 
 @contextmanager
 def contained() -> Iterator[None]:
-    """Run code of other people: the working folder is put back, and `os._exit` ends the code alone.
+    """Run third-party code: the working folder is restored, and `os._exit` ends only that code.
 
-    A run that ended there would leave no word of the trial behind, and might even look like one that went well.
+    A run that ended there would leave no trace of the trial, and might even look successful.
     """
     process, end = os.getpid(), os._exit
     try:
@@ -206,7 +206,7 @@ def _absent(name: str, kind: str) -> InputError:
 
 @dataclass(frozen=True)
 class _Source:
-    """What a function is made of."""
+    """The files that a function consists of."""
 
     digest: str
     """SHA-256 over the names and contents of all files that count, and the versions of libraries."""

@@ -1,6 +1,6 @@
 """A matcher in any language: a command that reads a folder of images and settings, and writes its angles into another.
 
-Whatever the command does (never end, crash, write nonsense) comes out as one `InputError`.
+Whatever the command does wrong (hang, crash, write nonsense) becomes one `InputError`.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ from harness.matching.pair import Pair
 from harness.matching.source_files import hash_of, is_python, named_files, script_files
 
 _MOST_FILES = 10_000
-"""That `files` may name."""
+"""The most files that `files` may name."""
 
 _LAST_WORDS = 400
 """Characters of stderr that a message quotes: its last lines."""
@@ -94,7 +94,7 @@ class Program(Parametrised):
     """What else the program depends on: paths or patterns such as `weights/*.bin`, `lib/**/*.jl`, relative to the
     experiment's file. Their contents count as settings do."""
     timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 600.0
-    """Seconds after which it is killed, with all that it has started."""
+    """Seconds after which it is killed, with all processes that it has started."""
 
     @field_validator("command")
     @classmethod
@@ -118,16 +118,16 @@ class Program(Parametrised):
         Raises
         ------
         InputError
-            When it cannot be started, takes too long, ends with another exit code than 0, or wrote what is no answer.
+            When it cannot be started, takes too long, ends with another exit code than 0, or wrote something invalid.
         """
         return as_matches(self.answer(pair), pair.grid, _name(self))
 
     def answer(self, pair: Pair) -> Matches:
-        """What the program wrote, before it is checked."""
+        """What the program wrote, unchecked."""
         return answer(pair, self)
 
     def check(self) -> None:
-        """See whether the command is there."""
+        """Check that the command exists."""
         check(self)
 
     @property
@@ -153,7 +153,7 @@ def answer(pair: Pair, program: Program) -> Matches:
 
 
 def check(program: Program) -> None:
-    """See whether the command is there.
+    """Check that the command exists.
 
     Raises
     ------
@@ -270,13 +270,13 @@ def _without_null(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _name(program: Program) -> str:
-    """What to call it in a message: the first file of its own, not the interpreter."""
+    """Its name in messages: the first file of its own, not the interpreter."""
     files = [word for word in program.command[1:] if Path(word).is_file()]
     return f"program {Path((files or program.command)[0]).name}"
 
 
 def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
-    """Run to the end or until the time is up; nothing that it has started is left behind in its process group."""
+    """Run to the end or until the time is up; nothing that it has started remains in its process group."""
     log = folder / "stderr"
     with log.open("wb") as stderr:
         try:
@@ -307,7 +307,7 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
 
 @contextlib.contextmanager
 def _dying_with_us(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """See to it that a program ends when this process is killed, and nobody is left to watch its time."""
+    """Make a program end when this process is killed, and no longer watches its time."""
     if not machine.has_process_groups():
         yield
         return

@@ -1,4 +1,4 @@
-"""Which matchers there are: their settings by `kind`.
+"""The table of matchers: their settings by `kind`.
 
 A `kind` is one of the matchers here, `program` for one in any language, a name that an installed package gives in the
 entry point group `omnirange.matchers`, or `package.module:function`.
@@ -42,16 +42,16 @@ Matcher = Annotated[
     | Annotated[Plugin, Tag("Plugin")],
     Discriminator(_tag),
 ]
-"""The settings of any matcher, told apart by `kind`."""
+"""The settings of any matcher, chosen by `kind`."""
 
 
 def method_of(matcher: MatcherSettings) -> tuple[str, str]:
-    """What tells methods apart in tables: the matcher's kind and its sub-pixel step."""
+    """The name of a method in tables: the matcher's kind and its sub-pixel step."""
     return matcher.kind, matcher.step
 
 
 def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
-    """The table of a matcher after its `kind` was changed: what the new one knows stays."""
+    """The table of a matcher after its `kind` was changed: keys that the new one has stay."""
     model = BUILT_IN.get(kind, Plugin) if isinstance(kind, str) else Plugin
     if settings.get("kind") == kind:
         return dict(settings)

@@ -13,11 +13,11 @@ from harness.version import __version__
 
 _ROOT = Path(__file__).parent.parent
 _LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "pydantic", "pillow")
-"""Those that the pipeline computes with."""
+"""Libraries that the pipeline computes with."""
 
 
 _OPTIONAL = ("opencv-contrib-python-headless",)
-"""Those that only some matchers compute with."""
+"""Libraries that only some matchers compute with."""
 
 
 def environment() -> dict[str, Any]:

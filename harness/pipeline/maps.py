@@ -96,8 +96,8 @@ class TrialMaps(OneLine):
     true_alpha_2: Array
     """What `alpha_2` should be, radians."""
     sigma_alpha_2: Array
-    """Predicted standard deviation of `alpha_2`, radians; NaN where nothing is predicted. The matcher's own, or from
-    what is left between the views."""
+    """Predicted standard deviation of `alpha_2`, radians; NaN where nothing is predicted. The matcher's own, or
+    derived from the residuals between the views."""
     confidence: Array | None
     """The matcher's own, higher is more confident; None for a matcher that has none."""
     reason: NDArray[np.uint8]
@@ -185,7 +185,7 @@ class TrialMaps(OneLine):
 
 
 def range_limits(range_m: Array) -> tuple[float, float]:
-    """Between which ranges a map's colours run, metres: the middle 98 % of what is finite."""
+    """The ranges at the ends of a map's colour scale, metres: the middle 98 % of the finite ones."""
     finite = range_m[np.isfinite(range_m)]
     if not finite.size:
         return 0.0, 1.0
@@ -224,7 +224,7 @@ def _locked(array: NDArray[Any]) -> NDArray[Any]:
 # --- Files --------------------------------------------------------------------------------------------------------
 
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What a file that is missing, cut short or something else raises."""
+"""What reading a missing, truncated or foreign file raises."""
 
 
 def write_maps(maps: TrialMaps, folder: Path) -> None:
@@ -251,7 +251,7 @@ def write_maps(maps: TrialMaps, folder: Path) -> None:
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make the folder for the maps of a run, with a text that says what is in it; its absolute path.
+    """Make the folder for the maps of a run, with a README; returns its absolute path.
 
     Raises
     ------
@@ -264,12 +264,12 @@ def prepare_folder(folder: Path) -> Path:
 
 
 def maps_file(folder: Path, key: str) -> Path:
-    """Where the maps of a trial are kept."""
+    """The file of a trial's maps."""
     return folder / f"{key}.npz"
 
 
 def has_maps(folder: Path, key: str) -> bool:
-    """Whether the maps of this very trial are there and whole, made by the code and libraries of today."""
+    """Whether the maps of this trial exist, are complete, and were made by the present code and libraries."""
     try:
         with maps_file(folder, key).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             its = (str(archive["key"]), str(archive["code"]))
@@ -279,7 +279,7 @@ def has_maps(folder: Path, key: str) -> bool:
 
 
 def read_maps(folder: Path, trial: Trial) -> TrialMaps | None:
-    """The maps of a trial from its file; None when there are none that the code of today has made."""
+    """The maps of a trial from its file; None if there are none made by the present code."""
     key = trial.key
     if not has_maps(folder, key):
         return None

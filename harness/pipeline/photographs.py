@@ -82,12 +82,12 @@ def read_photograph(file: Path, sensor: Sensor, bits: int | None = None, *, opti
     bits
         White is 2^bits - 1; the file's type decides when None.
     option
-        What the sensor is given with, for messages.
+        The option or argument that gives the sensor, for messages.
 
     Raises
     ------
     InputError
-        When the file is missing or no image, has not the sensor's size, or has levels outside 0 .. white.
+        When the file is missing or no image, does not have the sensor's size, or has levels outside 0 .. white.
     """
     camera = sensor.camera
     picture = decode(
@@ -116,7 +116,7 @@ def estimate(
     Raises
     ------
     InputError
-        When the matcher cannot be found, or what it returns is no answer.
+        When the matcher cannot be found, or what it returns is invalid.
     """
     pair = Pair((first.grey, second.grey), sensors, motion, grid or Grid())
     matches = matcher.match(pair)
@@ -136,7 +136,7 @@ def estimate(
 
 
 def write_estimate(result: Estimate, folder: Path) -> None:
-    """Write all that is `WRITTEN`.
+    """Write the files of `WRITTEN`.
 
     `range_mm.png` has 16 bits: millimetres, 0 where there is no range, 65535 from 65.535 m on. `points.ply` holds the
     points in view 1's frame with the photograph's colours.

@@ -1,7 +1,7 @@
-"""Renders kept on disk between runs, by their contents' identity, within a limit of size.
+"""Renders stored on disk between runs, by their contents' identity, within a size limit.
 
 A file is the SHA-256 of its name and of what follows, a NumPy array. It is written whole or not at all; one that does
-not answer to its checksum is made anew. Any number of processes may share the folder.
+not match its checksum is made again. Any number of processes may share the folder.
 """
 
 import hashlib
@@ -52,24 +52,24 @@ class Contents:
 
 
 class RenderCache:
-    """Images in `folder`/renders. One that cannot be read is made anew; one that cannot be written is not kept.
+    """Images in `folder`/renders. One that cannot be read is made again; one that cannot be written is not stored.
 
     Parameters
     ----------
     limit
-        Bytes; the images used least recently go when there are more.
+        Bytes; beyond it the least recently used images are removed.
     """
 
     def __init__(self, folder: Path | None = None, limit: int | None = None) -> None:
         cache = folder or cache_folder()
         self.folder = cache / "renders" if cache else None
-        """None where there is no home folder: nothing is kept then."""
+        """None where there is no home folder: nothing is stored then."""
         self.limit = limit_bytes() if limit is None else limit
         self._room = 0
-        """Bytes that may be written before the folder is looked at again."""
+        """Bytes that may be written before the folder is checked again."""
 
     def get(self, key: Hashable, make: Callable[[], NDArray[np.float32]]) -> NDArray[np.float32]:
-        """The image with this key; a failure to make it is kept nowhere."""
+        """The image with this key; a failure to make it is not stored."""
         if self.folder is None:
             return make()
         path = self.folder / f"{_name(key)}.npy"
@@ -137,7 +137,7 @@ def _remove(path: Path) -> None:
 
 
 def _read(path: Path) -> NDArray[np.float32] | None:
-    """The image in a file of the cache; None when there is none, or it is not what was written there."""
+    """The image in a file of the cache; None when there is none, or it differs from what was written."""
     try:
         if not path.is_file():  # a pipe would be waited for
             return None
@@ -159,7 +159,7 @@ def _read(path: Path) -> NDArray[np.float32] | None:
 
 
 def _seal(path: Path, data: bytes) -> bytes:
-    """SHA-256 of a file's name and contents: one that was copied over another is noticed too."""
+    """SHA-256 of a file's name and contents: one that was copied over another is detected too."""
     return hashlib.sha256(path.name.encode() + data).digest()
 
 

@@ -1,4 +1,4 @@
-"""What is kept of a trial: its figures, cells and histograms, small enough to keep thousands."""
+"""The stored row of a trial: its figures, cells and histograms, small enough to store thousands."""
 
 from typing import Any
 
@@ -59,7 +59,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
 
 
 def _reasons(outcome: Outcome) -> dict[str, int]:
-    """How many pixels of the domain have each reason; without those that none has."""
+    """How many pixels of the domain have each reason; without reasons that do not occur."""
     counts = np.bincount(outcome.reason[outcome.reference.domain], minlength=len(Reason))
     return {reason.name: int(counts[reason]) for reason in Reason if counts[reason]}
 
@@ -76,6 +76,6 @@ def _of_confidence(optional: dict[str, Any]) -> dict[str, float | None]:
 
 
 def _figures(regions: list[dict[str, Any]], part: str) -> dict[str, float | None]:
-    """The core figures of one region; None each where the picture has no such part."""
+    """The core figures of one region; all None where the picture has no such part."""
     region: dict[str, Any] = next((each for each in regions if each["part"] == part), {})
     return {name: region.get(name) for name in ("density", *CORE)}

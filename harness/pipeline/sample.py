@@ -1,4 +1,4 @@
-"""What is kept of a trial beyond its figures: single pixels, and what confidence is worth."""
+"""What a row stores beyond figures: errors of sampled pixels, and the quality of confidence."""
 
 from typing import Any
 
@@ -9,10 +9,10 @@ from harness.geometry.angles import Array
 from harness.pipeline.trial import Outcome
 
 _EVERY = 5
-"""Every how many of the curve's hundred steps a figure needs."""
+"""Steps of the curve, of its hundred, between the points of a figure."""
 
 BAD_PX = 1.0
-"""What confidence should warn of: an error beyond this."""
+"""Errors that confidence should detect are beyond this."""
 
 
 def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
@@ -23,7 +23,7 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
     dict
         `error_px`, None where there is no estimate; `bound_px`, the smallest standard deviation possible at a noise of
         one grey level, None where there is none, and `sigma_px`, the one predicted: all of the same length, which
-        depends on the geometry alone. None when nothing is asked for.
+        depends on the geometry alone. None when sampling is off.
     """
     step = outcome.trial.scoring.sample_px
     if not step:
@@ -41,7 +41,7 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
 
 
 def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
-    """Whether the matcher's confidence puts its errors in order, and tells large ones; None without a confidence."""
+    """How well the matcher's confidence ranks its errors and detects large ones; None without a confidence."""
     confidence = confidence_map(outcome)
     if confidence is None or not (outcome.valid & outcome.reference.domain).any():
         return None
@@ -99,7 +99,7 @@ def with_bounds(outcome: Outcome, cells: list[dict[str, Any]]) -> list[dict[str,
 
 
 def confidence_map(outcome: Outcome) -> Array | None:
-    """The matcher's confidence; the inverse of its predicted standard deviation if that is all it says."""
+    """The matcher's confidence; the inverse of its predicted standard deviation if it has no confidence."""
     matches = outcome.matches
     if matches.confidence is not None:
         return matches.confidence
@@ -107,5 +107,5 @@ def confidence_map(outcome: Outcome) -> Array | None:
 
 
 def _plain(values: Array) -> list[float | None]:
-    """Five significant digits: what is kept is to be small."""
+    """Five significant digits: rows should be small."""
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]

@@ -1,4 +1,4 @@
-"""Whether there is anything to see and to match, before it is rendered: what cannot come out is refused by its key."""
+"""Checks, before rendering, that there is something to see and to match; the message names the key at fault."""
 
 import warnings
 from functools import lru_cache
@@ -14,14 +14,14 @@ from harness.geometry.pose import Motion
 from harness.pipeline.specification import Trial
 
 LITTLE = 0.05
-"""A share of pixels below which there is a notice: figures of so few say little."""
+"""A share of pixels below which there is a notice: figures over so few pixels mean little."""
 
 _CIRCLE = "camera.focal_px, camera.cx_px and camera.cy_px"
-"""The keys that say how large the mirror's circle is and where it lies on the image."""
+"""The keys that set the size and position of the mirror's circle on the image."""
 
 
 def check_sight(trial: Trial, motion: Motion) -> None:
-    """Refuse a trial in which nothing can be seen or matched, and give notice where it is next to nothing.
+    """Refuse a trial in which nothing can be seen or matched, and give notice where hardly anything can.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def check_sight(trial: Trial, motion: Motion) -> None:
 def check_sensor(
     sensor: Sensor, grid: Grid, *, key: str = "sensor", R_sensor_from_panorama: Array | None = None
 ) -> None:
-    """Refuse a sensor that sees nothing, and give notice where it sees next to nothing of its image or of a panorama.
+    """Refuse a sensor that sees nothing, and give notice where it sees hardly anything of its image or of a panorama.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def check_sensor(
 
 
 def _say_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Array | None = None) -> None:
-    """Give notice where next to nothing of the image or of the panorama is seen."""
+    """Give notice where hardly anything of the image or of the panorama is seen."""
     rotation = _IDENTITY if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, np.float64).tobytes()
     on_sensor, on_panorama = _shares(sensor, grid, rotation)
     masked = f"{key}.mask, " if sensor.mask is not None else ""

@@ -76,7 +76,7 @@ class Noise(Spec):
 
 
 class Exposure(Spec):
-    """How the second camera differs from the first one in its answer to light: `gain * grey + offset`."""
+    """How the second camera's response to light differs from the first one's: `gain * grey + offset`."""
 
     gain: Annotated[float, Field(ge=0.01, le=100)] = 1.0
     """Factor on the second view's grey levels, no unit."""
@@ -85,7 +85,7 @@ class Exposure(Spec):
 
 
 class Placement(Spec):
-    """What the seed draws of where the rig stands, so that a trial is not about one lucky viewpoint."""
+    """The random part of the rig's position, drawn by the seed, so that a trial is not about one lucky viewpoint."""
 
     offset_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     """Both views are moved alike by up to this much along each of x, y and z, uniformly, metres."""
@@ -110,16 +110,16 @@ class Filter(Spec):
 
 
 class Scoring(Spec):
-    """What is kept of a trial beyond its figures."""
+    """What is stored of a trial beyond its figures."""
 
     sample_px: Annotated[int, Field(ge=0, le=256)] = 0
-    """Keep the errors of every so many rows and columns, panorama pixels, for what needs pixels of several trials
+    """Keep the errors of every so many rows and columns, panorama pixels, for figures over the pixels of several trials
     at once, such as the spread over seeds; 0 for none."""
     bound: bool = False
     """Whether the Cramér-Rao bound of the matcher's own window is computed for every cell of surface, direction and
     range."""
     confidence: bool = False
-    """Whether it is measured how well the matcher's confidence puts its errors in order, which takes as long as all
+    """Whether to measure how well the matcher's confidence ranks its errors, which takes as long as all other
     figures."""
 
 
@@ -138,7 +138,7 @@ class Trial(Spec):
     view_2: SecondView = SecondView()
     """The second view, from the first one."""
     placement: Placement = Placement()
-    """What the seed changes of both views' poses."""
+    """The random part of both views' poses."""
     render: Rendering = Rendering()
     """How images are rendered."""
     exposure_2: Exposure = Exposure()
@@ -154,7 +154,7 @@ class Trial(Spec):
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""
     scoring: Scoring = Scoring()
-    """What is kept of the trial beyond its figures."""
+    """What is stored of the trial beyond its figures."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of all that is random: placement and noise."""
 
@@ -180,7 +180,7 @@ class Trial(Spec):
 
     @property
     def poses(self) -> tuple[Pose, Pose]:
-        """Where both views stand, with what the seed draws."""
+        """The poses of both views, with their random part."""
         view_2 = self.view_2.pose(self.view_1)
         placement = self.placement
         if placement.offset_m == 0 and not placement.random_yaw:

@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeVar, cast
 T = TypeVar("T")
 
 SIZES = {"render": 4, "exposure": 4, "noise": 4, "unwrap": 4, "filter": 4}
-"""How many results of a stage are held, two views a trial; of any other stage `OTHERS`, as they may be large."""
+"""How many results of a stage are held, two views per trial; `OTHERS` for all other stages, as they may be large."""
 OTHERS = 2
 
 
@@ -15,18 +15,18 @@ class Source(Protocol):
     """A slower store in which the results of a stage may lie, such as a disk."""
 
     def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """The result with this key, made if it is not there."""
+        """The result with this key, made if it is missing."""
 
 
 class StageCache:
-    """The latest results of the stages; the one not used for longest goes first.
+    """The latest results of the stages; the least recently used one is dropped first.
 
     Parameters
     ----------
     sizes
         How many results are held of the stages named; `OTHERS` of all others.
     backing
-        By stage, the store in which results are looked for before they are made.
+        By stage, a store that is searched before a result is made.
     """
 
     def __init__(self, sizes: Mapping[str, int] = SIZES, backing: Mapping[str, Source] | None = None) -> None:
@@ -35,7 +35,7 @@ class StageCache:
         self._results: dict[str, OrderedDict[Hashable, Any]] = {}
 
     def get(self, stage: str, key: Hashable, make: Callable[..., T]) -> T:
-        """The result of a stage with this key, made if it is not there."""
+        """The result of a stage with this key, made if it is missing."""
         results = self._results.setdefault(stage, OrderedDict())
         if key not in results:
             if len(results) >= self._sizes.get(stage, OTHERS):

@@ -37,9 +37,9 @@ class Setup:
 
     trial: Trial
     scene: str
-    """The scene's `fingerprint`: what stands for its contents in a key."""
+    """The scene's `fingerprint`, which represents its contents in a key."""
     poses: tuple[Pose, Pose]
-    """Where both views truly stand."""
+    """The true poses of both views."""
     motion: Motion
     """The true motion from view 1 to view 2."""
     assumed: Assumed
@@ -63,7 +63,7 @@ class Stage(Generic[T]):
     Parameters
     ----------
     name
-        Also what its time is counted under.
+        Its time is counted under this name, too.
     run
         `run(work, view)`: the result, made of the results of the stages before it.
     settings
@@ -109,7 +109,7 @@ class StageKeys:
 
 
 class Work:
-    """A trial as it is carried out: asks for results of stages, which are made when they are first needed.
+    """A trial as it runs: it asks for results of stages, which are made when they are first needed.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class Work:
         return cast("T", self._results[stage, view])
 
     def give(self, stage: Stage[T], result: T) -> None:
-        """Take a result that is known already; the stage is not run."""
+        """Set a result that is already known; the stage is not run."""
         self._results[stage, 0] = result
 
     def both(self, stage: Stage[T]) -> tuple[T, T]:

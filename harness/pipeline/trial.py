@@ -39,7 +39,7 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, repr=False)
 class Outcome(OneLine):
-    """All that a trial made. Arrays are on view 1's panorama unless they are said to be images."""
+    """All that a trial made. Arrays are on view 1's panorama unless stated otherwise."""
 
     trial: Trial
     pair: Pair
@@ -59,7 +59,7 @@ class Outcome(OneLine):
     errors: Errors
     bound_px: Array | None
     """The Cramér-Rao bound of the matcher's own window at a noise of one grey level, pixels of disparity; see
-    `bound.cramer_rao`. None where nobody asks for it, or the matcher has no window of its own."""
+    `bound.cramer_rao`. None where it is not requested, or the matcher has no window of its own."""
     seconds: dict[str, float]
     """Wall time of each stage, in the order of the pipeline."""
 
@@ -138,7 +138,7 @@ def _expose(work: Work, view: int) -> Image:
 EXPOSURE = Stage(
     "exposure", _expose, lambda setup, view: setup.trial.exposure_2 if view else None, after=(RENDER,), per_view=True
 )
-"""The mirror image as the view's camera answers to light."""
+"""The mirror image after the camera's response to light."""
 
 
 def _add_noise(work: Work, view: int) -> Image:
@@ -177,7 +177,7 @@ def _truth(work: Work, _view: int) -> Truth:
 TRUTH = Stage(
     "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.sensors, setup.poses, setup.trial.panorama)
 )
-"""What is to be seen along every direction of view 1's panorama."""
+"""The ground truth along every direction of view 1's panorama."""
 
 
 def _pair(work: Work, _view: int) -> Pair:
@@ -272,13 +272,13 @@ def _bound(work: Work, _view: int) -> Array | None:
 
 
 def _support(trial: Trial) -> Support | None:
-    """What a match is made from, where the bound is asked for."""
+    """What a match is made from, if the bound is requested."""
     wanted = trial.scoring.sample_px or trial.scoring.bound
     return trial.matching.support(trial.filter.log_sigma_px) if wanted else None
 
 
 def _odd_up_to(number: int) -> int:
-    """The largest odd number that is not above another one."""
+    """The largest odd number up to another one."""
     return number if number % 2 else number - 1
 
 
@@ -289,7 +289,7 @@ STAGES: tuple[Stage[Any], ...] = (RENDER, EXPOSURE, NOISE, TRUTH, PAIR, MATCH, R
 """All of them, in the order of the pipeline."""
 
 _ORDERED_BY = (RENDER, TRUTH, NOISE, PAIR)
-"""The stages by which trials are put next to each other; after them by the matcher's search."""
+"""The stages by which trials are ordered; then by the matcher's search."""
 
 
 def sharing_keys(trial: Trial) -> dict[str, Hashable]:

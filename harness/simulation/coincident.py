@@ -1,7 +1,7 @@
 """Faces in one plane that overlap, and the rule for them: the later object of the scene is what is seen.
 
 In float32 it is chance, ray by ray, which of two such faces Embree meets. So every hit on a face that has a rival is
-settled anew in float64, the same in every view, for images and for truth.
+decided again in float64, the same in every view, for images and for truth.
 """
 
 from collections.abc import Sequence
@@ -141,7 +141,7 @@ def settle(
     directions: NDArray[np.floating],
     triangle: Ints,
 ) -> None:
-    """Put the triangle that is seen in place of one of its rivals that was hit.
+    """Replace a hit on a hidden rival by the triangle that is visible.
 
     Parameters
     ----------

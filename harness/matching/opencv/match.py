@@ -87,7 +87,7 @@ def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches
 
 
 def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
-    """`cv2.omnidir.stereoReconstruct` as it comes, on all angles to the baseline and all half planes around it.
+    """`cv2.omnidir.stereoReconstruct` unchanged, on all angles to the baseline and all half planes around it.
 
     Its points are scored as they are. It takes `|t| f/disparity`, the law of perspective cameras, for the range, which
     is off by more the farther a direction is from a right angle to the baseline: `sin alpha_2` is missing, and an angle

@@ -98,7 +98,7 @@ class Rectified:
     """`[3, 3]`, between frames as OpenCV has them."""
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
     valid: tuple[NDArray[np.bool_], NDArray[np.bool_]]
-    """What the sensor sees; the images are 0 elsewhere."""
+    """Pixels that the sensor sees; the images are 0 elsewhere."""
 
 
 def disparities(limits: MatcherSettings, baseline_m: float, step: float) -> int:
@@ -125,7 +125,7 @@ def rectangle_for(pair: Pair, scale: float, number: int, block_px: int) -> Recta
 def frame_along(t_v1: Array) -> Array:
     """`R_rect_from_v1 [3, 3]`, between frames as OpenCV has them: X along t, -Y up.
 
-    As `cv2.omnidir.stereoRectify`, but for the choice of Y, which has no answer there for a vertical baseline.
+    As `cv2.omnidir.stereoRectify`, except for the choice of Y, which it leaves undefined for a vertical baseline.
     """
     x = normalise(mirrored_frame(t_v1))
     steep = abs(x[2]) > np.hypot(x[0], x[1])
@@ -140,7 +140,7 @@ def mei(sensor: Sensor) -> tuple[Array, Array, Array]:
     Raises
     ------
     InputError
-        When the camera model is not one that OpenCV's omnidir has, or the lens has a k3, which it has not.
+        When the camera model is not one that OpenCV's omnidir has, or the lens has a k3, which omnidir lacks.
     """
     if not isinstance(sensor.model, Mirror | Unified):
         raise InputError(

@@ -38,7 +38,7 @@ class Filtered(OpenCV):
     interpolation: Literal["linear", "cubic", "lanczos4"] = "linear"
     """How the rectified pair is interpolated; OpenCV itself rectifies with `linear`."""
     uniqueness_percent: Percent = 10
-    """By how many per cent the best cost must be below the next one elsewhere."""
+    """By how many per cent the best cost must be below the next best."""
     disp12_max_diff_px: Annotated[int, Field(ge=-1)] = 1
     """How far a match back from view 2 may miss the pixel, rectified pixels; -1 to let any pass."""
     speckle_px: Annotated[int, Field(ge=0)] = 100
@@ -65,7 +65,7 @@ class StereoBM(Filtered):
     texture_threshold: Annotated[int, Field(ge=0)] = 10
     """The sum of the absolute pre-filtered values over the block must reach this, grey levels."""
     uniqueness_percent: Percent = 15
-    """By how many per cent the best cost must be below the next one elsewhere."""
+    """By how many per cent the best cost must be below the next best."""
 
     def match(self, pair: Pair) -> Matches:
         """The matches of the rectified pair."""
@@ -107,7 +107,7 @@ class StereoSGBM(Filtered):
 
 
 class StereoReconstruct(OpenCV):
-    """`cv2.omnidir.stereoReconstruct` as it comes, which has no other settings: see `matchers.reconstruct`."""
+    """`cv2.omnidir.stereoReconstruct` unchanged; it has no other settings: see `matchers.reconstruct`."""
 
     briefs: ClassVar[Mapping[str, str]] = {"opencv-reconstruct": "OpenCV's omnidir.stereoReconstruct"}
 
@@ -115,7 +115,7 @@ class StereoReconstruct(OpenCV):
     """OpenCV's `omnidir.stereoReconstruct`."""
 
     def match(self, pair: Pair) -> Matches:
-        """The matches that OpenCV's points amount to."""
+        """The matches that follow from OpenCV's points."""
         from harness.matching.opencv.match import in_opencv, reconstruct
 
         return in_opencv(pair, self, reconstruct)
