@@ -103,6 +103,8 @@ class MotionEstimate(EstimatedMotion):
             "pairs": len(self.pairs),
             "pairs_agreeing": int(self.sparse.inlier.sum()) if self.sparse is not None else 0,
             "residual_px": self.sparse.scale_px if self.sparse is not None else None,
+            "tiles": len(self.direct.tiles) if self.direct is not None else 0,
+            "noise_grey": self.direct.noise_grey if self.direct is not None else None,
             "rotation_alone_px": self.rotation_px if known else None,
             "iterations": self.iterations,
         }
@@ -129,6 +131,10 @@ class MotionEstimate(EstimatedMotion):
         agreeing = "" if self.sparse is None else f", {self.sparse.inlier.sum()} agree"
         residual = "" if self.sparse is None else f" to {self.sparse.scale_px:.2g} px"
         told.append(f"pairs      {len(self.pairs)} keypoints look alike{agreeing}{residual}")
+        if self.direct is not None:
+            told.append(
+                f"direct     {len(self.direct.tiles)} tiles look alike to {self.direct.noise_grey:.2g} grey levels"
+            )
         told.append(f"status     {self.status}")
         told += [f"           {reason}" for reason in self.reasons]
         if sigmas:
@@ -172,6 +178,7 @@ def estimate_motion(
     *,
     freedom: Freedom = "free",
     baseline_m: float | None = None,
+    direct: bool = True,
     bits: int | None = None,
     seed: int = 0,
 ) -> MotionEstimate:
@@ -191,6 +198,8 @@ def estimate_motion(
         `free`; `upright`, where the sensor's z is vertical in both views; `planar`, where it also moves horizontally.
     baseline_m
         Distance of the viewpoints, metres, which images do not tell; 1 stands for it when None.
+    direct
+        Fit the motion to the grey levels themselves after the keypoints: several times finer, for two seconds more.
     bits
         White is 2^bits - 1; see `estimate_range`.
     seed
@@ -221,7 +230,7 @@ def estimate_motion(
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     first, second = photographs_of(left, right, sensors, bits)
-    found = estimate((first.grey, second.grey), sensors, freedom=freedom, seed=seed)
+    found = estimate((first.grey, second.grey), sensors, freedom=freedom, direct=direct, seed=seed)
     values = {each.name: getattr(found, each.name) for each in fields(found)}
     return MotionEstimate(**values, baseline_m=None if baseline_m is None else float(baseline_m))
 

@@ -38,6 +38,9 @@ def add(commands: Commands) -> None:
         metavar="M",
         help="distance of the viewpoints, metres, which images do not tell (default: 1 stands for it)",
     )
+    command.add_argument(
+        "--sparse", action="store_true", help="leave it at the keypoints: quicker, and several times coarser"
+    )
     command.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random samples (0)")
     add_out(command, "write view 2's pose in view 1's frame, TOML for omnirange range --pose", metavar="FILE")
     report = command.add_argument("--json", type=Path, metavar="FILE", help="write all figures as JSON")
@@ -62,6 +65,7 @@ def run(options: Namespace) -> int:
         second_sensor(options),
         freedom="planar" if options.planar else "upright" if options.upright else "free",
         baseline_m=options.baseline_length,
+        direct=not options.sparse,
         bits=options.bits,
         seed=options.seed,
     )

@@ -1,1 +1,1 @@
-"""Motion from two images: features, a robust start, least squares on bearings, and a verdict."""
+"""Motion from two images: features, a robust start, least squares on bearings and on grey levels, a verdict."""

@@ -1,5 +1,6 @@
 """From two images to a motion: keypoints, the motion that most agree on, least squares, and a verdict."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.geometry.angles import Array
+from harness.motion.direct import DirectFit, fit_direct
 from harness.motion.features import Correspondences, find_features, is_mirrored, match_features
 from harness.motion.robust import agree
 from harness.motion.sparse import Fit, Freedom, fit, fit_rotation
@@ -34,6 +36,8 @@ class EstimatedMotion(OneLine):
     """Keypoints that look alike."""
     sparse: Fit | None
     """The motion fitted to them; None where nothing was found."""
+    direct: DirectFit | None
+    """The motion fitted to the grey levels, which is the answer where there is one."""
     rotation_px: float
     """What a rotation alone leaves, the median in pixels; NaN where nothing was found."""
     iterations: int
@@ -41,7 +45,12 @@ class EstimatedMotion(OneLine):
 
 
 def estimate(
-    images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], *, freedom: Freedom = "free", seed: int = 0
+    images: tuple[Image, Image],
+    sensors: tuple[Sensor, Sensor],
+    *,
+    freedom: Freedom = "free",
+    direct: bool = True,
+    seed: int = 0,
 ) -> EstimatedMotion:
     """Estimate the motion from view 1 to view 2 from two images.
 
@@ -51,6 +60,8 @@ def estimate(
         `[sensor height, sensor width]` each, grey levels of 0 .. 255.
     freedom
         `upright`: the turn is about z; `planar`: and t is at right angles to z.
+    direct
+        Fit the motion to the grey levels, too.
     seed
         Of the samples drawn; the same gives the same bits.
 
@@ -62,11 +73,27 @@ def estimate(
     mirrored = [is_mirrored(each) for each in sensors]
     first = find_features(images[0], sensors[0])
     second = find_features(images[1], sensors[1], flip=mirrored[0] != mirrored[1])
-    return estimate_from_pairs(match_features(first, second), freedom=freedom, seed=seed)
+    pairs = match_features(first, second)
+    if not direct:
+        return estimate_from_pairs(pairs, freedom=freedom, seed=seed)
+    return estimate_from_pairs(
+        pairs, freedom=freedom, seed=seed, refine=lambda found: fit_direct(images, sensors, found, pairs, freedom)
+    )
 
 
-def estimate_from_pairs(pairs: Correspondences, *, freedom: Freedom = "free", seed: int = 0) -> EstimatedMotion:
+def estimate_from_pairs(
+    pairs: Correspondences,
+    *,
+    freedom: Freedom = "free",
+    seed: int = 0,
+    refine: Callable[[Fit], DirectFit | None] | None = None,
+) -> EstimatedMotion:
     """The same from pairs of bearing vectors.
+
+    Parameters
+    ----------
+    refine
+        Fits the motion to the images, given that of the pairs.
 
     Raises
     ------
@@ -84,21 +111,25 @@ def estimate_from_pairs(pairs: Correspondences, *, freedom: Freedom = "free", se
     R_alone, rotation_px = fit_rotation(pairs.at(found.inlier), found.turn.R)
     if reason := why_no_parallax(found, rotation_px):
         return EstimatedMotion(
-            Status.NO_PARALLAX, (reason,), R_alone, None, None, pairs, found, rotation_px, consensus.iterations
+            Status.NO_PARALLAX, (reason,), R_alone, None, None, pairs, found, None, rotation_px, consensus.iterations
         )
-    reasons = why_weak(found, rival_of(pairs, consensus, found, freedom))
+    direct = refine(found) if refine is not None else None
+    rival = rival_of(pairs, consensus, found, freedom)
+    reasons = why_weak(found, rival, direct, direct_wanted=refine is not None)
+    best = direct or found
     return EstimatedMotion(
         status=Status.WEAK if reasons else Status.OK,
         reasons=tuple(reasons),
-        R_v2_from_v1=found.turn.R,
-        direction_v1=found.turn.t,
-        covariance=found.covariance,
+        R_v2_from_v1=best.turn.R,
+        direction_v1=best.turn.t,
+        covariance=best.covariance,
         pairs=pairs,
         sparse=found,
+        direct=direct,
         rotation_px=rotation_px,
         iterations=consensus.iterations,
     )
 
 
 def _failed(pairs: Correspondences, reason: str, iterations: int) -> EstimatedMotion:
-    return EstimatedMotion(Status.FAILED, (reason,), None, None, None, pairs, None, np.nan, iterations)
+    return EstimatedMotion(Status.FAILED, (reason,), None, None, None, pairs, None, None, np.nan, iterations)

@@ -4,7 +4,9 @@ import math
 from enum import StrEnum
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from harness.motion.direct import DirectFit
 from harness.motion.features import Correspondences
 from harness.motion.residuals import sampson
 from harness.motion.robust import Consensus, alike
@@ -20,9 +22,17 @@ SURE_AGREEING = 60
 """With fewer, one motion in seven is off by more than 2 degrees, and its sigma does not tell."""
 PARALLAX = 3.0
 """Residual of a rotation alone over that of the motion, at least."""
+LEAST_TILES = 100
+"""Tiles seen alike that the direct fit needs; a wall or a floor alone has fewer."""
+MOST_APART = 5.0
+"""Standard deviations by which the fits to keypoints and to grey levels may differ."""
 MOST_SIGMA_T_DEG = 0.25
 MOST_SIGMA_R_DEG = 0.05
 """Standard deviations of a trusted motion, at most."""
+
+
+_ALIKE_DEG = 0.002
+"""Motions closer than this are alike, however small their standard deviations."""
 
 
 class Status(StrEnum):
@@ -65,19 +75,32 @@ def why_no_parallax(found: Fit, rotation_px: float) -> str | None:
     )
 
 
-def why_weak(found: Fit, rival: Fit | None) -> list[str]:
+def why_weak(found: Fit, rival: Fit | None, direct: DirectFit | None, *, direct_wanted: bool) -> list[str]:
     """Reasons not to trust a motion that was found; none where it can be trusted.
 
     Parameters
     ----------
+    found
+        Fitted to keypoints.
     rival
         Another motion that explains the pairs as well.
+    direct
+        Fitted to grey levels; None where that failed, or was not wanted.
     """
     reasons = []
     agreeing = int(found.inlier.sum())
     if agreeing < SURE_AGREEING:
         reasons.append(f"only {agreeing} pairs agree on it; below {SURE_AGREEING} the sigmas are not to be relied on")
-    reasons += too_uncertain(found.sigma_rotation, found.sigma_direction)
+    best = direct or found
+    reasons += too_uncertain(best.sigma_rotation, best.sigma_direction)
+    if direct is not None and len(direct.tiles) < LEAST_TILES:
+        reasons.append(
+            f"only {len(direct.tiles)} tiles of the images look alike; {LEAST_TILES} are needed to trust them"
+        )
+    if direct is not None and (apart := sigmas_apart(found, direct)) > MOST_APART:
+        reasons.append(f"keypoints and grey levels give motions that are {apart:.0f} standard deviations apart")
+    if direct is None and direct_wanted:
+        reasons.append("the images do not look alike enough to be fitted; the motion is that of the keypoints alone")
     if rival is not None:
         x, y, z = rival.turn.t
         azimuth, elevation = math.degrees(math.atan2(y, x)), math.degrees(math.asin(z))
@@ -86,6 +109,14 @@ def why_weak(found: Fit, rival: Fit | None) -> list[str]:
             f"{azimuth:.1f}, elevation {elevation:.1f} degrees"
         )
     return reasons
+
+
+def sigmas_apart(found: Fit, direct: DirectFit) -> float:
+    """How far two fits differ along any axis of rotation or t, in standard deviations of the difference."""
+    omega = Rotation.from_matrix(found.turn.R.T @ direct.turn.R).as_rotvec()
+    difference = np.concatenate([omega, direct.turn.t - found.turn.t])
+    variance = np.diag(found.covariance) + np.diag(direct.covariance) + math.radians(_ALIKE_DEG) ** 2
+    return float(np.max(np.abs(difference) / np.sqrt(variance)))
 
 
 def too_uncertain(sigma_rotation: float, sigma_direction: float) -> list[str]:

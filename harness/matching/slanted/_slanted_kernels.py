@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
-from harness.camera._spline_kernels import cubic_slopes, cubic_weights
+from harness.camera._spline_kernels import cubic_spline
 from harness.compiled import kernel
 
 SUMS = 27
@@ -43,40 +43,6 @@ def _in_view_2(x, y, z, w, R, s, camera):
     return u + seam, v, u_w, v_w, field.lowest * norm <= up <= field.highest * norm and along >= field.nearest * norm
 
 
-@kernel(inline=True)
-def _spline(coefficients, u, v):
-    """The cubic B-spline at (u, v), and its derivatives along u and v; NaN unless all its taps are there."""
-    i, j = math.floor(v), math.floor(u)
-    if not (1 <= i < coefficients.shape[0] - 2 and 1 <= j < coefficients.shape[1] - 2):
-        return math.nan, math.nan, math.nan
-    a0, a1, a2, a3 = cubic_weights(u - j)
-    d0, d1, d2, d3 = cubic_slopes(u - j)
-    b0, b1, b2, b3 = cubic_weights(v - i)
-    e0, e1, e2, e3 = cubic_slopes(v - i)
-    value = along_u = along_v = 0.0
-    for k in range(4):
-        if k == 0:
-            weight, change = b0, e0
-        elif k == 1:
-            weight, change = b1, e1
-        elif k == 2:
-            weight, change = b2, e2
-        else:
-            weight, change = b3, e3
-        row = i - 1 + k
-        c0, c1, c2, c3 = (
-            coefficients[row, j - 1],
-            coefficients[row, j],
-            coefficients[row, j + 1],
-            coefficients[row, j + 2],
-        )
-        line = c0 * a0 + c1 * a1 + c2 * a2 + c3 * a3
-        value += weight * line
-        along_u += weight * (c0 * d0 + c1 * d1 + c2 * d2 + c3 * d3)
-        along_v += change * line
-    return value, along_u, along_v
-
-
 @kernel
 def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value, slope, motion):
     """Sample view 2 for every pixel with an inverse range.
@@ -93,7 +59,7 @@ def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value,
             u, v, u_w, v_w, inside = _in_view_2(x[i, j, 0], x[i, j, 1], x[i, j, 2], w[i, j], R, s, camera)
             if not inside:
                 continue
-            grey, along_u, along_v = _spline(coefficients, u, v)
+            grey, along_u, along_v = cubic_spline(coefficients, u, v)
             if math.isnan(grey):
                 continue
             known[i, j] = True
@@ -313,7 +279,7 @@ def _misfit(i, j, reach, m, a, b, limit, valid, x, R, s, camera, first_image, co
             x_0, x_1, x_2 = x[row, column, 0], x[row, column, 1], x[row, column, 2]
             w = m[0] * x_0 + m[1] * x_1 + m[2] * x_2
             u, v, _, _, inside = _in_view_2(x_0, x_1, x_2, w, R, s, camera)
-            grey, _, _ = _spline(coefficients, u, v)
+            grey, _, _ = cubic_spline(coefficients, u, v)
             if inside and not math.isnan(grey):
                 difference = first_image[row, column] - a * grey - b
                 total += difference * difference

@@ -1,0 +1,277 @@
+"""A motion fitted to the grey levels themselves: all tiles' planes, gains and offsets with it.
+
+Minimised is the sum over tiles of `(I_1(x) - a I_2(R (x - (m·x) t)) - b)²`, each tile's weighted by its own residual. A
+tile's five unknowns (m, a, b) are eliminated (Schur complement), which leaves the motion's five.
+
+View 2's gradient contains noise, and so the sum of its squares is larger than the signal's: steps are a little short,
+and a covariance of that sum too small. The sandwich takes the gradients' noise off: `B = sum w (H - sigma² kappa N)`,
+reduced, and `B^-1 (sum w² g g^T) B^-1` over tiles' reduced scores g.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.camera.sensor import Sensor
+from harness.display import OneLine
+from harness.geometry.angles import Array
+from harness.motion import _direct_kernels as _kernels
+from harness.motion.features import Correspondences
+from harness.motion.residuals import Turn
+from harness.motion.sparse import Fit, Freedom, moved, tangents
+from harness.motion.tiles import (
+    LEAST_SHARE,
+    LEAST_W,
+    SIDE_PX,
+    Image,
+    Views,
+    best_planes,
+    first_planes,
+    lay_tiles,
+    planes_beside,
+    tangents_at,
+    views,
+)
+
+BLUR_PX = 0.7
+NOISY = 0.1
+"""Share of noise in the gradients' squares above which smoothed images are tried as well."""
+_START_ITERATIONS = 3
+_ITERATIONS = 8
+_CORRELATION = 0.5
+"""Of both views on a tile, at least."""
+_LEAST_TILES = 10
+_FLOOR = 0.05
+"""Variance, grey levels squared, that is added to every tile's: of rounding and interpolation."""
+
+
+@dataclass(frozen=True, repr=False)
+class DirectFit(OneLine):
+    """A motion fitted to grey levels."""
+
+    turn: Turn
+    covariance: Array
+    """`[6, 6]`, as that of `harness.motion.sparse.Fit`."""
+    tiles: NDArray[np.int64]
+    """`[T, 2]`, first row and column of the tiles that count."""
+    planes: Array
+    """`[T, 3]`: the inverse range in direction x is m · x, in 1/|t|."""
+    noise_grey: float
+    """Standard deviation of a tile's residual, the median."""
+    noise_share: float
+    """Of the gradients' squares, that is noise."""
+    blur_px: float
+    """Standard deviation of the Gaussian that both images were smoothed with first."""
+
+    @property
+    def sigma_rotation(self) -> float:
+        """Standard deviation of the angle by which the rotation is off, radians (root of the mean square)."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def sigma_direction(self) -> float:
+        """The same of the direction of t, radians."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+
+@dataclass
+class _State:
+    turn: Turn
+    planes: Array
+    gain: Array
+    offset: Array
+
+
+def fit_direct(
+    images: tuple[Image, Image],
+    sensors: tuple[Sensor, Sensor],
+    start: Fit,
+    pairs: Correspondences,
+    freedom: Freedom = "free",
+) -> DirectFit | None:
+    """Fit a motion to both images, from one that is right to about a pixel.
+
+    Parameters
+    ----------
+    pairs
+        Those that `start` was fitted to.
+
+    Returns
+    -------
+    DirectFit or None
+        None where hardly any tile is seen alike in both views.
+    """
+    given = views(images, sensors)
+    tiles = lay_tiles(given)
+    if len(tiles) < _LEAST_TILES:
+        return None
+    true = pairs.at(start.inlier)
+    found = first_planes(given, tiles, start.turn, true)
+    for _ in range(2):
+        state = _planes_fitted(given, tiles, start.turn, found[0])
+        found = best_planes(given, tiles, start.turn, state.planes[:, None], found)
+        found = best_planes(given, tiles, start.turn, planes_beside(tiles, found[0]), found)
+    good = found[1] > _CORRELATION
+    if good.sum() < _LEAST_TILES:
+        return None
+    state = _planes_fitted(given, tiles[good], start.turn, found[0][good])
+    plain = _adjusted(given, tiles[good], state, freedom)
+    if plain is None or plain.noise_share < NOISY:
+        return plain
+    begin = _State(plain.turn, plain.planes, np.ones(len(plain.tiles)), np.zeros(len(plain.tiles)))
+    smooth = _adjusted(views(images, sensors, BLUR_PX), plain.tiles, begin, freedom)
+    return smooth if smooth is not None and np.trace(smooth.covariance) < np.trace(plain.covariance) else plain
+
+
+# -- Normal equations ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Equations:
+    H: Array
+    """`[T, 11, 11]`."""
+    N: Array
+    """`[T, 11, 11]`, of the gradients' noise for a variance of 1 of the pixels."""
+    g: Array
+    """`[T, 11]`."""
+    n: Array
+    residual: Array
+    """Variance `[T]`."""
+    correlation: Array
+
+    def at(self, where: NDArray[np.bool_]) -> "_Equations":
+        """Those of some tiles."""
+        return _Equations(*(getattr(self, name)[where] for name in ("H", "N", "g", "n", "residual", "correlation")))
+
+
+def _equations(given: Views, tiles: NDArray[np.int64], state: _State) -> _Equations:
+    count = len(tiles)
+    H, N = np.zeros((count, 11, 11)), np.zeros((count, 9, 9))
+    g, sums = np.zeros((count, 11)), np.zeros((count, 4))
+    _kernels.normal_equations(
+        tiles, SIDE_PX, LEAST_W, given.seen, given.x, given.grey, *state.turn, given.camera, given.coefficients,
+        state.planes, state.gain, state.offset, H, N, g, sums,
+    )  # fmt: skip
+    H, N = (a + np.triu(a, 1).transpose(0, 2, 1) for a in (H, N))
+    n, square = np.maximum(sums[:, 0], 6.0), sums[:, 3] - sums[:, 2] ** 2 / np.maximum(sums[:, 0], 1.0)
+    noise = np.zeros_like(H)
+    value, slope = noise_through_spline(given.blur_px)
+    noise[:, :9, :9] = state.gain[:, None, None] ** 2 * slope * value * N
+    noise[:, 9, 9] = value**2 * sums[:, 0]
+    residual = sums[:, 1] / (n - 5)
+    correlation = 1 - sums[:, 1] / np.maximum(square, 1e-9)
+    return _Equations(H, noise, g, sums[:, 0], residual, correlation)
+
+
+@lru_cache(maxsize=4)
+def noise_through_spline(blur_px: float) -> tuple[float, float]:
+    """Mean variance along one axis of noise of variance 1 after interpolation by the cubic B-spline, and of its slope.
+
+    The integrals over w of G² H² and of (w G H)², over that of G² from -pi to pi: H = 3 sinc(w/2)^4/(2 + cos w) is what
+    the spline makes of a wave, G what smoothing had made of the noise, which was white before.
+    """
+    kernel = np.zeros(33)
+    kernel[16] = 1.0
+    kernel = ndimage.gaussian_filter1d(kernel, blur_px) if blur_px else kernel
+    w = (np.arange(200_000) + 0.5) * (8 * np.pi / 200_000)  # beyond, H² is below 1e-8
+    G = kernel[16] + 2 * sum(kernel[16 + j] * np.cos(j * w) for j in range(1, 17))
+    H = 3 * np.sinc(w / (2 * np.pi)) ** 4 / (2 + np.cos(w))
+    whole = np.sum(G[w < np.pi] ** 2)
+    return float(np.sum((G * H) ** 2) / whole), float(np.sum((w * G * H) ** 2) / whole)
+
+
+def _noise_variance(equations: _Equations, gain: Array, blur_px: float) -> Array:
+    """Variance of one pixel's noise, if both views have the same: a residual has I_1's and a I_2's."""
+    return equations.residual / (1 + gain**2 * noise_through_spline(blur_px)[0] ** 2)
+
+
+def _ridge(given: Views, tiles: NDArray[np.int64], H: Array) -> Array:
+    """What keeps a tile's unknowns where they are while its texture says nothing of them `[T, 5, 5]`."""
+    x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
+    b_1, b_2 = tangents_at(x_c)
+    slopes = sum(np.einsum("ti,tj->tij", b, b) for b in (b_1, b_2))
+    size = np.einsum("ti,tij,tj->t", x_c, H[:, 6:9, 6:9], x_c)
+    ridge = np.zeros((len(tiles), 5, 5))
+    ridge[:, :3, :3] = 1e-4 * size[:, None, None] * slopes + 1e-9 * size[:, None, None] * np.eye(3)
+    ridge[:, 3, 3], ridge[:, 4, 4] = 1e-9 * H[:, 9, 9], 1e-9 * H[:, 10, 10]
+    return ridge + 1e-12 * np.eye(5)
+
+
+def _planes_fitted(given: Views, tiles: NDArray[np.int64], turn: Turn, planes: Array) -> _State:
+    """Planes, gains and offsets of least squares with the motion held."""
+    known = np.isfinite(planes[:, 0])
+    state = _State(turn, np.where(known[:, None], planes, 0.0), np.ones(len(tiles)), np.zeros(len(tiles)))
+    for _ in range(_START_ITERATIONS):
+        equations = _equations(given, tiles, state)
+        inner = equations.H[:, 6:, 6:] + _ridge(given, tiles, equations.H)
+        _step(state, np.asarray(np.linalg.solve(inner, equations.g[:, 6:, None])[..., 0]))
+    state.planes[~known] = np.nan
+    return state
+
+
+def _step(state: _State, change: NDArray[np.floating]) -> None:
+    state.planes = state.planes + change[:, :3]
+    state.gain = np.clip(state.gain + change[:, 3], 0.1, 10.0)
+    state.offset = state.offset + change[:, 4]
+
+
+# -- The motion ------------------------------------------------------------------------------------------------------
+
+
+def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Freedom) -> DirectFit | None:
+    """The motion and all planes of least squares."""
+    for iteration in range(_ITERATIONS + 1):
+        equations = _equations(given, tiles, state)
+        usable = (equations.n >= LEAST_SHARE * SIDE_PX**2) & (equations.correlation > _CORRELATION)
+        if usable.sum() < _LEAST_TILES:
+            return None
+        tiles, equations = tiles[usable], equations.at(usable)
+        state.planes, state.gain, state.offset = state.planes[usable], state.gain[usable], state.offset[usable]
+        turns, steps = tangents(state.turn, freedom)
+        held = np.vstack([turns, steps])
+        reduced = _reduced(equations.H, held, _ridge(given, tiles, equations.H))
+        score = equations.g[:, :6] @ held - np.einsum("tik,ti->tk", reduced.carried, equations.g[:, 6:])
+        weight = 1 / (equations.residual + _FLOOR)
+        if iteration == _ITERATIONS:
+            break
+        motion = np.linalg.solve(np.einsum("t,tij->ij", weight, reduced.H), weight @ score)
+        left = equations.g[:, 6:] - reduced.mixed.transpose(0, 2, 1) @ motion
+        state.turn = moved(state.turn, turns @ motion, steps @ motion)
+        _step(state, np.asarray(np.linalg.solve(reduced.inner, left[..., None])[..., 0]))
+    variance = _noise_variance(equations, state.gain, given.blur_px)[:, None, None]
+    clean = _reduced(equations.H - variance * equations.N, held, _ridge(given, tiles, equations.H))
+    inverse = np.linalg.inv(np.einsum("t,tij->ij", weight, clean.H))
+    weighted = weight[:, None] * score
+    noise = np.einsum("tii->t", variance * equations.N[:, 6:9, 6:9]) / np.einsum("tii->t", equations.H[:, 6:9, 6:9])
+    return DirectFit(
+        turn=state.turn,
+        covariance=held @ inverse @ weighted.T @ weighted @ inverse @ held.T,
+        tiles=tiles,
+        planes=state.planes,
+        noise_grey=float(np.sqrt(np.median(equations.residual))),
+        noise_share=float(np.median(noise)),
+        blur_px=given.blur_px,
+    )
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """Normal equations of the motion with each tile's own unknowns eliminated."""
+
+    H: Array
+    """`[T, k, k]`."""
+    mixed: Array
+    """`[T, k, 5]`."""
+    inner: Array
+    """`[T, 5, 5]`."""
+    carried: Array
+    """`[T, 5, k]`: inner^-1 mixed^T."""
+
+
+def _reduced(H: Array, held: Array, ridge: Array) -> _Reduced:
+    mixed, inner = held.T @ H[:, :6, 6:], H[:, 6:, 6:] + ridge
+    carried = np.asarray(np.linalg.solve(inner, mixed.transpose(0, 2, 1)), dtype=np.float64)
+    return _Reduced(held.T @ H[:, :6, :6] @ held - mixed @ carried, mixed, inner, carried)

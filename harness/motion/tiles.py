@@ -1,0 +1,173 @@
+"""Tiles of view 1's image, each with a plane: where they are, and planes to begin with.
+
+A plane is three numbers m: the inverse range in direction x is m · x, in units of 1/|t|.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from harness.camera.fill import across_seam, nearest_known, without_gaps
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, seam_px
+from harness.geometry.angles import Array, angle_between, normalise
+from harness.motion import _direct_kernels as _kernels
+from harness.motion.features import Correspondences
+from harness.motion.residuals import Turn
+
+Image = NDArray[np.float32]
+
+SIDE_PX = 17
+"""Side of a tile: as large as the windows of slanted matching."""
+LEAST_SHARE = 0.8
+"""Of a tile's pixels that both views have to see."""
+LEAST_W = -0.02
+"""The least inverse range of a pixel, in 1/|t|: noise puts far points behind the views."""
+_LEAST_CONTRAST = 1.0
+"""Standard deviation of a tile's grey levels, at least: below, rounding to 8 bits is most of it."""
+_STRIDE = 2
+_NEIGHBOURS = 12
+_SCANNED = 24
+_SLOPE_RIDGE = 0.05
+"""Slopes of w per radian are pulled to 0 by this much of a pair's weight."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """Both images as the kernels take them."""
+
+    grey: Image
+    """`[height, width]`, view 1."""
+    seen: NDArray[np.bool_]
+    """`[height, width]`, pixels of view 1 that are seen and finite."""
+    x: Array
+    """`[height, width, 3]`, unit directions of view 1's pixels."""
+    coefficients: Image
+    """Of view 2's interpolating cubic B-spline; NaN where the sensor sees nothing."""
+    camera: tuple[Any, float]
+    """Of view 2: its model's parameters, and how many columns its coefficients begin before the image."""
+    blur_px: float
+    """Standard deviation of the Gaussian that both were smoothed with."""
+
+
+def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: float = 0.0) -> Views:
+    """Prepare two images.
+
+    Parameters
+    ----------
+    blur_px
+        Standard deviation of a Gaussian that both are smoothed with.
+    """
+    prepared = []
+    for image, sensor in zip(images, sensors, strict=True):
+        closed, known = without_gaps(image, pixel_directions(sensor)[1])
+        smooth = closed[nearest_known(known)].astype(np.float64)
+        if blur_px:
+            smooth = ndimage.gaussian_filter(smooth, blur_px, mode="nearest")
+            known = ndimage.binary_erosion(known, iterations=round(3 * blur_px))
+        prepared.append((smooth, known))
+    (first, seen), (second, seen_2) = prepared
+    seam = seam_px(sensors[1])
+    spline = ndimage.spline_filter(across_seam(second, seam), 3, output=np.float32, mode="mirror")
+    return Views(
+        grey=np.ascontiguousarray(first, dtype=np.float32),
+        seen=np.ascontiguousarray(seen),
+        x=pixel_directions(sensors[0])[0],
+        coefficients=np.where(across_seam(seen_2, seam), spline, np.float32(np.nan)),
+        camera=(parameters_of(sensors[1]), float(seam)),
+        blur_px=blur_px,
+    )
+
+
+def lay_tiles(given: Views) -> NDArray[np.int64]:
+    """First row and column `[T, 2]` of the tiles that view 1 sees enough of, and that have any contrast."""
+    rows, columns = (np.arange(0, size - SIDE_PX + 1, SIDE_PX) for size in given.seen.shape)
+
+    def mean(values: NDArray[Any]) -> Array:
+        cut = values[: rows.size * SIDE_PX, : columns.size * SIDE_PX].astype(np.float64)
+        return cut.reshape(rows.size, SIDE_PX, columns.size, SIDE_PX).mean(axis=(1, 3))
+
+    share = mean(given.seen)
+    first = np.where(given.seen, given.grey, 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = mean(first**2) / share - (mean(first) / share) ** 2
+    chosen = np.argwhere((share >= LEAST_SHARE) & (variance > _LEAST_CONTRAST**2))
+    return np.ascontiguousarray(chosen * SIDE_PX, dtype=np.int64)
+
+
+def first_planes(given: Views, tiles: NDArray[np.int64], turn: Turn, pairs: Correspondences) -> tuple[Array, Array]:
+    """A plane for each tile, and the correlation of both views on it.
+
+    Tried are planes through the pairs nearby, inverse ranges of pairs nearby and between, with the slopes of those
+    planes and without.
+
+    Parameters
+    ----------
+    pairs
+        Those that agree with the motion.
+
+    Returns
+    -------
+    planes
+        `[T, 3]`; NaN where none correlates.
+    correlation
+        `[T]`, -1 where there is none.
+    """
+    x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
+    w = inverse_ranges(pairs, turn)
+    count = min(_NEIGHBOURS, len(pairs))
+    near = cKDTree(pairs.pixels_1).query(tiles[:, ::-1] + SIDE_PX // 2, k=count)[1].reshape(len(tiles), count)
+    local = [_plane_through(pairs.x_1[near[:, :k]], w[near[:, :k]], x_c) for k in (count // 2, count)]
+    high = np.maximum(1.5 * w[near].max(axis=1), 0.02)
+    values = np.concatenate([w[near[:, :4]], high[:, None] * np.linspace(0, 1, _SCANNED)], axis=1)
+    frontal = values[..., None] * x_c[:, None]
+    sloped = local[1][:, None] + (values - np.sum(local[1] * x_c, axis=1, keepdims=True))[..., None] * x_c[:, None]
+    tried = np.concatenate([np.stack(local, axis=1), frontal, sloped], axis=1)
+    return best_planes(given, tiles, turn, tried)
+
+
+def best_planes(
+    given: Views, tiles: NDArray[np.int64], turn: Turn, tried: Array, before: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
+    """The plane of the best correlation among some `[T, K, 3]`, and those found before."""
+    planes, score = before or (np.full((len(tiles), 3), np.nan), np.full(len(tiles), -1.0))
+    planes, score = planes.copy(), score.copy()
+    _kernels.try_planes(
+        tiles, SIDE_PX, _STRIDE, LEAST_W, given.seen, given.x, given.grey, turn.R, turn.t, given.camera,
+        given.coefficients, np.ascontiguousarray(tried), LEAST_SHARE, planes, score,
+    )  # fmt: skip
+    return planes, score
+
+
+def planes_beside(tiles: NDArray[np.int64], planes: Array) -> Array:
+    """The planes of the eight tiles around each `[T, 8, 3]`; NaN where there is no tile."""
+    index = {(int(row), int(column)): i for i, (row, column) in enumerate(tiles)}
+    steps = [(i * SIDE_PX, j * SIDE_PX) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+    beside = np.array([[index.get((row + i, column + j), -1) for i, j in steps] for row, column in tiles.tolist()])
+    return np.where(beside[..., None] >= 0, planes[beside], np.nan)
+
+
+def inverse_ranges(pairs: Correspondences, turn: Turn) -> Array:
+    """Inverse range from view 1 of each pair `[n]`, 1/|t|: `sin(alpha_2 - alpha_1)/sin(alpha_2)`."""
+    alpha_1, alpha_2 = angle_between(pairs.x_1, turn.t), angle_between(pairs.x_2 @ turn.R, turn.t)
+    return np.asarray(np.sin(alpha_2 - alpha_1) / np.maximum(np.sin(alpha_2), 1e-3))
+
+
+def tangents_at(x: Array) -> tuple[Array, Array]:
+    """Two unit vectors `[..., 3]` at right angles to unit vectors and to each other."""
+    other = np.where(np.abs(x[..., 2:]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    b_1 = normalise(np.cross(x, other))
+    return b_1, np.cross(x, b_1)
+
+
+def _plane_through(x: Array, w: Array, x_c: Array) -> Array:
+    """Planes m `[T, 3]` nearest to inverse ranges w `[T, k]` in directions x `[T, k, 3]`, slopes pulled to 0."""
+    b_1, b_2 = tangents_at(x_c)
+    basis = np.stack([x_c, b_1, b_2], axis=1)
+    A = np.einsum("tkj,tij->tki", x, basis)
+    ridge = np.diag([0.0, _SLOPE_RIDGE, _SLOPE_RIDGE]) * x.shape[1] * 0.01 + 1e-9 * np.eye(3)
+    c = np.linalg.solve(A.transpose(0, 2, 1) @ A + ridge, np.einsum("tki,tk->ti", A, w)[..., None])[..., 0]
+    return np.asarray(np.einsum("ti,tij->tj", c, basis))
