@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args, get_origin
 
@@ -126,7 +127,8 @@ def parse(
     except ValidationError as error:
         location, text = _explain([_locate(model, each) for each in error.errors()])
         raise InputError(text, file=file, key=_dotted(location, key)) from error
-    for location, text in _coerced(given, spec.model_dump(), checked={} if checked is None else checked):
+    taken = put_back(spec, spec.model_dump())
+    for location, text in _coerced(given, taken, checked={} if checked is None else checked):
         raise InputError(text, file=file, key=_dotted(location, key))
     return spec
 
@@ -136,18 +138,20 @@ def load(model: type[S], path: Path) -> S:
     return parse(model, read_toml(path), file=path)
 
 
-def dump_toml(spec: Spec) -> str:
+def dump_toml(spec: Spec, *, given: bool = False) -> str:
     """The TOML text of a specification, every default written out; `parse` reads it back to an equal one.
+
+    With `given`, what was worked out from something else is written as it was given: see `as_given`.
 
     Tables of any keys, such as an experiment's axes, keep their keys' order. TOML has no null: a None is left out, so
     only a key that is None by default may hold it.
     """
-    table = _without_none(as_table(spec))
-    given = [
+    table = _without_none(as_given(spec) if given else as_table(spec))
+    in_lines = [
         name for name, field in type(spec).model_fields.items() if table.get(name) and _has_any_keys(field.annotation)
     ]
-    parts = [tomli_w.dumps({name: value for name, value in table.items() if name not in given})]
-    for name in given:
+    parts = [tomli_w.dumps({name: value for name, value in table.items() if name not in in_lines})]
+    for name in in_lines:
         several = isinstance(table[name], list)
         for each in table[name] if several else [table[name]]:
             lines = [f"{_word(key)} = {_in_line(value)}" for key, value in each.items()]
@@ -189,6 +193,56 @@ def as_table(spec: Spec, *, without: str = "") -> dict[str, Any]:
         A key that is left out.
     """
     return {name: _as_plain(value) for name, value in spec.model_dump(exclude={without}).items()}
+
+
+# --- Values that are given in words, or left open, and worked out -------------------------------------------------
+
+
+class _LeftOut(Enum):
+    LEFT_OUT = "left out"
+
+
+LEFT_OUT = _LeftOut.LEFT_OUT
+"""What was given for a key that was not."""
+
+_GIVEN = "given"
+
+
+def remember(spec: S, given: Mapping[str, Any]) -> S:
+    """The specification itself, which from now on knows what was given for keys whose values were worked out from it.
+
+    Such as `"fit"` for a focal length, or `LEFT_OUT`. It is no part of the specification: copies, and what is written,
+    have the values alone, and it makes no difference to equality.
+    """
+    spec.__dict__[_GIVEN] = {**given_of(spec), **given}
+    return spec
+
+
+def given_of(spec: Spec) -> dict[str, Any]:
+    """What a specification knows of what was given for its own keys."""
+    return dict(spec.__dict__.get(_GIVEN, {}))
+
+
+def put_back(spec: Spec, table: dict[str, Any]) -> dict[str, Any]:
+    """The table of a specification, in which what was worked out is replaced in place by what was given."""
+    for name in type(spec).model_fields:
+        value = getattr(spec, name)
+        if isinstance(value, Spec) and isinstance(table.get(name), dict):
+            put_back(value, table[name])
+    for name, given in given_of(spec).items():
+        if given is LEFT_OUT:
+            del table[name]
+        else:
+            table[name] = given
+    return table
+
+
+def as_given(spec: Spec) -> dict[str, Any]:
+    """A specification as plain data, as `as_table`, but with what was given where a value was worked out from it.
+
+    A table to be changed and read again: what follows from other keys then follows from the changed ones.
+    """
+    return put_back(spec, as_table(spec))
 
 
 def checked_plain(value: Any) -> Any:

@@ -1,13 +1,20 @@
 """What all camera models share: the image and its intrinsic parameters, and the field of view."""
 
 import math
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from harness.spec import Finite, Positive, Spec
+from harness.spec import Finite, Positive, Spec, remember
 
 Pixels = Annotated[int, Field(ge=8, le=16384)]
+
+if TYPE_CHECKING:
+    FocalLength = float
+    Centre = float
+else:
+    FocalLength = Positive | Literal["fit"]
+    Centre = Finite | Literal["centre"]
 
 
 class Camera(Spec):
@@ -17,19 +24,29 @@ class Camera(Spec):
     """Width of the image, pixels."""
     height_px: Pixels = 480
     """Height of the image, pixels."""
-    focal_px: Positive = 614.12
-    """Focal length along u, pixels."""
+    focal_px: FocalLength = 614.12
+    """Focal length along u, pixels; "fit" for the largest with which the whole field of view is on the image."""
     aspect: Positive = 1.0
     """Focal length along v divided by that along u, no unit."""
     skew_px: Finite = 0.0
     """Skew, pixels: K[0, 1] of the camera matrix, 0 where columns are at right angles to rows."""
-    cx_px: Finite = 319.5
-    """Principal point along u, pixels; the centre of the first pixel is 0."""
-    cy_px: Finite = 239.5
-    """Principal point along v, pixels; the centre of the first pixel is 0."""
+    cx_px: Centre = 319.5
+    """Principal point along u, pixels; the centre of the first pixel is 0. "centre" for the image's, (width - 1)/2."""
+    cy_px: Centre = 239.5
+    """Principal point along v, pixels; the centre of the first pixel is 0. "centre" for the image's, (height - 1)/2."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the focal length is still to be fitted to a field of view."""
+        focal_px: Any = self.focal_px
+        return isinstance(focal_px, str)
 
     @model_validator(mode="after")
     def _looks_at_its_mirror(self) -> "Camera":
+        for key, size in (("cx_px", self.width_px), ("cy_px", self.height_px)):
+            if isinstance(getattr(self, key), str):
+                remember(self, {key: getattr(self, key)})
+                self.__dict__[key] = (size - 1) / 2
         for key, at, size in (("cx_px", self.cx_px, self.width_px), ("cy_px", self.cy_px, self.height_px)):
             if not -0.5 <= at <= size - 0.5:
                 middle = (size - 1) / 2
@@ -50,7 +67,12 @@ class FieldOfView(Spec):
 
     @model_validator(mode="after")
     def _ordered(self) -> "FieldOfView":
-        if not -90 <= self.elevation_min_deg < self.elevation_max_deg <= 90:
+        # What is not given is for the sensor to fill in, since it depends on the camera model.
+        lowest, highest = (
+            getattr(self, key) if key in self.model_fields_set else other
+            for key, other in (("elevation_min_deg", -90.0), ("elevation_max_deg", 90.0))
+        )
+        if not -90 <= lowest < highest <= 90:
             raise ValueError("elevation_min_deg must be below elevation_max_deg, both within -90 .. 90")
         return self
 

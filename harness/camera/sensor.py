@@ -17,6 +17,7 @@ from pydantic import AliasChoices, Field, model_validator
 from harness.camera._field_kernels import FieldLimits
 from harness.camera._mounted_kernels import MountedCamera
 from harness.camera._projection_kernels import compiled_model, differentiate_all, project_all
+from harness.camera.focal_fit import fitted_focal_px
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.mask import Mask, used_pixels
@@ -25,7 +26,7 @@ from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
 from harness.errors import InputError
 from harness.files import path_of
 from harness.geometry.angles import Array
-from harness.spec import Spec, as_table, parse
+from harness.spec import Spec, as_given, given_of, parse, remember
 
 
 class Sensor(Spec):
@@ -57,7 +58,16 @@ class Sensor(Spec):
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
-        self.model.check(self.camera, self.lens, edge_of(self.field, self.looks))
+        """What was left open is filled in: limits of the field that are the model's own, and a focal length to fit."""
+        looks = self.looks
+        if self.camera.is_open:
+            self.model.refuse_unused(self.camera, self.lens)
+        self.__dict__["field"] = field = self.model.filled_in(self.field, self.camera, self.lens, looks)
+        if self.camera.is_open:
+            focal_px = fitted_focal_px(self.model, self.camera, self.lens, field, looks, mirrored=self.mirrored)
+            camera = self.camera.model_copy(update={"focal_px": focal_px})
+            self.__dict__["camera"] = remember(camera, given_of(self.camera) | {"focal_px": "fit"})
+        self.model.check(self.camera, self.lens, edge_of(field, looks))
         return self
 
     def with_mask(self, file: str | Path) -> "Sensor":
@@ -68,7 +78,7 @@ class Sensor(Spec):
         InputError
             When the file is no 8-bit grey image of the sensor's size.
         """
-        masked = parse(Sensor, as_table(self) | {"mask": str(file)})
+        masked = parse(Sensor, as_given(self) | {"mask": str(file)})
         check_mask(masked)
         return masked
 

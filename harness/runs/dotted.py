@@ -59,6 +59,15 @@ def value_at(table: Any, key: str) -> Any:
     return table
 
 
+def worked_out(value: Any, spec: Any, key: str) -> Any:
+    """The value at a dotted key of a specification: as it was given or, where a number was worked out from it, that."""
+    if value is not None and not isinstance(value, str):
+        return value
+    for part in key.split("."):
+        spec = getattr(spec, part, None)
+    return spec if isinstance(spec, int | float) else value
+
+
 def _with(table: Any, keys: list[str], value: Any, file: str | Path | None, where: str) -> Any:
     first, *rest = keys
     if isinstance(table, list | tuple):

@@ -15,12 +15,12 @@ from harness.display import shortened
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys
-from harness.runs.dotted import changed, value_at
+from harness.runs.dotted import changed, value_at, worked_out
 from harness.runs.methods import MethodName, method_id, method_names
 from harness.runs.named_files import SENSORS
 from harness.runs.values import Settings, shown
 from harness.simulation.fingerprint import fingerprint
-from harness.spec import Spec, as_table, checked_plain, parse
+from harness.spec import Spec, as_given, checked_plain, parse
 
 MOST_TRIALS = 100_000
 """The most trials of an experiment: what can be planned within seconds."""
@@ -86,7 +86,7 @@ class Experiment(Spec):
             is the key in the experiment.
         """
         self._check_count()
-        base = as_table(self.trial)
+        base = as_given(self.trial)
         columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
         trials: dict[str, tuple[Settings, Trial]] = {}
         checked: dict[int, Any] = {}
@@ -108,7 +108,10 @@ class Experiment(Spec):
             except InputError as error:
                 key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
                 raise InputError(error.problem, key=key) from error
-            coordinates = {key: settings[key] if key in settings else value_at(table, key) for key in columns}
+            coordinates = {
+                key: worked_out(settings[key] if key in settings else value_at(table, key), trial, key)
+                for key in columns
+            }
             key = trial.key
             if key in trials:
                 raise InputError(

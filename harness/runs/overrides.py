@@ -14,7 +14,7 @@ from harness.runs.dotted import KIND, MODEL_KINDS, changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute
 from harness.runs.values import Settings
-from harness.spec import Spec, as_table, parse
+from harness.spec import Spec, as_given, parse
 from harness.toml import parse_toml
 
 
@@ -72,7 +72,7 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, Spec):
-        return as_table(value)
+        return as_given(value)
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -107,7 +107,7 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
     if not settings:
         return experiment
     settings = {key: absolute(key, value, Path(), option) for key, value in settings.items()}
-    trial = parse(Trial, changed(as_table(experiment.trial), settings, file=option), file=option)
+    trial = parse(Trial, changed(as_given(experiment.trial), settings, file=option), file=option)
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
     # What another matcher, or another camera model, does not know cannot be varied.
     axes = {key: values for key, values in axes.items() if all(_is_known(key, *each) for each in settings.items())}

@@ -16,7 +16,7 @@ from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys, dotted_up_to_date, up_to_date
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.store import Store
-from harness.spec import Spec, as_table, parse
+from harness.spec import Spec, as_given, as_table, parse
 
 _EXPERIMENT, _PLAN = "experiment", "plan"
 
@@ -57,7 +57,7 @@ def record(experiment: Experiment, store: Store) -> None:
                 text = json.dumps(as_table(part) if isinstance(part, Spec) else part)
                 changed[name] = parts.setdefault(text, len(parts))
         trials.append([each.key, each.coordinates, each.method, changed])
-    store.set_fact(_EXPERIMENT, as_table(experiment))
+    store.set_fact(_EXPERIMENT, as_given(experiment))
     store.set_fact(
         _PLAN,
         {

@@ -250,7 +250,7 @@ def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
     """
     rows = rows_of(experiment, store)
     tables = {
-        "experiment.toml": dump_toml(experiment),
+        "experiment.toml": dump_toml(experiment, given=True),
         "trials.csv": _trials(experiment, rows),
         "timings.csv": _timings(rows),
     }
@@ -299,7 +299,7 @@ def columns_of(experiment: Experiment) -> list[str]:
 def _digest(experiment: Experiment, store: Store) -> str:
     """What the files are made from. Rows follow from their keys, the code and whether they are done."""
     states = store.states(each.key for each in experiment.planned)
-    parts = [source_hash(), dump_toml(experiment), json.dumps(states, sort_keys=True)]
+    parts = [source_hash(), dump_toml(experiment, given=True), json.dumps(states, sort_keys=True)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 

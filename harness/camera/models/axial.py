@@ -7,7 +7,7 @@ elevation.
 
 import math
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from scipy.optimize import brentq
 
@@ -35,6 +35,8 @@ class Domain(NamedTuple):
 
 class AxialModel(CameraModel):
     """Base of the models of lenses."""
+
+    elevations_deg: ClassVar[tuple[float, float]] = (-90.0, 90.0)
 
     @abstractmethod
     def radius(self, angle_rad: float, lens: Lens) -> float:

@@ -30,6 +30,7 @@ class Equirectangular(CameraModel):
 
     title: ClassVar[str] = "equirectangular camera"
     looks: ClassVar[Looks] = "forward"
+    elevations_deg: ClassVar[tuple[float, float]] = (-90.0, 90.0)
     unused: ClassVar[tuple[str, ...]] = ("skew_px",)
 
     kind: Literal["equirectangular"] = "equirectangular"

@@ -1,12 +1,14 @@
 """What a camera model is made of. Each is one file beside this one; `docs/adding-a-camera-model.md` says how."""
 
+import json
+import math
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
-from harness.camera.intrinsics import Camera, FieldEdge
+from harness.camera.intrinsics import Camera, FieldEdge, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.mount import Looks
-from harness.spec import Spec
+from harness.camera.mount import Looks, edge_of
+from harness.spec import LEFT_OUT, Spec, remember
 
 
 class CameraModel(Spec, ABC):
@@ -22,6 +24,8 @@ class CameraModel(Spec, ABC):
     """Where the optical axis points in the model's own frame."""
     mirrored: ClassVar[bool] = False
     """Whether the model's images are mirror images."""
+    elevations_deg: ClassVar[tuple[float, float]] = (-75.0, 20.0)
+    """Lowest and highest elevation of the field of view where they are not given."""
 
     @abstractmethod
     def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
@@ -36,6 +40,42 @@ class CameraModel(Spec, ABC):
     @abstractmethod
     def parameters(self, camera: Camera, lens: Lens) -> Any:
         """What the compiled functions are given: a named tuple of numbers, of a class of the model's own."""
+
+    def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:  # noqa: ARG002
+        """The angle off the optical axis to which a field of view reaches that is given no limit."""
+        return math.pi
+
+    def filled_in(self, field: FieldOfView, camera: Camera, lens: Lens, looks: Looks) -> FieldOfView:
+        """A field of view with what was not given: the model's own elevations and, if neither an elevation nor an angle
+        says how far it reaches from the optical axis, the angle at which the model ends.
+
+        Raises
+        ------
+        ValueError
+            When the lowest elevation is not below the highest, or that angle depends on a focal length to be fitted.
+        """
+        keys = [key for key in FieldOfView.model_fields if key not in field.model_fields_set]
+        if not keys:
+            return field
+        limits = field.model_dump() | {
+            key: value
+            for key, value in zip(("elevation_min_deg", "elevation_max_deg"), self.elevations_deg, strict=True)
+            if key in keys
+        }
+        if not limits["elevation_min_deg"] < limits["elevation_max_deg"]:
+            raise ValueError(
+                f"field: elevation_min_deg must be below elevation_max_deg; found {limits['elevation_min_deg']:g} and "
+                f"{limits['elevation_max_deg']:g}"
+            )
+        filled = FieldOfView(**limits)
+        edge = edge_of(filled, looks)
+        if "angle_max_deg" in keys and (edge.key in keys or edge.key == "angle_max_deg"):
+            if camera.is_open and type(self).largest_angle_rad is not CameraModel.largest_angle_rad:
+                raise ValueError('camera.focal_px = "fit" fits the field of view: give field.angle_max_deg')
+            largest = math.degrees(self.largest_angle_rad(camera, lens))
+            if largest < edge.angle_deg:
+                filled = FieldOfView(**limits | {"angle_max_deg": math.floor(largest * 100) / 100})
+        return remember(filled, dict.fromkeys(keys, LEFT_OUT))
 
     def goes_round(self, camera: Camera) -> bool:  # noqa: ARG002
         """Whether the image is periodic across its left and right borders, as a panorama of 360 degrees is."""
@@ -54,7 +94,8 @@ class CameraModel(Spec, ABC):
         for key in self.unused:
             value = getattr(camera, key)
             if value != Camera.model_fields[key].default:
-                raise ValueError(f"camera.{key} = {value:g} has no meaning for the {self.title}; leave it out")
+                shown = json.dumps(value) if isinstance(value, str) else f"{value:g}"
+                raise ValueError(f"camera.{key} = {shown} has no meaning for the {self.title}; leave it out")
         given = [key for key in Lens.model_fields if getattr(lens, key)]
         if given and not self.has_lens:
             raise ValueError(

@@ -22,7 +22,7 @@ from harness.io.calibrations import calibration_in
 from harness.io.calibrations.opencv import AMBIGUOUS
 from harness.io.calibrations.parsing import read_content
 from harness.io.calibrations.record import CalibratedCamera, Calibration
-from harness.spec import Spec, as_table, parse
+from harness.spec import Spec, as_given, parse
 
 _UNMOUNTED = (
     "the file does not say how the camera is mounted: it looks up and is not mirrored; a camera below a mirror has "
@@ -129,7 +129,7 @@ def sensor_of_table(table: Mapping[str, Any], file: str | Path | None = None, ke
         mirrored=mount.get("mirrored"),
         angle_max_deg=field.get("angle_max_deg"),
     )
-    found = as_table(load_sensor(Path(named.file), chosen))
+    found = as_given(load_sensor(Path(named.file), chosen))
     for name, value in over.items():
         is_part = isinstance(value, Mapping) and name != "mask"
         found[name] = found.get(name, {}) | dict(value) if is_part else value
@@ -158,14 +158,14 @@ def _with_choices(table: dict[str, Any], file: Path, chosen: Chosen) -> Sensor:
     if chosen.size is not None:
         raise InputError("is a sensor file, which says its size itself: leave it out", file=file, key="--size")
     sensor = sensor_of(table, file)
-    changed = as_table(sensor)
+    changed = as_given(sensor)
     if chosen.looks is not None or chosen.mirrored is not None:
         changed["mount"] |= _mount(chosen)
     if chosen.angle_max_deg is not None:
         changed["field"]["angle_max_deg"] = chosen.angle_max_deg
     if chosen.elevation_deg is not None:
         changed["field"] |= _elevations(*chosen.elevation_deg)
-    return parse(Sensor, changed, file=file) if changed != as_table(sensor) else sensor
+    return parse(Sensor, changed, file=file) if changed != as_given(sensor) else sensor
 
 
 def _the_camera(calibration: Calibration, chosen: Chosen) -> CalibratedCamera:
