@@ -328,7 +328,7 @@ def test_tables_sort_by_keyboard(page_file, tmp_path):
         words.locator("button").focus()
         page.keyboard.press("Enter")
         assert heading.get_attribute("aria-sort") is None
-        assert table.locator("tbody th").all_inner_texts() == ["whole pixels"] * 6 + ["sub-pixel"] * 6
+        assert table.locator("tbody th").all_inner_texts() == ["sub-pixel"] * 6 + ["whole pixels"] * 6
 
 
 @pytest.mark.browser
