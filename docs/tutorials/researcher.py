@@ -54,8 +54,8 @@ plt.show()
 # deviation of :math:`\alpha_2` is the same everywhere, errors of the range are proportional to the law, whatever
 # makes the law large: a far wall, a short baseline, or a direction near :math:`t`.
 #
-# To test that, vary all of them: baselines, the size of the box, and places that the seed draws. Small images keep it
-# quick.
+# To test that, vary all of them: baselines, the size of the box, and viewpoints that the seed draws. Small images keep
+# it quick.
 
 small = {
     "sensor.camera.width_px": 320,

@@ -56,21 +56,11 @@ def to_unified(sensor: Sensor) -> UnifiedParameters:
     """
     camera = _unified_or_hyperboloid(sensor)
     if isinstance(camera, UnifiedCamera):
-        return UnifiedParameters(
-            xi=camera.xi,
-            gamma_u_px=camera.fu,
-            gamma_v_px=camera.fv,
-            skew_px=camera.skew,
-            cx_px=camera.cu,
-            cy_px=camera.cv,
-        )
+        gamma_u, gamma_v, skew = camera.fu, camera.fv, camera.skew
+    else:
+        gamma_u, gamma_v, skew = camera.gamma_u, camera.gamma_v, camera.gamma_skew
     return UnifiedParameters(
-        xi=camera.xi,
-        gamma_u_px=camera.gamma_u,
-        gamma_v_px=camera.gamma_v,
-        skew_px=camera.gamma_skew,
-        cx_px=camera.cu,
-        cy_px=camera.cv,
+        xi=camera.xi, gamma_u_px=gamma_u, gamma_v_px=gamma_v, skew_px=skew, cx_px=camera.cu, cy_px=camera.cv
     )
 
 

@@ -74,16 +74,18 @@ def _table(title: str | None = None) -> "Table":
     from rich import box
     from rich.table import Table
 
-    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    return Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True
+    )
 
 
 def _in_two_lines(metric: "Metric") -> str:
     """A heading as narrow as its figures: the quantity above, the statistic and the unit below."""
     statistic = metric.statistic.replace("|error|", "").strip()
     above, _, below = (
-        metric.quantity.lower().rpartition(" ") if not statistic else (metric.quantity.lower(), "", statistic)
+        metric.quantity.lower().partition(" ") if not statistic else (metric.quantity.lower(), "", statistic)
     )
-    return f"{above}\n{below} {metric.unit}".replace("\u00a0", " ")
+    return f"{above}\n{f'{below} {metric.unit}'.strip()}".replace("\u00a0", " ")
 
 
 def _figure(value: float | None, metric: "Metric") -> str:

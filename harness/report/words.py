@@ -8,6 +8,7 @@ from markupsafe import Markup, escape
 
 from harness.camera.sensor import Sensor
 from harness.evaluation.metric_table import Metric
+from harness.evaluation.metrics import CORE
 from harness.matching.interface import MatcherSettings
 from harness.matching.registry import method_of
 from harness.matching.window.settings import WindowMatcher
@@ -17,16 +18,7 @@ from harness.report.sweep import Axis, Sweep
 from harness.runs.run import Result
 from harness.spec import as_table
 
-COMPARED = (
-    "density",
-    "disparity_median_abs_px",
-    "disparity_rmse_px",
-    "bad_1px",
-    "range_median_abs_m",
-    "range_mae_m",
-    "range_rmse_m",
-    "range_bias_m",
-)
+COMPARED = ("density", *CORE)
 """The metrics of the tables that compare methods, in the order of their columns."""
 
 

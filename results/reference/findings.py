@@ -53,7 +53,7 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
         """),
         _one_line(f"""
             At noise {quietest["sigma_grey"]:g} two faults cancel in that share: the prediction is larger than
-            the spread, and each pixel has a bias. With the bias taken off, {100 * unbiased:.0f} % lie within one.
+            the spread, and each pixel has a bias. With the bias removed, {100 * unbiased:.0f} % lie within one.
         """),
         _one_line(f"""
             At noise 10 the share within one is {100 * noisy["corridor"]["within_1_sigma"]:.0f} % in the
