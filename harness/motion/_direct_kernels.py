@@ -12,7 +12,7 @@ from harness.compiled import kernel
 
 GEOMETRIC = 9
 PARAMETERS = 11
-"""Of a tile: omega (3), t (3), m (3), a, b."""
+"""Parameters of a tile: omega (3), t (3), m (3), a, b."""
 
 
 @kernel(inline=True)
@@ -38,7 +38,7 @@ def _sampled(x, w, R, t, camera, coefficients):
 
 @kernel
 def try_planes(tiles, side, stride, least, seen, x, grey, R, t, camera, coefficients, planes, share, best, score):
-    """Of some planes for each tile the one whose grey levels in view 2 correlate best with view 1's.
+    """For each tile the plane, of some, whose grey levels in view 2 correlate best with view 1's.
 
     tiles : `[T, 2]`, row and column of the first pixel. stride : every so many pixels are looked at.
     planes : `[T, K, 3]`; one that is NaN is passed over. least, share : the least w, and the least share of pixels.

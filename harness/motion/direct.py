@@ -42,7 +42,7 @@ NOISY = 0.1
 _START_ITERATIONS = 3
 _ITERATIONS = 8
 _CORRELATION = 0.5
-"""Of both views on a tile, at least."""
+"""Least correlation of both views on a tile."""
 _LEAST_TILES = 10
 _FLOOR = 0.05
 """Variance, grey levels squared, that is added to every tile's: of rounding and interpolation."""
@@ -62,7 +62,7 @@ class DirectFit(OneLine):
     noise_grey: float
     """Standard deviation of a tile's residual, the median."""
     noise_share: float
-    """Of the gradients' squares, that is noise."""
+    """Share of the gradients' squares that is noise."""
     blur_px: float
     """Standard deviation of the Gaussian that both images were smoothed with first."""
 

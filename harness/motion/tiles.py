@@ -23,7 +23,7 @@ Image = NDArray[np.float32]
 SIDE_PX = 17
 """Side of a tile: as large as the windows of slanted matching."""
 LEAST_SHARE = 0.8
-"""Of a tile's pixels that both views have to see."""
+"""Share of a tile's pixels that both views have to see."""
 LEAST_W = -0.02
 """The least inverse range of a pixel, in 1/|t|: noise puts far points behind the views."""
 _LEAST_CONTRAST = 1.0
@@ -46,9 +46,9 @@ class Views:
     x: Array
     """`[height, width, 3]`, unit directions of view 1's pixels."""
     coefficients: Image
-    """Of view 2's interpolating cubic B-spline; NaN where the sensor sees nothing."""
+    """Coefficients of view 2's interpolating cubic B-spline; NaN where the sensor sees nothing."""
     camera: tuple[Any, float]
-    """Of view 2: its model's parameters, and how many columns its coefficients begin before the image."""
+    """View 2's model's parameters, and how many columns its coefficients begin before the image."""
     blur_px: float
     """Standard deviation of the Gaussian that both were smoothed with."""
 
