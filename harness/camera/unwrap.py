@@ -65,15 +65,31 @@ def unwrap(
     return Panorama(grid, values, valid)
 
 
+def can_be_sampled(sensor: Sensor, directions: Array, order: int = 3) -> NDArray[np.bool_]:
+    """Whether an image can be sampled in directions `[rows, columns, 3]` of the sensor's frame: it sees them, and all
+    pixels that an interpolation of this order takes.
+    """
+    coordinates, in_view = _coordinates(sensor, directions)
+    return in_view & _all_taps_seen(_seen(sensor), coordinates, order)
+
+
+def _coordinates(sensor: Sensor, directions: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Where directions are sampled on the mirror image, continued across its seam if it has one, (rows, columns); and
+    whether the sensor sees them.
+    """
+    pixels, in_view = project(sensor, directions)
+    coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
+    coordinates[1] += seam_px(sensor)
+    return coordinates, in_view
+
+
 @lru_cache(maxsize=8)
 def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> tuple[Array, NDArray[np.bool_]]:
     """Where each pixel of the panorama is sampled on the mirror image, continued across its seam if it has one, (rows,
     columns); and whether it can be.
     """
     R = np.frombuffer(rotation).reshape(3, 3)
-    pixels, in_view = project(sensor, cylinder(grid) @ R.T)
-    coordinates = np.ascontiguousarray(np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1))
-    coordinates[1] += seam_px(sensor)
+    coordinates, in_view = _coordinates(sensor, cylinder(grid) @ R.T)
     valid = in_view & _all_taps_seen(_seen(sensor), coordinates, order)
     coordinates.flags.writeable = False
     valid.flags.writeable = False

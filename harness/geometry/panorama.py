@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +12,11 @@ from harness.display import OneLine
 from harness.geometry.angles import Array, cylinder_point, normalise
 from harness.spec import Spec
 
-Height = Annotated[float, Field(ge=-1000, le=1000)]
-"""Height on the unit cylinder, no unit: 1000 is a twentieth of a degree from the zenith."""
+if TYPE_CHECKING:
+    Height = float
+else:
+    Height = Annotated[float, Field(ge=-1000, le=1000)] | Literal["auto"]
+    """Height on the unit cylinder, no unit: 1000 is a twentieth of a degree from the zenith."""
 
 
 class Grid(Spec):
@@ -28,14 +31,17 @@ class Grid(Spec):
     height_px: Annotated[int, Field(ge=3, le=16384)] = 200
     """Rows from z_max down to z_min."""
     z_max: Height = 0.34
-    """Upper edge of the panorama on the unit cylinder, no unit: the tangent of the elevation. The default's top
-    row, 18.6°, is the highest whose cubic taps all lie inside the default sensor's rim at 20°."""
+    """Upper edge of the panorama on the unit cylinder, no unit: the tangent of the elevation; "auto" for what both
+    sensors see. The default's top row, 18.6°, is the highest whose cubic taps all lie inside the default sensor's rim
+    at 20°."""
     z_min: Height = -1.4053
-    """Lower edge of the panorama on the unit cylinder, no unit: the tangent of the elevation."""
+    """Lower edge of the panorama on the unit cylinder, no unit: the tangent of the elevation; "auto" for what both
+    sensors see."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Grid":
-        if self.z_min >= self.z_max:
+        heights: tuple[Any, Any] = (self.z_min, self.z_max)
+        if "auto" not in heights and self.z_min >= self.z_max:
             raise ValueError("z_min must be below z_max")
         return self
 

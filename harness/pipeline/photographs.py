@@ -11,7 +11,9 @@ from PIL import Image
 from scipy import ndimage
 
 from harness.camera.sensor import Sensor, project
+from harness.camera.visible_rows import with_rows
 from harness.display import OneLine
+from harness.errors import InputError
 from harness.files import make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
@@ -118,7 +120,7 @@ def estimate(
     InputError
         When the matcher cannot be found, or what it returns is invalid.
     """
-    pair = Pair((first.grey, second.grey), sensors, motion, grid or Grid())
+    pair = Pair((first.grey, second.grey), sensors, motion, _grid(grid or Grid(), sensors, motion))
     matches = matcher.match(pair)
     a_1 = alpha_1(pair.grid, motion.t_v1)
     range_m, reason = ranges_of(matches, a_1, motion.baseline_m)
@@ -133,6 +135,13 @@ def estimate(
         sigma_m=np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan),
         reason=reason,
     )
+
+
+def _grid(grid: Grid, sensors: tuple[Sensor, Sensor], motion: Motion) -> Grid:
+    try:
+        return with_rows(grid, sensors, motion.R_v2_from_v1)
+    except ValueError as error:
+        raise InputError(str(error), key="panorama") from error
 
 
 def write_estimate(result: Estimate, folder: Path) -> None:

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from harness.camera.sensor import Sensor, in_use, pixel_directions
 from harness.camera.unwrap import unwrap
+from harness.camera.visible_rows import with_rows
 from harness.display import OneLine, grey, html_figure
+from harness.errors import InputError
 from harness.files import make_folder, write
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, directions
@@ -95,7 +97,10 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
     InputError
         When the view cannot see the scene, or the sensor sees nothing.
     """
-    grid = grid or Grid()
+    try:
+        grid = with_rows(grid or Grid(), (sensor,))
+    except ValueError as error:
+        raise InputError(str(error), key="panorama") from error
     check_sensor(sensor, grid)
     image = render(scene, sensor, pose, samples)
     rays, inside = pixel_directions(sensor)

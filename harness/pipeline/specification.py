@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
+from harness.camera.visible_rows import is_open, with_rows
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
@@ -157,6 +158,16 @@ class Trial(Spec):
     """What is stored of the trial beyond its figures."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of all that is random: placement and noise."""
+
+    @model_validator(mode="after")
+    def _with_rows(self) -> "Trial":
+        if is_open(self.panorama):
+            motion = relative_motion(self.view_1, self.view_2.pose(self.view_1))
+            try:
+                self.__dict__["panorama"] = with_rows(self.panorama, self.sensors, motion.R_v2_from_v1)
+            except ValueError as error:
+                raise ValueError(f"panorama: {error}") from error
+        return self
 
     @property
     def key(self) -> str:
