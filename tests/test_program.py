@@ -18,7 +18,7 @@ from PIL import Image
 from sweeps import begin, kill_group, omnirange, write_small
 
 from harness.camera.intrinsics import Camera
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.errors import InputError
 from harness.geometry.panorama import Grid, cylinder
 from harness.geometry.pose import Motion, Pose, relative_motion
@@ -78,7 +78,7 @@ def folder(pair: Pair, tmp_path: Path) -> Path:
 
 
 def test_the_folder_holds_both_views_and_no_truth(folder: Path) -> None:
-    view = ["omni.npy", "omni.png", "panorama.npy", "panorama.png", "pose.toml", "sensor.toml"]
+    view = ["omni.npy", "omni.png", "panorama.npy", "panorama.png", "pose.toml", "rays.npy", "sensor.toml"]
     files = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     assert files == sorted(
         ["README.txt", "limits.toml", "parameters.toml", *(f"view_{i}/{name}" for i in (1, 2) for name in view)]
@@ -98,6 +98,9 @@ def test_images_and_panoramas_are_those_of_the_pair(folder: Path, pair: Pair) ->
         rounded = np.asarray(Image.open(view / "panorama.png"), dtype=np.float64)
         assert np.abs(rounded - written)[panorama.valid].max() <= 0.5
         assert load_sensor(view / "sensor.toml") == pair.sensor
+        rays, valid = pixel_directions(pair.sensor)
+        np.testing.assert_array_equal(np.isfinite(np.load(view / "rays.npy")), np.repeat(valid[..., None], 3, axis=-1))
+        np.testing.assert_allclose(np.load(view / "rays.npy")[valid], rays[valid], atol=6e-8)  # float32 below 1
 
 
 def test_settings_are_toml(folder: Path) -> None:

@@ -8,7 +8,7 @@ import tomli_w
 from numpy.typing import NDArray
 from PIL import Image
 
-from harness.camera.sensor import Sensor, used
+from harness.camera.sensor import Sensor, pixel_directions, used
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Panorama
 from harness.geometry.pose import Motion, Pose
@@ -19,18 +19,20 @@ omni.png              mirror image, 8 bit grey; 0 outside the image circle
 omni.npy              the same before rounding, float32, 0 .. 255, [row = v, column = u]
 panorama.png          the mirror image on a cylinder around the vertical axis, 8 bit grey, [row = z, column = phi]
 panorama.npy          the same before rounding, float32; NaN where the sensor does not see all of a pixel
-sensor.toml           the mirror, camera and lens
+rays.npy              unit direction (x, y, z) that the centre of each pixel sees, in the sensor's frame, z up; float32,
+                      [row = v, column = u, 3], NaN where it sees nothing: true of any camera
+sensor.toml           the camera model and its parameters; each view's own, as the two may differ
 mask.png              white where pixels are used, black where they show the robot itself; only if the sensor has a mask
 pose.toml             where the sensor stands in the world, metres and degrees, z up, and the panorama's grid
 """
 
 CAMERA = """\
-The centre of pixel [v, u] is at the integers (u, v). A direction (x, y, z) of unit length in the sensor's frame, z up,
-is seen at
+The centre of pixel [v, u] is at the integers (u, v). A hyperboloid mirror, mounted as it is by default, sees a
+direction (x, y, z) of unit length in the sensor's frame, z up, at
     u = cx + focal x / w,   v = cy + focal aspect y / w
     w = (z + 2 e / s),   s = b^2 / (a - e z),   e = sqrt(a^2 + b^2)
-before lens distortion. A direction in the world is R (x, y, z), R = Rz(yaw) Ry(pitch) Rx(roll), which is
-R_world_from_view in pose.toml, row by row.
+before skew and lens distortion. For other cameras go by rays.npy. A direction in the world is R (x, y, z),
+R = Rz(yaw) Ry(pitch) Rx(roll), which is R_world_from_view in pose.toml, row by row.
 """
 
 PANORAMA = """\
@@ -52,12 +54,14 @@ def view_files(
         `[3, 3]`, where it is known better than to the rounding of the pose's angles.
     """
     rotation = pose.R_world_from_view if R_world_from_view is None else R_world_from_view
+    rays, valid = pixel_directions(sensor)
     placed = dump_toml(pose) + tomli_w.dumps({"R_world_from_view": rotation.tolist()})
     return {
         "omni.png": png(image),
         "omni.npy": npy(image),
         "panorama.png": png(np.where(panorama.valid, panorama.values, np.float32(0))),
         "panorama.npy": npy(np.where(panorama.valid, panorama.values, np.float32(np.nan))),
+        "rays.npy": npy(np.where(valid[..., None], rays, np.nan).astype(np.float32)),
         **sensor_files(sensor),
         "pose.toml": (placed + "\n[panorama]\n" + dump_toml(panorama.grid)).encode(),
     }
