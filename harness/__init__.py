@@ -40,6 +40,8 @@ describe_sensor, convert_sensor, load_motion
 render, estimate_range, estimate_motion
     `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images. `MotionEstimate`: how they
     stand to each other, and its `Status`.
+calibrate
+    A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 run_trial
     One trial with all that its stages made, an `Outcome`: what `harness.testing.assertions` takes.
 settings
@@ -62,6 +64,7 @@ from typing import TYPE_CHECKING, Any
 from harness.version import __version__
 
 if TYPE_CHECKING:
+    from harness.api.calibrating import CalibrationResult, calibrate
     from harness.api.loading import load_experiment, load_motion, load_scene, load_sensor
     from harness.api.motion import MotionEstimate, Status, estimate_motion
     from harness.api.ranging import RangeEstimate, estimate_range
@@ -87,6 +90,7 @@ if TYPE_CHECKING:
     from harness.simulation.scene import Scene
 
 __all__ = [
+    "CalibrationResult",
     "Camera",
     "Experiment",
     "FieldOfView",
@@ -111,6 +115,7 @@ __all__ = [
     "Trial",
     "TrialMaps",
     "__version__",
+    "calibrate",
     "convert_sensor",
     "describe_sensor",
     "estimate_motion",
@@ -130,6 +135,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "api.calibrating": ("CalibrationResult", "calibrate"),
     "api.loading": ("load_experiment", "load_motion", "load_scene", "load_sensor"),
     "api.motion": ("MotionEstimate", "Status", "estimate_motion"),
     "api.ranging": ("RangeEstimate", "estimate_range"),

@@ -9,10 +9,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from harness.calibration.adjust import adjust
-from harness.calibration.calibrate import calibrate_sensor
 from harness.calibration.corners import Board, corners_of
 from harness.calibration.parameters import Parameters, choose_keys, intrinsic_jacobian, value_of, with_values
 from harness.calibration.poses import BoardPoses, pose_jacobian, poses_from_bearings, refine_poses, turned_over
+from harness.calibration.sensor_calibration import calibrate_sensor
 from harness.calibration.uncertainty import ray_difference, ray_grid, uncertainty_of
 from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor, jacobian, parameters_of, project, unproject

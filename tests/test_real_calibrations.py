@@ -1,4 +1,4 @@
-"""Calibrations of real cameras, in the folder that OMNIRANGE_REAL names; skipped where it is not set."""
+"""Calibrations of real cameras, from a folder that is not part of the project: `OMNIRANGE_REAL`."""
 
 import os
 from pathlib import Path
@@ -6,100 +6,92 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.camera.intrinsics import Camera
+from harness.calibration.corner_files import read_corners
+from harness.calibration.corners import Board, Corners, corners_of
+from harness.calibration.corners_in_images import find_corners
+from harness.calibration.sensor_calibration import calibrate_sensor
+from harness.calibration.uncertainty import RayGrid, ray_difference
+from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
-from harness.camera.model_fitting import Target, convert
-from harness.camera.models import MODELS
-from harness.camera.optics import Optics
-from harness.errors import InputError
-from harness.io.calibrations import FORMATS, read_calibration
-from harness.io.calibrations.ocamcalib import inverse_radius
-from harness.io.calibrations.parsing import read_content
+from harness.camera.models import Unified
+from harness.camera.sensor import Sensor, unproject
 
-FOLDER = os.environ.get("OMNIRANGE_REAL")
-pytestmark = pytest.mark.skipif(FOLDER is None, reason="OMNIRANGE_REAL names no folder of real calibrations")
-REAL = Path(FOLDER or ".")
+REAL = os.environ.get("OMNIRANGE_REAL")
+pytestmark = [pytest.mark.skipif(not REAL, reason="OMNIRANGE_REAL names no folder"), pytest.mark.slow]
+FOLDER = Path(REAL or ".")
+TURNED_BOARD = Board(columns=7, rows=6, square_m=0.03)
 
 
-def optics_of(camera):
-    width, height = camera.size
-    return Optics(
-        MODELS[camera.model["kind"]].model_validate(camera.model),
-        Camera.model_validate(camera.camera | {"width_px": width, "height_px": height}),
-        Lens.model_validate(camera.lens),
+def mirror_corners() -> Corners:
+    """21 boards of 70 corners, of which two are a pixel or more off."""
+    return read_corners(FOLDER / "calib" / "omni_calib_data.xml", size=(1280, 960))
+
+
+def desk_corners() -> Corners:
+    """10 boards of 42 corners that another program has found; counted from 1."""
+    from scipy.io import loadmat
+
+    grid = loadmat(FOLDER / "vmr" / "VMRImagePts.mat")["gridInfo"][0, 0]
+    places = [(f"VMRImage{i}", grid["X"][0, i][:2].T / 1000, grid["x"][0, i].T - 1.0) for i in range(10)]
+    return corners_of(places, 1024, 768)
+
+
+def opencv_sensor(corners: Corners) -> tuple[Sensor, float]:
+    """What `cv2.omnidir.calibrate` makes of the corners, and its RMS."""
+    cv2 = pytest.importorskip("cv2")
+    points, pixels = [], []
+    for i in range(len(corners.images)):
+        own = corners.image == i
+        flat = np.concatenate([corners.points_m[own], np.zeros((own.sum(), 1))], axis=1)
+        points.append(flat.reshape(1, -1, 3))
+        pixels.append(corners.pixels[own].reshape(1, -1, 2))
+    size = (corners.width_px, corners.height_px)
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-10)
+    rms, K, xi, D, *_ = cv2.omnidir.calibrate(points, pixels, size, None, None, None, cv2.omnidir.CALIB_FIX_SKEW, stop)
+    k1, k2, p1, p2 = D.ravel().tolist()
+    camera = {"focal_px": K[0, 0], "aspect": K[1, 1] / K[0, 0], "cx_px": K[0, 2], "cy_px": K[1, 2]}
+    sensor = Sensor(
+        model=Unified(xi=float(xi.ravel()[0])),
+        camera=Camera(width_px=size[0], height_px=size[1], **camera),
+        lens=Lens(k1=k1, k2=k2, p1=p1, p2=p2),
+        field=FieldOfView(elevation_min_deg=-10, elevation_max_deg=90),
     )
+    return sensor, rms
 
 
-def ocam_text(table):
-    """OCamCalib's text of a camera in the rig's file."""
-    lines = [
-        " ".join(f"{each:g}" if i == 0 else repr(each) for i, each in enumerate(table[name]))
-        for name in ("poly", "inv_poly")
-    ]
-    lines += [" ".join(map(repr, table[name])) for name in ("center", "affine", "image_size")]
-    return "\n\n".join(f"#{i}\n\n{line}" for i, line in enumerate(lines))
+def difference_at_corners(first: Sensor, second: Sensor, corners: Corners) -> np.ndarray:
+    directions = np.ascontiguousarray(unproject(first, corners.pixels)[0])
+    none = np.zeros(0)
+    grid = RayGrid(none, none, np.zeros((0, 0), dtype=bool), directions)
+    return np.linalg.norm(ray_difference(first, second, grid), axis=-1)
 
 
-def by_inverse(content_text, rays):
-    """Pixels by the file's own inverse polynomial, of rays in our frame."""
-    words = " ".join(line for line in content_text.splitlines() if not line.startswith("#")).split()
-    values = [float(word) for word in words]
-    direct = int(values[0])
-    count = int(values[1 + direct])
-    inverse = np.array(values[2 + direct : 2 + direct + count])
-    row, column, c, d, e = values[2 + direct + count : 7 + direct + count]
-    x, y, z = rays[:, 1], rays[:, 0], -rays[:, 2]
-    across = np.hypot(x, y)
-    rho = inverse_radius(inverse, np.arctan2(z, across))
-    x, y = rho * x / across, rho * y / across
-    return np.stack([e * x + y + column, c * x + d * y + row], axis=-1)
+@pytest.mark.parametrize(("corners", "most_px"), [(mirror_corners, 0.12), (desk_corners, 0.34)])
+def test_rms_and_rays_are_those_of_opencv(corners, most_px):
+    found = calibrate_sensor(corners(), "unified")
+    assert found.rms_px < most_px
+    other, rms = opencv_sensor(found.corners)  # those that we left out move its rays by 0.4 px
+    assert found.rms_px == pytest.approx(rms, rel=1e-3)
+    assert difference_at_corners(found.sensor, other, found.corners).max() < 0.1
 
 
-@pytest.mark.parametrize(("name", "most_px"), [("ocam_fisheye", 0.05), ("ocam_omniunwarp_mirror", 0.1)])
-def test_the_files_own_inverse_polynomial_agrees(name, most_px):
-    """It was fitted by OCamCalib to hundredths of a pixel, and has the direction's other way round."""
-    path = REAL / "calib" / f"{name}.txt"
-    (camera,) = read_calibration(path).cameras
-    optics = optics_of(camera)
-    rng = np.random.default_rng(0)
-    pixels = rng.uniform(0, np.array(camera.size) - 1, (2000, 2))
-    assert np.abs(by_inverse(path.read_text(), optics.unproject(pixels)) - pixels).max() < most_px
+def test_mistaken_corners_are_the_ones_left_out():
+    found = calibrate_sensor(mirror_corners(), "unified")
+    assert len(found.left_out.image) == 2
+    assert found.rms_px < 0.09
+    assert found.halves.difference_px.max() < 0.6
 
 
-def test_the_polynomials_of_a_rig(tmp_path):
-    """Its inverse polynomials are another fit, which is 3 px off in places within the 220° of the lens: as is said."""
-    for i, table in enumerate(read_content(REAL / "itbt" / "config.yaml").data["cameras"]):
-        path = tmp_path / f"{i}.txt"
-        path.write_text(ocam_text(table))
-        (camera,) = read_calibration(path).cameras
-        assert camera.size == (1600, 1532)
-        optics = optics_of(camera)
-        v, u = np.mgrid[0:1532:20, 0:1600:20]
-        pixels = np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
-        rays = optics.unproject(pixels)
-        seen = rays[:, 2] > np.cos(np.radians(table["max_fov"] / 2))
-        apart = np.linalg.norm(by_inverse(path.read_text(), rays[seen]) - pixels[seen], axis=-1)
-        assert np.sqrt(np.mean(apart**2)) < 4
-        assert camera.notes[0].endswith("gives programs that project with it other pixels")
-        # In Kannala and Brandt's model, where its affine part is next to nothing, and back in rays.
-        found = convert(optics, pixels[seen], Target("kannala_brandt"))
-        assert found.rms_px < (0.5 if abs(camera.model["d"]) < 1e-3 else 30)
-
-
-def test_corners_for_a_calibration_are_no_calibration():
-    with pytest.raises(InputError, match=r"camera_matrix: this key is missing \(or K\); there are: imagePoints"):
-        read_calibration(REAL / "calib" / "omni_calib_data.xml")
-
-
-@pytest.mark.parametrize("kind", ["unified", "kannala_brandt", "double_sphere", "eucm"])
-def test_a_real_mirror_in_other_models(kind):
-    """The mirror's image lies between 235 and 600 px from the centre in the file's own remark."""
-    (camera,) = read_calibration(REAL / "calib" / "ocam_omniunwarp_mirror.txt").cameras
-    optics = optics_of(camera)
-    v, u = np.mgrid[0:1080:10, 0:1300:10]
-    pixels = np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
-    rho = np.linalg.norm(pixels - [optics.camera.cx_px, optics.camera.cy_px], axis=-1)
-    found = convert(optics, pixels[(rho > 235) & (rho < 535)], Target(kind))
-    assert found.rms_px < 0.4
-    written = FORMATS["opencv" if kind in ("unified", "kannala_brandt") else "kalibr"]
-    assert written.write(found.optics)
+def test_boards_are_found_in_real_mirror_images():
+    files = [FOLDER / "vmr" / f"VMRImage{i}.jpg" for i in range(10)]
+    search = find_corners(files, TURNED_BOARD)
+    assert len(search.corners.images) >= 8
+    assert search.circle.radius_px == pytest.approx(454, abs=4)
+    found = calibrate_sensor(search.corners, "unified", circle=search.circle)
+    assert found.rms_px < 0.34
+    theirs = desk_corners()
+    for i, name in enumerate(search.corners.images):
+        own = search.corners.pixels[search.corners.image == i]
+        other = theirs.pixels[theirs.image == theirs.images.index(name.removesuffix(".jpg"))]
+        nearest = np.linalg.norm(own[:, None] - other[None], axis=-1).min(axis=1)
+        assert np.median(nearest) < 0.25  # two detectors in soft images

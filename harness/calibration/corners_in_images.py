@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.calibration.calibrate import calibrate_sensor
 from harness.calibration.circle import Circle, find_circle
 from harness.calibration.corners import Board, Corners, corners_of
 from harness.calibration.detect import Grey8, find_board, rough_sensor
+from harness.calibration.sensor_calibration import calibrate_sensor
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
 from harness.files import read_regular

@@ -6,21 +6,22 @@ import numpy as np
 
 from harness.calibration.circle import Circle
 from harness.calibration.corners import Corners
-from harness.calibration.parameters import kind_of
 from harness.calibration.uncertainty import angles_off_axis
 from harness.camera.intrinsics import FieldOfView
-from harness.camera.sensor import Sensor, unproject
+from harness.camera.sensor import Sensor
 
 _BEYOND_DEG = 1.0
 """How far the field goes beyond the outermost corner where no image circle was found."""
-_MOST_BEYOND_DEG = 10.0
+_MOST_BEYOND_DEG = 3.0
 """How far towards the image circle: farther out a model is a guess."""
-_INWARD_DEG = 5.0
+_INWARD_DEG = 3.0
 """The same within the innermost corner of a mirror, in the middle of which the camera sees itself."""
 
 
 def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> FieldOfView:
     """The widest cone about the optical axis, of tenths of a degree, that the corners allow and the model can have.
+
+    For a sensor that looks up or down it is written as elevations, else as an angle off the axis.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> Fi
     widest = outermost + _BEYOND_DEG
     if circle is not None:
         widest = min(max(_circle_angle_deg(sensor, circle), outermost), outermost + _MOST_BEYOND_DEG)
-    narrowest = max(0.0, innermost - _INWARD_DEG) if kind_of(sensor.model) == "hyperboloid" else 0.0
+    narrowest = max(0.0, innermost - _INWARD_DEG) if sensor.mirrored else 0.0
     angle = math.floor(10 * widest) / 10
     while angle > narrowest + 1 and not _can_have(sensor, _cone(sensor, narrowest, angle)):
         angle -= 0.1
@@ -40,11 +41,12 @@ def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> Fi
 
 
 def _cone(sensor: Sensor, narrowest_deg: float, widest_deg: float) -> FieldOfView:
-    axis, _ = unproject(sensor, [sensor.camera.cx_px, sensor.camera.cy_px])
-    low, high = round(widest_deg, 1), math.floor(10 * narrowest_deg) / 10
-    if axis[2] < 0:  # looks down: what is far off the axis is high
-        return FieldOfView(elevation_min_deg=high - 90, elevation_max_deg=round(low - 90, 1))
-    return FieldOfView(elevation_min_deg=round(90 - low, 1), elevation_max_deg=90 - high)
+    inner, outer = math.floor(10 * narrowest_deg) / 10, round(widest_deg, 1)
+    if sensor.looks == "up":
+        return FieldOfView(elevation_min_deg=max(round(90 - outer, 1), -90), elevation_max_deg=90 - inner)
+    if sensor.looks == "down":
+        return FieldOfView(elevation_min_deg=inner - 90, elevation_max_deg=min(round(outer - 90, 1), 90))
+    return FieldOfView(elevation_min_deg=-90, elevation_max_deg=90, angle_max_deg=outer)
 
 
 def _can_have(sensor: Sensor, field: FieldOfView) -> bool:

@@ -29,6 +29,11 @@ class BoardPoses(OneLine):
         """Those of some of the boards."""
         return BoardPoses(self.R[chosen], self.t[chosen])
 
+    def in_frame(self, M: Array) -> "BoardPoses":
+        """The same boards in another frame, `p' = M p`, M orthogonal; a frame of the other hand turns boards over."""
+        hand = np.array([1.0, 1.0, np.sign(np.linalg.det(M))])
+        return BoardPoses(M @ self.R * hand, self.t @ M.T)
+
     def apply(self, corners: Corners) -> tuple[Array, Array]:
         """Corners `[m, 3]` turned into the sensor's frame, before and after they are moved there."""
         turned = np.einsum("mij,mj->mi", self.R[corners.image, :, :2], corners.points_m)

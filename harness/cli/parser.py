@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from harness import interrupts
-from harness.cli import cache, check, compare, completion, motion, render, report, run, sensor, settings
+from harness.cli import cache, calibrate, check, compare, completion, motion, render, report, run, sensor, settings
 from harness.cli import list as list_command
 from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
@@ -25,6 +25,7 @@ _COMMANDS = (
     render,
     motion,
     range_command,
+    calibrate,
     check,
     sensor,
     list_command,

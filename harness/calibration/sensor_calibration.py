@@ -1,12 +1,13 @@
 """From corners to a sensor: a start, a robust adjustment, a plain one without outliers, and how sure it is."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from harness.calibration.adjust import Adjusted, adjust
+from harness.calibration.board_coverage import Coverage, coverage_of
 from harness.calibration.circle import Circle
 from harness.calibration.corners import Corners
 from harness.calibration.covered_field import covered_field
@@ -16,7 +17,8 @@ from harness.calibration.poses import BoardPoses
 from harness.calibration.start import Start, find_start, poses_for, template_of, visible
 from harness.calibration.uncertainty import RayGrid, Uncertainty, ray_grid, ray_sigma, uncertainty_of
 from harness.camera.intrinsics import FieldOfView
-from harness.camera.sensor import Sensor
+from harness.camera.mount import Mount
+from harness.camera.sensor import Sensor, model_from_sensor
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.geometry.angles import Array
@@ -49,15 +51,16 @@ class SensorCalibration(OneLine):
     left_out: Corners | None
     """Those that were not: outliers."""
     poses: BoardPoses
-    """Poses of the boards of `corners`."""
+    """Poses of the boards of `corners`, in the sensor's frame."""
     residuals: Array
     """`[m, 2]`: predicted less measured pixels."""
     grid: RayGrid
-    """Rays over the field, `k`."""
+    """Rays over the field, `k`, in the camera model's own frame."""
     ray_sigma_px: Array
     """`[k]`: standard deviation of where they are seen, a turn of the whole sensor apart, pixels."""
     ray_sigma_fixed_px: Array
     """`[k]`: the same with the turn."""
+    coverage: Coverage
     halves: Halves | None
     """Two calibrations from half of the images each; None with fewer than four."""
     circle: Circle | None
@@ -87,6 +90,7 @@ def calibrate_sensor(
     free: Sequence[str] = (),
     fix: Mapping[str, float | None] | None = None,
     start: Sensor | None = None,
+    mount: Mount | None = None,
     field: FieldOfView | None = None,
     circle: Circle | None = None,
     tell: Tell = lambda _: None,
@@ -103,6 +107,8 @@ def calibrate_sensor(
         Keys to find beside the usual ones, and keys not to find: with their value, or None for the start's.
     start
         A sensor of that kind to start from, instead of a search.
+    mount
+        How the camera is mounted, which no board tells; as the start or the kind of model is when None.
     field
         The cone that the sensor is said to see; as far as the corners reach when None.
     tell
@@ -127,8 +133,11 @@ def calibrate_sensor(
     adjusted, used, left_out = _without_outliers(corners, Parameters(begin.sensor, keys), begin, tell)
     uncertainty = uncertainty_of(adjusted)
     found = adjusted.parameters.sensor_at(adjusted.vector)
+    found = found.model_copy(update={"mount": mount or (start.mount if start else Mount())})
     sensor = _with_field(found, field or covered_field(found, used, circle))
     grid = ray_grid(sensor)
+    # All that was adjusted is in the model's own frame.
+    grid = replace(grid, directions=np.ascontiguousarray(grid.directions @ model_from_sensor(sensor).T))
     turned, unturned = ray_sigma(adjusted, uncertainty.vector_covariance, grid)
     halves = compare_halves(adjusted, used, grid)
     return SensorCalibration(
@@ -137,11 +146,12 @@ def calibrate_sensor(
         uncertainty=uncertainty,
         corners=used,
         left_out=left_out,
-        poses=adjusted.poses,
+        poses=adjusted.poses.in_frame(model_from_sensor(sensor).T),
         residuals=adjusted.residuals,
         grid=grid,
         ray_sigma_px=turned,
         ray_sigma_fixed_px=unturned,
+        coverage=coverage_of(sensor, used, grid),
         halves=halves,
         circle=circle,
         rounds=adjusted.rounds,
@@ -160,7 +170,7 @@ def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:
             f"{corners.height_px}",
             key="start",
         )
-    return start
+    return start.model_copy(update={"mount": Mount()})
 
 
 def _without_outliers(

@@ -1,0 +1,88 @@
+"""A calibration as one table of plain numbers: what its JSON file holds."""
+
+from typing import Any
+
+import numpy as np
+
+from harness.calibration.corner_files import corner_tables
+from harness.calibration.sensor_calibration import SensorCalibration
+from harness.geometry.angles import Array
+from harness.spec import as_table
+from harness.version import __version__
+
+
+def record_of(found: SensorCalibration) -> dict[str, Any]:
+    """All that a calibration says. Lists `images` and the size are those that `read_corners` reads.
+
+    What is not a finite number is None.
+    """
+    uncertainty, corners, coverage = found.uncertainty, found.corners, found.coverage
+    ends = [*corners.starts.tolist(), len(corners.image)]
+    images = corner_tables(corners)
+    for i, (table, rms) in enumerate(zip(images, found.rms_of_images_px.tolist(), strict=True)):
+        table["residuals_px"] = found.residuals[ends[i] : ends[i + 1]].tolist()
+        table["rms_px"] = rms
+        table["R_sensor_from_board"] = found.poses.R[i].tolist()
+        table["t_sensor_m"] = found.poses.t[i].tolist()
+    table = {
+        "program": f"omnirange {__version__}",
+        "width_px": corners.width_px,
+        "height_px": corners.height_px,
+        "sensor": as_table(found.sensor),
+        "rms_px": found.rms_px,
+        "sigma_px": uncertainty.sigma_px,
+        "corners": len(corners.image),
+        "parameters": [
+            {"key": key, "value": value, "sigma": sigma}
+            for key, value, sigma in zip(
+                found.keys, uncertainty.values.tolist(), uncertainty.sigma.tolist(), strict=True
+            )
+        ],
+        "covariance": uncertainty.covariance.tolist(),
+        "correlation": uncertainty.correlation.tolist(),
+        "undetermined": list(uncertainty.undetermined),
+        "ray_sigma_px": _summary(found.ray_sigma_px),
+        "ray_sigma_with_turn_px": _summary(found.ray_sigma_fixed_px),
+        "halves": _halves(found),
+        "coverage": {
+            "share": coverage.share,
+            "innermost_deg": coverage.innermost_deg,
+            "outermost_deg": coverage.outermost_deg,
+            "widest_gap_deg": coverage.widest_gap_deg,
+        },
+        "image_circle": None if found.circle is None else vars(found.circle),
+        "notes": list(found.notes),
+        "left_out": [] if found.left_out is None else corner_tables(found.left_out),
+        "images": images,
+    }
+    return {key: _finite(value) for key, value in table.items()}
+
+
+def _halves(found: SensorCalibration) -> dict[str, Any] | None:
+    halves = found.halves
+    if halves is None:
+        return None
+    return {
+        "images": [list(each) for each in halves.images],
+        "rms_px": list(halves.rms_px),
+        "other_rms_px": list(halves.other_rms_px),
+        "difference_px": _summary(halves.difference_px),
+    }
+
+
+def _summary(values: Array) -> dict[str, float | None]:
+    """Median, the 95th percentile and the largest of what is known."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return {"median": None, "p95": None, "max": None}
+    median, high = np.percentile(known, [50, 95]).tolist()
+    return {"median": median, "p95": high, "max": float(known.max())}
+
+
+def _finite(value: Any) -> Any:
+    """The same with None for numbers that JSON has no word for."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

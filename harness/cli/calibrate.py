@@ -1,0 +1,190 @@
+"""`omnirange calibrate`: a sensor from images of a chessboard."""
+
+import argparse
+import re
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness.cli import completers
+from harness.cli.options import Commands, add_out
+
+if TYPE_CHECKING:
+    from harness.api.calibrating import CalibrationResult
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "calibrate",
+        run,
+        brief="find a sensor from images of a chessboard",
+        description="Find the sensor that took images of a chessboard: camera model, lens and image centre, with their "
+        "covariance and the standard deviation of the rays. Writes the sensor file, and beside it all numbers (JSON) "
+        "and a page (HTML).",
+        epilog="Boards do not tell whether an image is a mirror image, nor which way the camera looks: say so with "
+        "--looks and --mirrored where it is not what the model takes for granted. Example: omnirange calibrate "
+        "images/*.png --board 9x6 --square-m 0.04 --model unified --looks down --mirrored --out sensor.toml",
+    )
+    images = command.add_argument(
+        "images", nargs="*", type=Path, metavar="IMAGE", help="images with a whole board each"
+    )
+    completers.offer(images, completers.files())
+    command.add_argument(
+        "--board", type=_board, metavar="NxM", help="inner corners of the board, those where four squares meet: 9x6"
+    )
+    command.add_argument("--square-m", type=float, metavar="S", help="side of a square, metres")
+    corners = command.add_argument(
+        "--corners",
+        type=Path,
+        metavar="FILE",
+        help="corners in place of images: CSV, JSON, NPZ, OpenCV's XML or YAML",
+    )
+    completers.offer(corners, completers.files())
+    command.add_argument(
+        "--size", type=int, nargs=2, metavar=("W", "H"), help="size of the images, where the file of corners has none"
+    )
+    _add_model(command)
+    add_out(command, "sensor file (default: print it)", metavar="FILE")
+
+
+def _add_model(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--model", default="unified", metavar="KIND", help="kind of camera model (default: unified)")
+    command.add_argument(
+        "--lens",
+        type=_words,
+        metavar="TERMS",
+        help="lens terms to find, such as k1,k2,p1,p2, or none (default: these four for the unified model, none else)",
+    )
+    command.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="KEY[=VALUE]",
+        help="do not find a number, such as aspect or xi=0.98; repeatable",
+    )
+    command.add_argument(
+        "--free",
+        action="append",
+        default=[],
+        metavar="KEY",
+        help="find a number that is usually given, such as skew; repeatable",
+    )
+    command.add_argument("--start", type=Path, metavar="FILE", help="sensor TOML to start from, in place of a search")
+    command.add_argument(
+        "--looks",
+        choices=("up", "down", "forward"),
+        help="where the camera's optical axis points (default: a hyperboloid mirror's down, all others' up)",
+    )
+    command.add_argument(
+        "--mirrored",
+        action=argparse.BooleanOptionalAction,
+        help="whether its image is reversed left to right, as in a mirror (default: a hyperboloid mirror's alone)",
+    )
+    command.add_argument(
+        "--angle-max", type=float, metavar="DEG", help="how far it sees off its axis (default: as far as the boards)"
+    )
+    command.add_argument(
+        "--elevation", type=float, nargs=2, metavar=("LOW", "HIGH"), help="between which elevations it sees, degrees"
+    )
+
+
+def run(options: Namespace) -> None:
+    """Calibrate, write the files, and print what was found."""
+    import harness
+    from harness.errors import InputError
+    from harness.spec import dump_toml
+
+    board = None
+    if options.board is not None:
+        if options.square_m is None:
+            raise InputError("say how large a square is: --square-m 0.04 for 40 mm", file="--square-m")
+        board = {"columns": options.board[0], "rows": options.board[1], "square_m": options.square_m}
+    elif options.square_m is not None:  # the corners' unit, for a file that counts squares
+        board = {"columns": 2, "rows": 2, "square_m": options.square_m}
+    elif options.corners is None:
+        raise InputError("say what the board is, as 9x6 for 9 by 6 inner corners", file="--board")
+    mount = {"looks": options.looks, "mirrored": options.mirrored}
+    found = harness.calibrate(
+        options.images,
+        board=board,
+        corners=options.corners,
+        size=None if options.size is None else tuple(options.size),
+        model=options.model,
+        lens=options.lens,
+        free=options.free,
+        fix=dict(_fixed(each) for each in options.fix),
+        start=options.start,
+        mount={key: value for key, value in mount.items() if value is not None} or None,
+        field=_field(options),
+        tell=lambda line: print(line, flush=True),
+    )
+    print("\n".join(_summary(found)))
+    if options.out is None:
+        print(f"\n{dump_toml(found.sensor)}")
+    else:
+        print(", ".join(str(each) for each in found.write(options.out)))
+
+
+def _field(options: Namespace) -> dict[str, float] | None:
+    """The directions that the sensor is said to see; None where nothing is said."""
+    if options.angle_max is None and options.elevation is None:
+        return None
+    low, high = options.elevation or (-90.0, 90.0)
+    angle = 180.0 if options.angle_max is None else options.angle_max
+    return {"elevation_min_deg": low, "elevation_max_deg": high, "angle_max_deg": angle}
+
+
+def _summary(found: "CalibrationResult") -> list[str]:
+    """The numbers, what is left of the corners, how sure the rays are, and what should be known."""
+    import numpy as np
+
+    values, sigmas = found.uncertainty.values.tolist(), found.uncertainty.sigma.tolist()
+    lines = [
+        f"  {key:<20} {value:>12.6g}  ± {sigma:.2g}"
+        for key, value, sigma in zip(found.keys, values, sigmas, strict=True)
+    ]
+    worst = int(np.argmax(found.rms_of_images_px))
+    lines.append(
+        f"{found.sensor.model.title}: RMS {found.rms_px:.3f} px over {len(found.corners.image)} corners of "
+        f"{len(found.corners.images)} images; the worst is {found.corners.images[worst]} with "
+        f"{found.rms_of_images_px[worst]:.3f} px"
+    )
+    lines.append(
+        f"standard deviation of rays, a turn of the sensor apart: {np.median(found.ray_sigma_px):.2g} px (median), "
+        f"{found.ray_sigma_px.max():.2g} px (largest)"
+    )
+    if found.halves is not None:
+        known = found.halves.difference_px[np.isfinite(found.halves.difference_px)]
+        lines.append(
+            f"two halves of the images differ by {np.median(known):.2g} px (median), {known.max():.2g} px (largest)"
+        )
+    coverage = found.coverage
+    lines.append(
+        f"corners lie {coverage.innermost_deg:.0f}° to {coverage.outermost_deg:.0f}° off the axis, in "
+        f"{coverage.share:.0%} of the field"
+    )
+    mirrored = "a mirror image" if found.sensor.mirrored else "no mirror image"
+    lines.append(f"taken for granted: the camera looks {found.sensor.looks}, {mirrored} (--looks, --mirrored)")
+    return lines + [f"note: {each}" for each in found.notes]
+
+
+def _board(text: str) -> tuple[int, int]:
+    told = re.fullmatch(r"(\d{1,3})\s*[xX×,]\s*(\d{1,3})", text)
+    if not told:
+        raise argparse.ArgumentTypeError(f"must be two numbers of inner corners, as 9x6; found '{text}'")
+    return int(told[1]), int(told[2])
+
+
+def _words(text: str) -> list[str]:
+    return [] if text == "none" else [each.strip() for each in text.split(",") if each.strip()]
+
+
+def _fixed(text: str) -> tuple[str, float | None]:
+    from harness.errors import InputError
+
+    key, equals, value = text.partition("=")
+    try:
+        return key.strip(), float(value) if equals else None
+    except ValueError:
+        raise InputError(f"must be KEY or KEY=NUMBER; found '{text}'", file="--fix") from None
