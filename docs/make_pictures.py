@@ -1,19 +1,26 @@
-"""Draw the README's picture from the paper's experiment: `python docs/make_pictures.py` (needs Chromium)."""
+"""Draw the README's picture, from the paper's experiment, and that of the page on calibration.
+
+`python docs/make_pictures.py` (needs Chromium).
+"""
 
 import io
+import runpy
 import shutil
+from contextlib import chdir
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from harness.report import theme
+import harness
+from harness.report import calibration_figures, theme
 from harness.report.method_styles import methods_of
 from harness.report.sections import profiles, scene_to_panorama
 from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
-PICTURE = Path(__file__).parent / "images" / "paper.png"
+DOCS = Path(__file__).parent
 PAGE = """<body style="margin:0;background:white"><div id="all" style="width:1080px;padding:12px">
 <div style="display:flex;justify-content:space-between;align-items:center">{top}</div>{rest}</div></body>"""
 
@@ -27,7 +34,21 @@ def main() -> None:
         row = profiles.row_at(methods, profiles.main_row(methods))
         span = profiles.limits(methods, row.index)
         rest = [profiles.profile(method, row, span, letter) for method, letter in zip(methods, "ab", strict=True)]
-    page_text = PAGE.format(top="".join(map(_image, top)), rest="".join(map(_image, rest)))
+    _photograph(PAGE.format(top="".join(map(_image, top)), rest="".join(map(_image, rest))), "paper")
+
+
+def calibration() -> None:
+    """Calibrate from the boards of the how-to page, and lay out two of its page's figures."""
+    with TemporaryDirectory() as folder, chdir(folder):
+        runpy.run_path(str(DOCS / "how-to" / "files" / "board_images.py"))
+        board = {"columns": 9, "rows": 6, "square_m": 0.04}
+        found = harness.calibrate(sorted(Path("boards").glob("*.png")), board=board, model="hyperboloid")
+    with theme.style():
+        figures = [calibration_figures.coverage_map(found), calibration_figures.ray_map(found)]
+    _photograph(PAGE.format(top="".join(map(_image, figures)), rest=""), "calibration")
+
+
+def _photograph(page_text: str, name: str) -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         page = browser.new_page(device_scale_factor=1.5)
@@ -35,7 +56,9 @@ def main() -> None:
         shot = page.locator("#all").screenshot()
         browser.close()
     # Greys and a few colours: a palette halves the file.
-    Image.open(io.BytesIO(shot)).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(PICTURE, optimize=True)
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(
+        DOCS / "images" / f"{name}.png", optimize=True
+    )
 
 
 def _image(picture: theme.Picture) -> str:
@@ -44,3 +67,4 @@ def _image(picture: theme.Picture) -> str:
 
 if __name__ == "__main__":
     main()
+    calibration()
