@@ -1,4 +1,4 @@
-"""Where the scenes and experiments that come with the program lie."""
+"""Where the scenes, sensors and experiments that come with the program lie."""
 
 import difflib
 from pathlib import Path
@@ -8,13 +8,13 @@ from harness.errors import InputError
 from harness.files import path_of
 from harness.toml import read_toml
 
-Kind = Literal["scenes", "experiments"]
+Kind = Literal["scenes", "sensors", "experiments"]
 
 _PACKAGE = Path(__file__).parent
 
 
 def folder(kind: Kind) -> Path:
-    """The folder of shipped scenes or experiments: inside an installed package, beside it in a checkout."""
+    """The folder of what is shipped of a kind: inside an installed package, beside it in a checkout."""
     installed = _PACKAGE / "_shipped" / kind
     return installed if installed.is_dir() else _PACKAGE.parent / kind
 
@@ -44,6 +44,14 @@ def find(kind: Kind, name_or_path: str, *, relative_to: Path | None = None) -> P
     return path
 
 
+def or_shipped(kind: Kind, path: Path) -> Path:
+    """The shipped file that a bare name means, if there is no file of that name; else the path as it is.
+
+    For what may also be a file of another program, with any ending or none.
+    """
+    return folder(kind) / f"{path}.toml" if str(path) in names(kind) and not path.exists() else path
+
+
 def _hint(kind: Kind, name: str) -> str:
     """What may have been meant by a name or path that is not there."""
     if name in names("scenes" if kind == "experiments" else "experiments"):
@@ -56,5 +64,8 @@ def _hint(kind: Kind, name: str) -> str:
 
 
 def descriptions(kind: Kind) -> dict[str, str]:
-    """What each shipped file says of itself in a line, by its name."""
-    return {name: str(read_toml(folder(kind) / f"{name}.toml").get("description", "")) for name in names(kind)}
+    """What each shipped file says of itself in a line, by its name: its `description`, or a sensor's first comment."""
+    files = {name: folder(kind) / f"{name}.toml" for name in names(kind)}
+    if kind == "sensors":
+        return {name: file.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ") for name, file in files.items()}
+    return {name: str(read_toml(file).get("description", "")) for name, file in files.items()}

@@ -192,6 +192,29 @@ class TestRandomCameras:
             np.testing.assert_array_equal(valid, on_image(sensor, pixels))
 
 
+@pytest.mark.parametrize(("kind", "lens", "skew"), VARIANTS)
+def test_derivative_is_that_of_differences_for_random_cameras(kind, lens, skew):
+    """Central differences over 2e-5 of the length.
+
+    1e-9 comes from the rounding of pixels, and up to 1e-7 from the third derivative, which is as large as 1/s³ at the
+    distance s = 0.05 rad from a pole or the end of a domain.
+    """
+    step = 1e-5
+    for seed in range(100):
+        sensor = random_sensor(kind, seed, lens=lens, skew=skew)
+        _, directions = seen_pixels(sensor, seed, 200)
+        directions = directions[np.abs(directions[:, 2]) < 0.998] if kind == "equirectangular" else directions
+        analytic = jacobian(sensor, directions)
+        scale = np.linalg.norm(analytic, axis=(-2, -1))
+        for axis in range(3):
+            moved = np.eye(3)[axis] * step
+            difference = project(sensor, directions + moved)[0] - project(sensor, directions - moved)[0]
+            across = np.abs(difference[:, 0]) > 100  # the seam lies between
+            error = np.abs(difference / (2 * step) - analytic[..., axis]).max(axis=-1) / scale
+            assert across.mean() < 0.01
+            assert error[~across].max() < 1e-6
+
+
 class TestRefusals:
     @pytest.mark.parametrize(
         ("model", "largest", "why"),

@@ -155,7 +155,7 @@ def test_what_was_meant_is_said(arguments: list[object], expected: str, capsys: 
 def test_all_that_there_is_has_a_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
-    names = [*shipped.names("experiments"), *shipped.names("scenes"), *BUILT_IN, *MODELS]
+    names = [*shipped.names("experiments"), *shipped.names("scenes"), *shipped.names("sensors"), *BUILT_IN, *MODELS]
     for name in names:
         line = next(each for each in lines if each.split()[:1] == [name])
         assert len(line.split()) > 2, f"nothing is said of {name}"

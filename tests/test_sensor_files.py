@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import harness
+from harness import shipped
 from harness.camera.conversions import UnifiedParameters, from_unified
-from harness.camera.sensor import project, unproject
+from harness.camera.sensor import pixel_directions, project, unproject
 from harness.errors import InputError, Notice
+from harness.geometry.panorama import Grid, directions
 from harness.io.calibrations.sensors import Chosen, load_sensor, read_sensor
 from harness.runs.load import load_experiment
 from harness.spec import dump_toml
@@ -336,3 +338,35 @@ def test_a_spherical_camera_of_colmap_stands_upright(tmp_path):
     assert harness.convert_sensor(found.sensor, "toml").conversion.is_exact
     with pytest.raises(InputError, match="an equirectangular image is no camera's, and is near none"):
         harness.convert_sensor(found.sensor, "kalibr")
+
+
+class TestShipped:
+    """Sensors that are given by their names."""
+
+    @pytest.mark.parametrize("name", shipped.names("sensors"))
+    def test_are_those_of_the_experiment_cameras(self, name):
+        sensor = harness.load_sensor(name)
+        camera = sensor.camera
+        assert camera.width_px * camera.height_px == pytest.approx(640 * 480, rel=1e-3)
+        _, visible = pixel_directions(sensor)
+        assert visible.mean() > 0.5
+        # The panorama of the experiments is inside every field.
+        assert project(sensor, directions(Grid()))[1].all()
+
+    def test_mirror_is_the_default_and_the_fisheyes_rim_is_as_far_out(self):
+        assert harness.load_sensor("mirror") == harness.Sensor()
+        fisheye = harness.load_sensor("fisheye")
+        rim = np.radians(20)
+        pixel, _ = project(fisheye, [np.cos(rim), 0, np.sin(rim)])
+        assert np.hypot(*(pixel - [319.5, 239.5])) == pytest.approx(238, abs=1e-3)
+
+    def test_a_name_stays_on_an_axis_and_in_a_table(self, tmp_path):
+        path = tmp_path / "mine.toml"
+        path.write_text(
+            'name = "mine"\n[trial]\nscene = "box"\nsensor = { file = "fisheye", mask = "m.png" }\n'
+            '[axes]\n"sensor" = ["mirror", "fisheye"]\n'
+        )
+        (tmp_path / "m.png").touch()
+        planned = load_experiment(path).planned
+        assert [each.coordinates["sensor"] for each in planned] == ["mirror", "fisheye"]
+        assert [each.trial.sensor.model.kind for each in planned] == ["hyperboloid", "kannala_brandt"]

@@ -5,6 +5,7 @@ The specifications here are made up: the rules hold for every one built on `Spec
 
 import math
 import tomllib
+from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
@@ -273,6 +274,16 @@ class TestShipped:
         experiments.mkdir()
         found = shipped.find("scenes", "../scenes/room.toml", relative_to=experiments)
         assert found.resolve() == checkout / "scenes" / "room.toml"
+
+    def test_file_of_that_name_comes_before_a_shipped_sensor(self, checkout) -> None:
+        """A calibration may have any ending, or none."""
+        (checkout / "sensors").mkdir()
+        (checkout / "sensors" / "wide.toml").touch()
+        assert shipped.or_shipped("sensors", Path("wide")) == checkout / "sensors" / "wide.toml"
+        assert shipped.or_shipped("sensors", Path("wide.toml")) == Path("wide.toml")
+        assert shipped.or_shipped("sensors", Path("tele")) == Path("tele")
+        (checkout / "elsewhere" / "wide").touch()
+        assert shipped.or_shipped("sensors", Path("wide")) == Path("wide")
 
     @pytest.mark.parametrize("name", ["bxo", "bxo.toml", "./box", ""])
     def test_absent_file_lists_the_shipped_names(self, name: str) -> None:

@@ -30,6 +30,11 @@ def scenes(prefix: str, **_: Any) -> list[str]:
     return _beginning(prefix, shipped.names("scenes"))
 
 
+def sensors(prefix: str, **_: Any) -> list[str]:
+    """Shipped sensors."""
+    return _beginning(prefix, shipped.names("sensors"))
+
+
 def files(*endings: str) -> Completer:
     """Files with one of some endings, any file when there are none given, and folders, which end in a slash."""
 

@@ -16,8 +16,8 @@ def add(commands: Commands) -> None:
     commands.add(
         "list",
         run,
-        brief="list the shipped experiments and scenes, the matchers and the camera models",
-        description="Print a line about each shipped experiment, scene, matcher and camera model.",
+        brief="list the shipped experiments, scenes and sensors, the matchers and the camera models",
+        description="Print a line about each shipped experiment, scene, sensor, matcher and camera model.",
     )
 
 
@@ -30,6 +30,7 @@ def run(_options: Namespace) -> None:
     sections = (
         ("experiments", "omnirange run NAME", shipped.descriptions("experiments")),
         ("scenes", "--set scene=NAME", shipped.descriptions("scenes")),
+        ("sensors", "--set sensor=NAME", shipped.descriptions("sensors")),
         ("matchers", "--set matching.kind=NAME", matchers),
         ("camera models", "sensor.model.kind", {kind: model.title for kind, model in MODELS.items()}),
     )

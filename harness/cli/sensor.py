@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
     file = command.add_argument(
         "file", type=Path, metavar="FILE", help="a sensor or a calibration, told by its content"
     )
-    completers.offer(file, completers.files())
+    completers.offer(file, completers.sensors, completers.files())
     add_choices(command)
     command.add_argument("--to", choices=FORMATS, metavar="FORMAT", help=f"write it as one of {', '.join(FORMATS)}")
     command.add_argument(

@@ -28,7 +28,7 @@ def add_sensor(command: Parser, what: str, *, required: bool = False, second: bo
         words = "the same of view 2, if another sensor took it"
         options.append(command.add_argument("--sensor-2", type=Path, metavar="FILE", help=words))
     for each in options:
-        completers.offer(each, completers.files())
+        completers.offer(each, completers.sensors, completers.files())
     add_choices(command)
     if second:
         command.add_argument("--camera-2", type=int, metavar="N", help="which camera of --sensor-2, from 0")

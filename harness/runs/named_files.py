@@ -16,6 +16,7 @@ from harness.spec import as_table
 
 SENSORS = ("sensor", "sensor_2")
 """The keys of a trial that may name a sensor's file."""
+_SENSOR_FILES = (*SENSORS, *(f"{name}.file" for name in SENSORS))
 MASKS = tuple(f"{name}.mask" for name in SENSORS)
 """Those that may name a mask's."""
 
@@ -36,6 +37,8 @@ def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | 
     if key == "scene":
         path = _scene_file(value, folder, file, where or key)
         return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
+    if key in _SENSOR_FILES and value in shipped.names("sensors") and not (folder / value).exists():
+        return value
     if key in (*SENSORS, *MASKS) or last == "file" or last.endswith("_file"):
         return str(path_of(value, folder, file=file, key=where or key or None).resolve())
     return value

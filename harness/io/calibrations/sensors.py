@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from harness import shipped
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
 from harness.camera.models import AnyModel
@@ -69,7 +70,7 @@ class _Parts(Spec):
 
 
 def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
-    """Read a sensor from a file of any known format.
+    """Read a sensor from a file of any known format, or a shipped one by its name.
 
     Raises
     ------
@@ -77,6 +78,7 @@ def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
         Names the file, the key and what would be right.
     """
     chosen = chosen or Chosen()
+    file = shipped.or_shipped("sensors", file)
     content = read_content(file)
     if content.syntax == "toml":
         return SensorFile(_with_choices(content.data, file, chosen), None, None, ())
