@@ -29,14 +29,19 @@ def has_process_groups() -> bool:
     return hasattr(os, "killpg") and hasattr(signal, "SIGKILL")
 
 
-def kill(process: subprocess.Popen[bytes]) -> None:
+def kill(process: subprocess.Popen[bytes], group: int | None = None) -> None:
     """End a program at once, with its process group where there are such, and wait for its end.
 
     On Windows only the program itself is ended: what it has started keeps running.
+
+    Parameters
+    ----------
+    group
+        The process group; the program's own when None.
     """
     try:
         if has_process_groups():
-            os.killpg(process.pid, signal.SIGKILL)
+            os.killpg(group or process.pid, signal.SIGKILL)
         else:
             process.kill()
     except (ProcessLookupError, PermissionError):  # the second is what macOS and Windows say of one that has ended

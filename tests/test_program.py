@@ -6,6 +6,7 @@ import stat
 import sys
 import time
 import tomllib
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,10 @@ def pair() -> Pair:
     images = [draws.uniform(0, 255, (120, 160)).astype(np.float32) for _ in (1, 2)]
     motion = relative_motion(Pose(), Pose(position_m=(0.3, 0.1, 0.05), yaw_deg=20, pitch_deg=5, roll_deg=-3))
     return Pair((images[0], images[1]), (sensor, sensor), motion, Grid(width_px=60, height_px=16, z_max=0.5), threads=1)
+
+
+SLEEP = f"61.{uuid.uuid4().int % 10**12:012d}"
+"""Seconds that no other process on this machine sleeps, such as one of the same tests in another checkout."""
 
 
 def python(folder: Path, source: str) -> Program:
@@ -222,21 +227,21 @@ def test_whatever_goes_wrong_is_one_line(script: str, said: str, pair: Pair, tmp
 
 def test_the_time_limit_ends_all_that_was_started(pair: Pair, tmp_path: Path) -> None:
     """The grandchild holds on to stderr, ignores what can be ignored, and is gone all the same."""
-    script = f"(trap '' TERM INT HUP; echo here >&2; echo $$ > {tmp_path}/pid; sleep 61.25) &\nsleep 61.25\n"
+    script = f"(trap '' TERM INT HUP; echo here >&2; echo $$ > {tmp_path}/pid; sleep {SLEEP}) &\nsleep {SLEEP}\n"
     text = complaint(pair, fast(tmp_path, script, timeout_s=1.0))
     assert text == "program matcher.sh: did not finish within timeout_s = 1 s, and was killed; its last words: here"
-    assert not _sleepers("61.25")
+    assert not _sleepers()
 
 
 def test_nothing_is_left_running_behind_a_good_answer(pair: Pair, tmp_path: Path) -> None:
-    script = npy(tmp_path, np.full((16, 60), 1.5)) + "sleep 62.5 &\n"
+    script = npy(tmp_path, np.full((16, 60), 1.5)) + f"sleep {SLEEP} &\n"
     fast(tmp_path, script).match(pair)
-    assert not _sleepers("62.5")
+    assert not _sleepers()
 
 
 @pytest.mark.slow
 def test_a_program_does_not_outlive_who_started_it(tmp_path: Path) -> None:
-    (tmp_path / "matcher.sh").write_text(f"touch {tmp_path}/begun\nsleep 63.75\n")
+    (tmp_path / "matcher.sh").write_text(f"touch {tmp_path}/begun\nsleep {SLEEP}\n")
     write_small(
         tmp_path / "small.toml",
         '[trial.matching]\nkind = "program"\ncommand = ["sh", "matcher.sh", "{input}", "{output}"]\n',
@@ -247,17 +252,17 @@ def test_a_program_does_not_outlive_who_started_it(tmp_path: Path) -> None:
         time.sleep(0.02)
     kill_group(process)
     assert (tmp_path / "begun").exists()
-    assert not _sleepers("63.75")
+    assert not _sleepers()
 
 
-def _sleepers(seconds: str) -> list[psutil.Process]:
-    """Processes that sleep for this long; a killed one may take a moment to go."""
+def _sleepers() -> list[psutil.Process]:
+    """Processes that one of these tests has left asleep; a killed one may take a moment to go."""
     deadline = time.monotonic() + 5
     while True:
         found = [
             each
             for each in psutil.process_iter(["cmdline", "status"])
-            if each.info["cmdline"] == ["sleep", seconds] and each.info["status"] != psutil.STATUS_ZOMBIE
+            if each.info["cmdline"] == ["sleep", SLEEP] and each.info["status"] != psutil.STATUS_ZOMBIE
         ]
         if not found or time.monotonic() > deadline:
             return found

@@ -278,7 +278,7 @@ def _name(program: Program) -> str:
 def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
     """Run to the end or until the time is up; nothing that it has started remains in its process group."""
     log = folder / "stderr"
-    with log.open("wb") as stderr:
+    with log.open("wb") as stderr, _group_that_dies_with_us() as group:
         try:
             process = subprocess.Popen(  # noqa: S603 - to run what the user names is what it is for
                 command,
@@ -286,19 +286,18 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=stderr,
-                start_new_session=True,
+                process_group=group,
             )
         except (OSError, ValueError) as error:
             raise InputError(f"cannot be started ({getattr(error, 'strerror', None) or error})", file=name) from error
-        with _dying_with_us(process):
-            try:
-                code = process.wait(timeout_s)
-            except subprocess.TimeoutExpired:
-                raise InputError(
-                    f"did not finish within timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
-                ) from None
-            finally:
-                machine.kill(process)
+        try:
+            code = process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise InputError(
+                f"did not finish within timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
+            ) from None
+        finally:
+            machine.kill(process, group)
     if code < 0:
         raise InputError(f"was ended by {_signal(-code)}{_last_words(log)}", file=name)
     if code:
@@ -306,17 +305,24 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
 
 
 @contextlib.contextmanager
-def _dying_with_us(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Make a program end when this process is killed, and no longer watches its time."""
+def _group_that_dies_with_us() -> Iterator[int | None]:
+    """A process group that is killed when this process is, and no longer watches its time.
+
+    Its first member waits at a pipe, which ends with the process that holds the other end. It is there before the
+    program is, so that there is no moment in which a program would be left alone.
+    """
     if not machine.has_process_groups():
-        yield
+        yield None
         return
-    watch = f"read nothing; kill -s KILL -- -{process.pid}"  # a pipe ends with the process that holds its other end
-    with subprocess.Popen(  # noqa: S603 - a command of our own
-        ["/bin/sh", "-c", watch], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+    with subprocess.Popen(
+        ["/bin/sh", "-c", "read nothing; kill -s KILL 0"],  # 0 is its own group
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        process_group=0,
     ) as watcher:
         try:
-            yield
+            yield watcher.pid
         finally:
             watcher.kill()
 
