@@ -9,6 +9,7 @@ import pytest
 from pydantic import AliasChoices, Field
 
 import harness
+import harness.runs.store as store_module
 from harness.camera.lens import Lens
 from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor
@@ -203,6 +204,30 @@ def test_a_run_of_the_version_before(tmp_path: Path) -> None:
     assert opened.trials["sensor.model.b_m"].tolist() == [0.0234, 0.03]
     assert opened.outcome({"sensor.mirror.b_m": 0.03}).trial.sensor.model.b_m == 0.03
     assert opened.report().is_file()
+
+
+def test_a_run_of_other_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rows are reported as they were made, which is said, and they stay the other code's."""
+    table = {"name": "x", "trial": {"scene": "box", "sensor": {"camera": SMALL}, "panorama": PANORAMA}}
+    experiment = load_experiment(table, axes={"sensor.model.b_m": [0.0234, 0.03]})
+    monkeypatch.setattr(store_module, "code_hash", lambda: "older")
+    made = run_experiment(experiment, tmp_path, workers=1)
+    with open_run(experiment, tmp_path) as store:
+        for fact in ("experiment", "plan", "details"):
+            store.set_fact(fact, _as_before(store.fact(fact)))
+    monkeypatch.undo()
+    with pytest.warns(Notice, match="made by other code or libraries than today's"):
+        opened = harness.open_results(tmp_path)
+    assert opened.trials["sensor.model.b_m"].tolist() == [0.0234, 0.03]
+    figures = [row.finished.figures["density"] for row in made.rows]
+    assert opened.trials["density"].tolist() == figures
+    assert opened.report().is_file()
+    assert opened.environment["trials_made_by"].endswith("older")
+    with Store(tmp_path / DATABASE) as store:
+        assert store.finished(each.key for each in experiment.planned) == {}  # nothing of it became today's
+        assert store.fact("details") == _as_before(store.fact("details"))
+    run_experiment(experiment, tmp_path, workers=1)
+    assert len(harness.open_results(tmp_path).trials) == 2  # today's, without a word
 
 
 def test_noise_is_that_of_the_version_before() -> None:

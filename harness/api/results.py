@@ -1,5 +1,6 @@
 """The results of an experiment: tables of its trials, the maps of each, and the report."""
 
+import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.files import write
 from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
 from harness.pipeline.specification import Trial
@@ -17,7 +18,7 @@ from harness.runs.experiment import Experiment
 from harness.runs.recorded import recorded
 from harness.runs.run import Result, Row, columns_of, result_from, rows_of, write_report, write_summary
 from harness.runs.settings_reference import unit_of
-from harness.runs.store import DATABASE, Store
+from harness.runs.store import DATABASE, OTHER_CODE, Store
 from harness.runs.worker import run_here
 from harness.spec import as_table
 
@@ -205,6 +206,7 @@ class RunResult:
             raise InputError("the run is in memory: give a path for the report", key="file")
         page = build_report(self._result)
         with Store(self.folder / DATABASE) as store:
+            store.read_earlier(each.key for each in self.experiment.planned)
             write_summary(self._result, store, self.folder)
             write_report(self._result, page, store, self.folder)
         return self.folder / "report.html"
@@ -214,6 +216,7 @@ class RunResult:
         if self.folder is None:
             return result_from(self.experiment, self._rows, run_code=self._run_code)
         with Store(self.folder / DATABASE) as store:
+            store.read_earlier(each.key for each in self.experiment.planned)
             return result_from(self.experiment, self._rows, store, run_code=self._run_code)
 
     def _planned(self, trial: str | int | Mapping[str, Any] | None) -> Any:
@@ -258,7 +261,7 @@ def open_results(folder: str | Path, *, run_code: bool = False) -> RunResult:
     Raises
     ------
     InputError
-        When the folder holds no run, or no trial of it was made by the program as it is now.
+        When the folder holds no run, or no trial of it is finished.
 
     Examples
     --------
@@ -275,11 +278,10 @@ def open_results(folder: str | Path, *, run_code: bool = False) -> RunResult:
     with Store(database) as store:
         experiment = recorded(store, database)
         rows = rows_of(experiment, store)
+        if store.other_code:
+            warnings.warn(f"{folder}: {OTHER_CODE}", Notice, stacklevel=2)
     if not rows:
-        raise InputError(
-            "no trial was made by the program, libraries and scenes as they are now; run the experiment again",
-            file=folder,
-        )
+        raise InputError("holds no finished trial; run the experiment again", file=folder)
     return RunResult(experiment, rows, folder, run_code=run_code)
 
 

@@ -1,12 +1,13 @@
 """`omnirange report`: the tables and the report of a run, anew."""
 
+import warnings
 from argparse import Namespace
 from pathlib import Path
 
 from harness.cli import completers
 from harness.cli.options import Commands
 from harness.cli.results import say_unused_rows, write
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 
 
 def add(commands: Commands) -> None:
@@ -32,7 +33,7 @@ def run(options: Namespace) -> int:
     """Write everything that is made from the rows of a run."""
     from harness.runs.recorded import recorded
     from harness.runs.run import run_status
-    from harness.runs.store import DATABASE, Store
+    from harness.runs.store import DATABASE, OTHER_CODE, Store
 
     database = options.folder / DATABASE
     if not database.is_file():
@@ -40,6 +41,8 @@ def run(options: Namespace) -> int:
     with Store(database) as store:
         experiment = recorded(store, database)
         now = run_status(experiment, store)
+        if store.other_code:
+            warnings.warn(f"{options.folder}: {OTHER_CODE}", Notice, stacklevel=1)
         say_unused_rows(now.unused)
         if now.done < now.total:
             print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report covers those")

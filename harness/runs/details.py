@@ -89,7 +89,7 @@ def details_of(
             details = Details(trials, [key for key, _ in shown], [outcome for _, outcome in shown], missing, None)
         if shown:
             break
-    if details.left_out and stored.comparison:
+    if stored.comparison and (details.left_out or (store and store.other_code)):
         details = Details(details.trials, details.keys, details.outcomes, details.left_out, stored.comparison)
     return details
 

@@ -71,6 +71,8 @@ def record(experiment: Experiment, store: Store) -> None:
 def recorded(store: Store, file: Path) -> RecordedExperiment:
     """The experiment of a run's file. No file of a scene is read, and no matcher loaded.
 
+    If none of its trials was made by the program as it is now, the store reads those of the version that made them.
+
     Raises
     ------
     InputError
@@ -98,4 +100,5 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
         raise InputError(f"its plan cannot be read ({type(error).__name__}: {error})", file=file) from error
     if not planned:
         raise InputError("its plan has no trial", file=file)
+    store.read_earlier(each.key for each in planned)
     return experiment.with_plan(tuple(planned), scenes)

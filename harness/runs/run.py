@@ -205,7 +205,7 @@ def result_from(
         raise InputError("no trial was finished with the present version of the program, so there is nothing to report")
     details = details_of(experiment, [row.planned for row in done], store, run_code=run_code)
     comparison = details.comparison or _comparison(details.outcomes, experiment.planned)
-    if store:
+    if store and not store.other_code:
         keep(details, comparison, experiment, store)
     summary = {"schema": SCHEMA, "experiment": experiment.name} | comparison
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
@@ -216,8 +216,10 @@ def result_from(
     law = law_of(cells)
     if law is not None:
         summary["law"] = law
-    scenes = " ".join(sorted(experiment.scene_fingerprints))
-    return Result(experiment, rows, cells, details, summary, environment() | {"scene_sha256": scenes})
+    made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
+    if store and store.other_code:
+        made["trials_made_by"] = f"other code or libraries than these, {store.other_code}"
+    return Result(experiment, rows, cells, details, summary, made)
 
 
 def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:

@@ -20,6 +20,8 @@ from harness.pipeline.environment import code_hash
 DATABASE = "run.sqlite"
 """Its name in the run's folder."""
 
+OTHER_CODE = "its trials were made by other code or libraries than today's, and are shown as they were made then"
+
 _APPLICATION, _SCHEMA = 0x6F6D6E69, 2
 """SQLite's `application_id` of our files ("omni"), and the `user_version`, that of the tables below."""
 
@@ -103,7 +105,7 @@ class Store:
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False) -> None:
         self._path = path
-        self._code = code_hash()
+        self._code = self._read = code_hash()
         if path is not None and path.is_symlink():  # it could lead to another's file
             raise InputError("is a symbolic link, which is not followed; move it, or give another folder", file=path)
         if path is not None and path.exists() and not path.is_file() and not path.is_dir():
@@ -150,8 +152,23 @@ class Store:
             self._do(_ANSWERS)
         self._do("COMMIT")
 
+    @property
+    def other_code(self) -> str | None:
+        """The hash of the code whose rows are read, where it is not today's."""
+        return None if self._read == self._code else self._read
+
+    def read_earlier(self, keys: Iterable[str]) -> None:
+        """Read the rows of other code if today's has made none of these trials: of the one that has made the most.
+
+        For reports. Rows of several codes are never mixed, and what is written is always today's.
+        """
+        wanted = set(keys)
+        codes = [code for key, code in self._rows("SELECT key, code FROM trials ORDER BY rowid") if key in wanted]
+        if codes and self._code not in codes:
+            self._read = max(reversed(codes), key=codes.count)  # of two with as many, the later
+
     def finished(self, keys: Iterable[str]) -> dict[str, Finished]:
-        """The rows of these trials that the present code made, by key.
+        """The rows of these trials that the present code made, or that of `read_earlier`, by key.
 
         Raises
         ------
@@ -162,10 +179,10 @@ class Store:
         found = {}
         for key, *values, seal in self._rows(
             "SELECT key, scene, state, payload, seconds, message, traceback, seal FROM trials WHERE code = ?",
-            self._code,
+            self._read,
         ):
             if key in wanted:
-                if seal != _seal(key, self._code, *values):
+                if seal != _seal(key, self._read, *values):
                     raise self._changed(f"the row of trial {key}")
                 found[key] = Finished(key, *values)
         return found
@@ -173,16 +190,16 @@ class Store:
     def states(self, keys: Iterable[str]) -> dict[str, str]:
         """Only the states, which is quicker."""
         wanted = set(keys)
-        rows = self._rows("SELECT key, state FROM trials WHERE code = ?", self._code)
+        rows = self._rows("SELECT key, state FROM trials WHERE code = ?", self._read)
         return {key: state for key, state in rows if key in wanted}
 
     def unused_rows(self, keys: Iterable[str], scenes: Iterable[str]) -> UnusedRows:
         """How many rows are from other code, or of none of these trials."""
         wanted, known = set(keys), set(scenes)
         rows = self._rows("SELECT key, code, scene FROM trials")
-        strange = [scene for key, code, scene in rows if code == self._code and key not in wanted]
+        strange = [scene for key, code, scene in rows if code == self._read and key not in wanted]
         other_scene = sum(scene not in known for scene in strange)
-        return UnusedRows(sum(row[1] != self._code for row in rows), other_scene, len(strange) - other_scene)
+        return UnusedRows(sum(row[1] != self._read for row in rows), other_scene, len(strange) - other_scene)
 
     def add(self, rows: Iterable[Finished]) -> None:
         """Write finished trials: all of them or, if the process dies, none. One that is done stays as it is."""
@@ -208,7 +225,7 @@ class Store:
 
     def answer(self, key: str) -> bytes | None:
         """The stored result of a matcher for a trial; None if there is none."""
-        row = self._do("SELECT data FROM answers WHERE key = ? AND code = ?", key, self._code).fetchone()
+        row = self._do("SELECT data FROM answers WHERE key = ? AND code = ?", key, self._read).fetchone()
         return None if row is None else bytes(row[0])
 
     def set_answers(self, answers: Mapping[str, bytes]) -> None:
