@@ -270,8 +270,10 @@ def test_fits_that_contradict_each_other_are_told():
     direct = fit_direct(pair(), (SENSOR, SENSOR), found, pairs)
     assert sigmas_apart(found, direct) < 5
     assert len(direct.tiles) >= 100
-    assert why_weak(found, None, direct, direct_wanted=True) == []
+    assert why_weak(found, None, direct, direct.covariance, direct_wanted=True) == []
     away = moved(found.turn, np.radians([0.0, 0.0, 0.5]), np.zeros(3))
-    reasons = why_weak(Fit(away, found.covariance, found.scale_px, found.inlier), None, direct, direct_wanted=True)
+    reasons = why_weak(
+        Fit(away, found.covariance, found.scale_px, found.inlier), None, direct, direct.covariance, direct_wanted=True
+    )
     assert any("standard deviations apart" in each for each in reasons)
-    assert "do not look alike" in why_weak(found, None, None, direct_wanted=True)[-1]
+    assert "do not look alike" in why_weak(found, None, None, found.covariance, direct_wanted=True)[-1]

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
+from harness.camera.lens import Lens
 from harness.camera.sensor import project, unproject
 from harness.geometry.angles import angle_between, normalise
+from harness.motion.calibration_error import calibration_effects, moved_by
 from harness.motion.estimate import estimate_from_pairs
 from harness.motion.features import Correspondences
 from harness.motion.residuals import Turn, lies_before, rotation_distance, sampson, sampson_jacobian
@@ -18,8 +20,13 @@ from harness.motion.robust import agree
 from harness.motion.sparse import fit, fit_rotation, moved, tangents
 from harness.motion.verdict import Status
 
+OTHER = SENSOR.model_copy(update={"lens": Lens(k1=1e-9)})
 TURN = Turn(Rotation.from_euler("ZYX", [140, 3, -2], degrees=True).as_matrix(), normalise([0.8, -0.5, 0.1]))
 UPRIGHT = Turn(Rotation.from_euler("Z", 75, degrees=True).as_matrix(), normalise([0.3, 0.9, 0.0]))
+
+
+def estimated(pairs, **settings):
+    return estimate_from_pairs(pairs, (SENSOR, SENSOR), **settings)
 
 
 def turns(seed):
@@ -184,11 +191,43 @@ def test_a_pair_of_wild_parallax_does_not_turn_the_rest():
     assert np.abs(sigmas_off(found, clean.turn)).max() < 4
 
 
+@pytest.mark.parametrize("key", ["cx_px", "cy_px", "focal_px"])
+def test_a_wrong_calibration_moves_the_motion_as_predicted(key):
+    """The same pixels, read by a sensor whose centre or focal length is a little off, and fitted anew."""
+    pairs = draw(TURN, 400, noise_px=0.1)
+    found = fit(pairs, TURN)
+    effects = calibration_effects(pairs, (SENSOR, SENSOR), found, found.turn)
+    camera = SENSOR.camera
+    radius = np.vstack([each - [camera.cx_px, camera.cy_px] for each in (pairs.pixels_1, pairs.pixels_2)])
+    outermost = np.linalg.norm(radius, axis=1).max()
+    shift, column = 0.02, ["cx_px", "cy_px", "focal_px"].index(key)
+    value = getattr(camera, key) * (1 + shift / outermost) if key == "focal_px" else getattr(camera, key) + shift
+    wrong = SENSOR.model_copy(update={"camera": camera.model_copy(update={key: value})})
+    again = fit(pairs_of(pairs.pixels_1, pairs.pixels_2, wrong), TURN)
+    omega = Rotation.from_matrix(found.turn.R.T @ again.turn.R).as_rotvec()
+    moved_to = np.concatenate([omega, again.turn.t - found.turn.t])
+    # First order, in a fiftieth of a pixel, a fifth of the noise: weights of the loss move by some per cent.
+    assert np.allclose(moved_to, shift * effects[:, column], atol=0.15 * np.linalg.norm(moved_to))
+    assert moved_by(effects, 1.0)[1] >= np.linalg.norm(effects[3:, column])
+
+
+def test_the_calibration_is_counted_into_the_covariance():
+    pairs = draw(TURN, 500)
+    exact, counted = estimated(pairs), estimated(pairs, calibration_px=0.5)
+    share = 0.25 * exact.calibration_effects @ exact.calibration_effects.T
+    assert np.allclose(counted.covariance, exact.covariance + share, rtol=1e-9)
+    assert exact.status == Status.OK
+    assert counted.status == Status.WEAK
+    each_its_own = calibration_effects(pairs, (SENSOR, OTHER), exact.sparse, exact.sparse.turn)
+    assert each_its_own.shape == (6, 8)
+    assert np.allclose(each_its_own[:, :4] + each_its_own[:, 4:], exact.calibration_effects, atol=1e-6)
+
+
 # --- Verdict --------------------------------------------------------------------------------------------------------
 
 
 def test_ok():
-    found = estimate_from_pairs(draw(TURN, 500, false=0.2))
+    found = estimated(draw(TURN, 500, false=0.2))
     assert found.status == Status.OK
     assert found.reasons == ()
     rotation, direction = np.degrees(errors(Turn(found.R_v2_from_v1, found.direction_v1), TURN))
@@ -201,7 +240,7 @@ def test_ok():
     [(20, 0.0, "only 20 keypoints"), pytest.param(200, 1.0, "agree on a motion", marks=pytest.mark.slow)],
 )
 def test_failed(n, false, said):
-    found = estimate_from_pairs(draw(TURN, n, false=false))
+    found = estimated(draw(TURN, n, false=false))
     assert found.status == Status.FAILED
     assert said in found.reasons[0]
     assert found.R_v2_from_v1 is None
@@ -209,7 +248,7 @@ def test_failed(n, false, said):
 
 @pytest.mark.parametrize("baseline", [0.0, 0.002])
 def test_no_parallax(baseline):
-    found = estimate_from_pairs(draw(TURN, 300, false=0.2, baseline=baseline))
+    found = estimated(draw(TURN, 300, false=0.2, baseline=baseline))
     assert found.status == Status.NO_PARALLAX
     assert "a rotation alone leaves" in found.reasons[0]
     assert found.direction_v1 is None
@@ -217,13 +256,13 @@ def test_no_parallax(baseline):
 
 
 def test_weak_where_few_agree():
-    found = estimate_from_pairs(draw(TURN, 45, noise_px=0.05))
+    found = estimated(draw(TURN, 45, noise_px=0.05))
     assert found.status == Status.WEAK
     assert "only 45 pairs agree" in found.reasons[0]
 
 
 def test_weak_where_sigma_is_large():
-    found = estimate_from_pairs(draw(TURN, 100, near=15, far=30))
+    found = estimated(draw(TURN, 100, near=15, far=30))
     assert found.status == Status.WEAK
     assert "the sigma of the direction of t is" in " ".join(found.reasons)
 
@@ -235,6 +274,6 @@ def test_weak_where_two_motions_explain_a_small_piece_of_a_plane():
         return np.column_stack([draws.uniform(1.4, 2.6, n), draws.uniform(-0.6, 0.6, n), np.full(n, -1.0)])
 
     turn = Turn(np.eye(3), normalise([0.5, 0.3, 0.1]))
-    found = estimate_from_pairs(draw(turn, 300, noise_px=0.1, points=points))
+    found = estimated(draw(turn, 300, noise_px=0.1, points=points))
     assert found.status == Status.WEAK
     assert "two motions explain the pairs alike" in " ".join(found.reasons)

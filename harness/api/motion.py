@@ -16,6 +16,7 @@ from harness.errors import InputError
 from harness.files import write
 from harness.geometry.pose import Motion, Pose
 from harness.io.view_folder import pose_in
+from harness.motion.calibration_error import TOLD_PX, moved_by
 from harness.motion.estimate import EstimatedMotion, estimate
 from harness.motion.sparse import Freedom
 from harness.motion.verdict import Status
@@ -32,6 +33,8 @@ class MotionEstimate(EstimatedMotion):
 
     baseline_m: float | None
     """|t| in metres as it was given; None where it is not known, which two images do not tell."""
+    calibration_px: float
+    """Standard deviation of the calibration that was given, pixels."""
 
     def __repr__(self) -> str:
         words = [f"'{self.status}'"]
@@ -99,6 +102,8 @@ class MotionEstimate(EstimatedMotion):
             "R_v2_from_v1": self.R_v2_from_v1.tolist() if self.R_v2_from_v1 is not None else None,
             "direction_v1": self.direction_v1.tolist() if self.direction_v1 is not None else None,
             "baseline_m": self.baseline_m,
+            "calibration_px": self.calibration_px,
+            "calibration_effects": None if self.calibration_effects is None else self.calibration_effects.tolist(),
             "covariance": None if self.covariance is None else [[_finite(x) for x in row] for row in self.covariance],
             "pairs": len(self.pairs),
             "pairs_agreeing": int(self.sparse.inlier.sum()) if self.sparse is not None else 0,
@@ -137,8 +142,14 @@ class MotionEstimate(EstimatedMotion):
             )
         told.append(f"status     {self.status}")
         told += [f"           {reason}" for reason in self.reasons]
-        if sigmas:
-            told.append("Sigmas take the calibration for exact: a wrong one moves the motion, and does not show.")
+        if self.calibration_effects is not None:
+            rotation, direction = (math.degrees(each) for each in moved_by(self.calibration_effects))
+            exact = "take the calibration for exact"
+            counted = f"count {self.calibration_px:g} px of calibration in" if self.calibration_px else exact
+            told.append(
+                f"Sigmas {counted}. One that is {TOLD_PX:g} px off moves the rotation by {rotation:.2g}, the direction "
+                f"by {direction:.2g} degrees, and hardly shows."
+            )
         return told
 
     def write(self, path: str | Path) -> None:
@@ -179,6 +190,7 @@ def estimate_motion(
     freedom: Freedom = "free",
     baseline_m: float | None = None,
     direct: bool = True,
+    calibration_px: float = 0.0,
     bits: int | None = None,
     seed: int = 0,
 ) -> MotionEstimate:
@@ -200,6 +212,9 @@ def estimate_motion(
         Distance of the viewpoints, metres, which images do not tell; 1 stands for it when None.
     direct
         Fit the motion to the grey levels themselves after the keypoints: several times finer, for two seconds more.
+    calibration_px
+        Standard deviation of the calibration (centre along u and v, focal length, radial lens term) in pixels of the
+        image, which is counted into `covariance`; 0 takes it for exact.
     bits
         White is 2^bits - 1; see `estimate_range`.
     seed
@@ -225,14 +240,19 @@ def estimate_motion(
     """
     if freedom not in ("free", "upright", "planar"):
         raise InputError(f"must be 'free', 'upright' or 'planar'; found {freedom!r}", key="freedom")
+    if not 0 <= calibration_px < math.inf:
+        raise InputError(f"must be 0 or more pixels; found {calibration_px:g}", key="calibration_px")
     if baseline_m is not None and not 0 < baseline_m < math.inf:
         raise InputError(f"must be a length above 0, metres; found {baseline_m:g}", key="baseline_m")
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     first, second = photographs_of(left, right, sensors, bits)
-    found = estimate((first.grey, second.grey), sensors, freedom=freedom, direct=direct, seed=seed)
+    found = estimate(
+        (first.grey, second.grey), sensors, freedom=freedom, direct=direct, calibration_px=calibration_px, seed=seed
+    )
     values = {each.name: getattr(found, each.name) for each in fields(found)}
-    return MotionEstimate(**values, baseline_m=None if baseline_m is None else float(baseline_m))
+    baseline = None if baseline_m is None else float(baseline_m)
+    return MotionEstimate(**values, baseline_m=baseline, calibration_px=float(calibration_px))
 
 
 __all__ = ["MotionEstimate", "Status", "estimate_motion"]

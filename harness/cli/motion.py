@@ -41,6 +41,13 @@ def add(commands: Commands) -> None:
     command.add_argument(
         "--sparse", action="store_true", help="leave it at the keypoints: quicker, and several times coarser"
     )
+    command.add_argument(
+        "--calibration-sigma-px",
+        type=float,
+        default=0.0,
+        metavar="PX",
+        help="standard deviation of the calibration, pixels of the image, which is counted into the sigmas (0)",
+    )
     command.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random samples (0)")
     add_out(command, "write view 2's pose in view 1's frame, TOML for omnirange range --pose", metavar="FILE")
     report = command.add_argument("--json", type=Path, metavar="FILE", help="write all figures as JSON")
@@ -54,6 +61,8 @@ def run(options: Namespace) -> int:
 
     if options.baseline_length is not None and not 0 < options.baseline_length < float("inf"):
         raise InputError(f"must be above 0; found {options.baseline_length:g}", file="--baseline-length")
+    if not 0 <= options.calibration_sigma_px < float("inf"):
+        raise InputError(f"must be 0 or more; found {options.calibration_sigma_px:g}", file="--calibration-sigma-px")
     if options.seed < 0:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
     sensor = first_sensor(options)
@@ -66,6 +75,7 @@ def run(options: Namespace) -> int:
         freedom="planar" if options.planar else "upright" if options.upright else "free",
         baseline_m=options.baseline_length,
         direct=not options.sparse,
+        calibration_px=options.calibration_sigma_px,
         bits=options.bits,
         seed=options.seed,
     )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.geometry.angles import Array
+from harness.motion.calibration_error import calibration_effects
 from harness.motion.direct import DirectFit, fit_direct
 from harness.motion.features import Correspondences, find_features, is_mirrored, match_features
 from harness.motion.robust import agree
@@ -31,7 +32,10 @@ class EstimatedMotion(OneLine):
     """`[3]`, unit direction of t_v1; None where there is no parallax."""
     covariance: Array | None
     """`[6, 6]`, radians squared: of omega in `R exp([omega]×)` and of the change of the unit t, both in v1's frame;
-    singular along t. It takes the calibration for exact. None where there is no direction."""
+    singular along t. It holds the calibration's share, as far as that was given. None where there is no direction."""
+    calibration_effects: Array | None
+    """`[6, k]`, radians per pixel: how omega and t move with errors of the calibration; see
+    `harness.motion.calibration_error`. None where there is no direction."""
     pairs: Correspondences
     """Keypoints that look alike."""
     sparse: Fit | None
@@ -50,6 +54,7 @@ def estimate(
     *,
     freedom: Freedom = "free",
     direct: bool = True,
+    calibration_px: float = 0.0,
     seed: int = 0,
 ) -> EstimatedMotion:
     """Estimate the motion from view 1 to view 2 from two images.
@@ -62,6 +67,8 @@ def estimate(
         `upright`: the turn is about z; `planar`: and t is at right angles to z.
     direct
         Fit the motion to the grey levels, too.
+    calibration_px
+        Standard deviation of the calibration's numbers, pixels on the image; 0 for an exact one.
     seed
         Of the samples drawn; the same gives the same bits.
 
@@ -74,17 +81,22 @@ def estimate(
     first = find_features(images[0], sensors[0])
     second = find_features(images[1], sensors[1], flip=mirrored[0] != mirrored[1])
     pairs = match_features(first, second)
-    if not direct:
-        return estimate_from_pairs(pairs, freedom=freedom, seed=seed)
     return estimate_from_pairs(
-        pairs, freedom=freedom, seed=seed, refine=lambda found: fit_direct(images, sensors, found, pairs, freedom)
+        pairs,
+        sensors,
+        freedom=freedom,
+        calibration_px=calibration_px,
+        seed=seed,
+        refine=(lambda found: fit_direct(images, sensors, found, pairs, freedom)) if direct else None,
     )
 
 
 def estimate_from_pairs(
     pairs: Correspondences,
+    sensors: tuple[Sensor, Sensor],
     *,
     freedom: Freedom = "free",
+    calibration_px: float = 0.0,
     seed: int = 0,
     refine: Callable[[Fit], DirectFit | None] | None = None,
 ) -> EstimatedMotion:
@@ -111,18 +123,22 @@ def estimate_from_pairs(
     R_alone, rotation_px = fit_rotation(pairs.at(found.inlier), found.turn.R)
     if reason := why_no_parallax(found, rotation_px):
         return EstimatedMotion(
-            Status.NO_PARALLAX, (reason,), R_alone, None, None, pairs, found, None, rotation_px, consensus.iterations
-        )
+            Status.NO_PARALLAX, (reason,), R_alone, None, None, None, pairs, found, None, rotation_px,
+            consensus.iterations,
+        )  # fmt: skip
     direct = refine(found) if refine is not None else None
     rival = rival_of(pairs, consensus, found, freedom)
-    reasons = why_weak(found, rival, direct, direct_wanted=refine is not None)
     best = direct or found
+    effects = calibration_effects(pairs, sensors, found, best.turn, freedom)
+    covariance = best.covariance + calibration_px**2 * effects @ effects.T
+    reasons = why_weak(found, rival, direct, covariance, direct_wanted=refine is not None)
     return EstimatedMotion(
         status=Status.WEAK if reasons else Status.OK,
         reasons=tuple(reasons),
         R_v2_from_v1=best.turn.R,
         direction_v1=best.turn.t,
-        covariance=best.covariance,
+        covariance=covariance,
+        calibration_effects=effects,
         pairs=pairs,
         sparse=found,
         direct=direct,
@@ -132,4 +148,4 @@ def estimate_from_pairs(
 
 
 def _failed(pairs: Correspondences, reason: str, iterations: int) -> EstimatedMotion:
-    return EstimatedMotion(Status.FAILED, (reason,), None, None, None, pairs, None, None, np.nan, iterations)
+    return EstimatedMotion(Status.FAILED, (reason,), None, None, None, None, pairs, None, None, np.nan, iterations)

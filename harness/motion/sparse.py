@@ -113,7 +113,7 @@ def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: flo
         return start
 
     held = np.vstack([turns, steps])
-    weight = np.sqrt(_leverage_weight(sampson_jacobian(near, start)[1] @ held))
+    weight = np.sqrt(leverage_weight(sampson_jacobian(near, start)[1] @ held))
 
     def at(p: Array) -> Turn:
         return moved(start, turns @ p, steps @ p)
@@ -133,7 +133,7 @@ def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: flo
     return at(found.x)
 
 
-def _leverage_weight(J: Array) -> Array:
+def leverage_weight(J: Array) -> Array:
     """Weights `[n]` that bound what one pair says of the motion, whatever its residual.
 
     A false pair that lies near its epipolar line by chance has a parallax of any size, and t's derivative is in
@@ -152,7 +152,7 @@ def _covariance(pairs: Correspondences, turn: Turn, freedom: Freedom, scale: flo
     e, full = sampson_jacobian(pairs, turn)
     J = full @ held
     ratio = (e / (CAUCHY * scale)) ** 2
-    weight = _leverage_weight(J) if len(e) else np.zeros(0)
+    weight = leverage_weight(J) if len(e) else np.zeros(0)
     psi = weight * e / (1 + weight * ratio)
     slope = weight * (1 - weight * ratio) / (1 + weight * ratio) ** 2
     A = (slope[:, None] * J).T @ J

@@ -6,6 +6,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from harness.geometry.angles import Array
 from harness.motion.direct import DirectFit
 from harness.motion.features import Correspondences
 from harness.motion.residuals import sampson
@@ -75,7 +76,9 @@ def why_no_parallax(found: Fit, rotation_px: float) -> str | None:
     )
 
 
-def why_weak(found: Fit, rival: Fit | None, direct: DirectFit | None, *, direct_wanted: bool) -> list[str]:
+def why_weak(
+    found: Fit, rival: Fit | None, direct: DirectFit | None, covariance: Array, *, direct_wanted: bool
+) -> list[str]:
     """Reasons not to trust a motion that was found; none where it can be trusted.
 
     Parameters
@@ -86,13 +89,14 @@ def why_weak(found: Fit, rival: Fit | None, direct: DirectFit | None, *, direct_
         Another motion that explains the pairs as well.
     direct
         Fitted to grey levels; None where that failed, or was not wanted.
+    covariance
+        `[6, 6]`, of the answer, the calibration's share included.
     """
     reasons = []
     agreeing = int(found.inlier.sum())
     if agreeing < SURE_AGREEING:
         reasons.append(f"only {agreeing} pairs agree on it; below {SURE_AGREEING} the sigmas are not to be relied on")
-    best = direct or found
-    reasons += too_uncertain(best.sigma_rotation, best.sigma_direction)
+    reasons += too_uncertain(*(math.sqrt(np.trace(covariance[part, part])) for part in (slice(3), slice(3, 6))))
     if direct is not None and len(direct.tiles) < LEAST_TILES:
         reasons.append(
             f"only {len(direct.tiles)} tiles of the images look alike; {LEAST_TILES} are needed to trust them"
