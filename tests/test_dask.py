@@ -112,7 +112,7 @@ def test_interrupted_and_resumed_elsewhere(tmp_path: Path, cluster: tuple[str, l
     assert process.returncode == 130
     done = len(rows(tmp_path / "out"))
     assert 0 < done < 180
-    assert said.split("\n")[-2].startswith(f"omnirange: interrupted; {done} of 180 trials are done and kept")
+    assert said.split("\n")[-2].startswith(f"omnirange: interrupted; {done} of 180 trials are done and stored")
     assert omnirange(tmp_path, "run", "small.toml", "--out", "out", "--no-report").returncode == 0
     assert omnirange(tmp_path, "run", "small.toml", "--workers", 1, "--out", "one", "--no-report").returncode == 0
     assert (tmp_path / "out" / "trials.csv").read_bytes() == (tmp_path / "one" / "trials.csv").read_bytes()

@@ -26,7 +26,7 @@ def test_an_edited_matcher_is_another_one(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(FAR.replace("0.01", "0.02"))
     second = omnirange(tmp_path, *run)
     assert second.returncode == 0, second.stderr
-    assert "2 trials in this folder were made with other settings: they are set aside" in second.stdout
+    assert "2 trials in this folder were made with other settings: they are not used" in second.stdout
     after = (tmp_path / "out" / "trials.csv").read_text()
     assert after != before
     (tmp_path / "mine.py").write_text(FAR)

@@ -169,7 +169,7 @@ def test_nothing_left_to_do_is_quick(room: Path) -> None:
     report = (out / "report.html").stat().st_mtime_ns
     done = omnirange(room, "run", "small.toml", "--out", out)
     assert done.returncode == 0
-    assert f"all {TRIALS} trials are done and the report is made; nothing is left to do" in done.stdout
+    assert f"all {TRIALS} trials are done and the report is written; nothing to do" in done.stdout
     assert (out / "report.html").stat().st_mtime_ns == report
     (out / "report.html").unlink()
     assert omnirange(room, "run", "small.toml", "--out", out).returncode == 0
@@ -200,7 +200,7 @@ def test_a_trial_that_fails(room: Path) -> None:
     done = omnirange(room, "run", "failing.toml", "--out", out)
     assert done.returncode == 1
     assert done.stderr == (
-        f"omnirange: 1 of 3 trials failed; {out / 'failures.csv'} says why, and the same command tries them again\n"
+        f"omnirange: 1 of 3 trials failed; {out / 'failures.csv'} says why; the same command runs them again\n"
     )
     trials = table(out / "trials.csv")
     assert [trial["state"] for trial in trials] == ["done", "failed", "done"]

@@ -66,7 +66,7 @@ figure.colorbar(shown, ax=axes, label="absolute error, px", shrink=0.6)
 plt.show()
 
 # %%
-# The plane sweep gives an answer for every pixel, and pays for it: its bright patches are mismatches.
+# The plane sweep matches every pixel, and pays for it: its bright patches are mismatches.
 #
 # The sweep's steps are equal in inverse range, 64 of them; more of them, or a larger window, are one axis away:
 

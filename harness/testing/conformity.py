@@ -385,7 +385,7 @@ def _seam(subject: Subject) -> str:
             f"{SEAM_SHARE:.0%} may), most of them around phi = {worst:.0f} deg; the first and the last column of a "
             "panorama are neighbours"
         )
-    return f"the rig turned by 90 deg: {1 - share:.1%} of pixels get the same answer"
+    return f"the rig turned by 90 deg: {1 - share:.1%} of pixels get the same result"
 
 
 def _one_image_twice(subject: Subject) -> str:
