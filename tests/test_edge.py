@@ -270,7 +270,7 @@ if __name__ == "__main__":
     assert done.returncode == 0, done.stderr
     begun, said, rows = done.stdout.splitlines()
     assert said.startswith(
-        "workers: cannot be begun here: this is a daemon process, such as one of multiprocessing.Pool"
+        "workers: cannot be started here: this is a daemon process, such as one of multiprocessing.Pool"
     )
     assert (begun, rows) == ("begun", "2")
 

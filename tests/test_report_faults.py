@@ -193,7 +193,7 @@ def test_a_report_runs_no_program_unless_it_is_let(foreign, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "left out of the report: program: its matcher is not part of omnirange" in said
     html = (out / "report.html").read_text(encoding="utf-8")
-    assert "--run-code lets it be run" in Document(html).text
+    assert "--run-code allows it to run" in Document(html).text
     assert html.count("Not shown: this section needs the pixels") == 7
     assert 'id="measures"' in html
 
