@@ -222,6 +222,19 @@ def test_what_is_said_of_all_trials_needs_no_pixels(swept):
     assert {"figure-law-geometry", "figure-law-images", "figure-law-sigma", "figure-locking"} <= drawn
 
 
+@pytest.mark.slow
+def test_rows_of_version_0_2_0_are_read(swept):
+    """They say nothing of the lower edges of regions."""
+    now = sweep_of(dataclasses.replace(swept, details=[]))
+    before = [
+        {**each, "regions": [{key: region[key] for key in region if key != "low"} for region in each["regions"]]}
+        for each in now.payloads
+    ]
+    with theme.style():
+        expected = regional_errors.over_trials(now)[1]
+        assert regional_errors.over_trials(dataclasses.replace(now, payloads=before))[1].rows == expected.rows
+
+
 def test_the_numbers_to_download_do_not_grow_with_the_pixels(page, paper_page):
     small, large = downloads(page), downloads(paper_page)  # of 9,000 and of 144,000 pixels
     for name in ("panorama-blocks", "range-error-blocks", "error-distributions", "law-example-and-measured"):

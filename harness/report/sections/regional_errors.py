@@ -75,7 +75,10 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
     """Means over all trials of each method, with intervals by bootstrap over seeds."""
     regions = [(index, region) for index, payload in enumerate(sweep.payloads) for region in payload["regions"]]
     columns: dict[str, Any] = {name: [region[name] for _, region in regions] for name in ("split", "part")}
-    for name in ("low", "pixels", *_KEYS):
+    # Rows of version 0.2.0 have no `low`: their parts keep the order in which a trial names them.
+    lows = [each.get("low", at) for payload in sweep.payloads for at, each in enumerate(payload["regions"])]
+    columns["low"] = np.array(lows, dtype=np.float64)
+    for name in ("pixels", *_KEYS):
         columns[name] = np.array([region[name] for _, region in regions], dtype=np.float64)
     table = pd.DataFrame(columns | {"trial": [index for index, _ in regions]})
     table["region"], names = pd.factorize(pd.MultiIndex.from_frame(table[["split", "part"]]))
