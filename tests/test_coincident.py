@@ -255,6 +255,7 @@ def solids(tmp_path, kind, seed):
     return room(*things, rug(30, height=1.0, x=1.5), rug(40, size=(0.3, 0.3), height=1.0, x=1.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["balls", "boxes"])
 def test_pairs_and_sides_are_those_of_brute_force(tmp_path, kind):
     geometry = geometry_of(solids(tmp_path, kind, 3))

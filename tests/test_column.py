@@ -267,6 +267,7 @@ def test_vertical_translation_has_no_column_to_follow():
     assert np.isnan(whole.costs).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window_px", [3, 25, 27, 41])
 @pytest.mark.parametrize("cost", ["sad", "ssd"])
 def test_no_sum_overflows(window_px, cost):

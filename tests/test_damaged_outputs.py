@@ -153,6 +153,7 @@ def test_compare_names_the_file_that_it_cannot_read(
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", ["a digit", "cut", "settings", "facts"])
 def test_compare_refuses_a_file_that_is_not_as_it_was_written(
     made: Path, tmp_path: Path, harm: str, capsys: pytest.CaptureFixture[str]

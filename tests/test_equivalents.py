@@ -155,6 +155,7 @@ class TestNearest:
         assert np.degrees(found.angles_rad) == pytest.approx((off_axis.min(), off_axis.max()), rel=1e-9)
         assert found.pixels == len(pixels)
 
+    @pytest.mark.slow
     def test_a_file_without_skew_gets_a_camera_without(self):
         first = optics("unified", xi=0.9)
         found = convert(first, seen(first, 90), Target("unified", skew=False))

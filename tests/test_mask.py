@@ -362,6 +362,7 @@ def test_a_mask_of_one_view_leaves_the_other_as_it_is(small):
     assert not second.images[1][HIDDEN].any()
 
 
+@pytest.mark.slow
 def test_the_bound_leaves_masked_pixels_out(small):
     scoring = {"bound": True}
     free, one = run_trial(trial(scoring=scoring)), run_trial(trial(small, scoring=scoring))

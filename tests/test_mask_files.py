@@ -182,6 +182,7 @@ def ranged(folder, out, *more):
     return main([str(each) for each in ("range", folder / "left.png", folder / "right.png", *given, *more)])
 
 
+@pytest.mark.slow
 def test_masked_photographs(photographs, capsys):
     folder = photographs
     assert ranged(folder, "plain") == 0

@@ -167,6 +167,7 @@ def test_threads_change_nothing(cost):
         np.testing.assert_array_equal(results[0].reason, other.reason)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["window", "column"])
 @pytest.mark.parametrize("cost", ["sad", "ssd", "zncc", "census"])
 def test_the_curve_shown_is_the_curve_searched(kind, cost):

@@ -179,6 +179,7 @@ def _as_before(value: Any) -> Any:
     return [_as_before(each) for each in value] if isinstance(value, list) else value
 
 
+@pytest.mark.slow
 def test_a_run_of_the_version_before(tmp_path: Path) -> None:
     """Its trials keep their keys, its answers are found, and columns have the present names; nobody is told."""
     experiment = load_experiment(
@@ -206,6 +207,7 @@ def test_a_run_of_the_version_before(tmp_path: Path) -> None:
     assert opened.report().is_file()
 
 
+@pytest.mark.slow
 def test_a_run_of_other_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its rows are reported as they were made, which is said, and they stay the other code's."""
     table = {"name": "x", "trial": {"scene": "box", "sensor": {"camera": SMALL}, "panorama": PANORAMA}}

@@ -119,6 +119,7 @@ def test_few_pixels_are_traced():
         assert np.count_nonzero(faces == TRACE) < share * valid.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [SMALL, DISTORTED, TILTED], ids=["small", "distorted", "tilted"])
 def test_edges_are_marked_where_the_sensor_projects_them(sensor):
     rng = np.random.default_rng(7)

@@ -312,6 +312,7 @@ def test_panels_without_data_say_so():
 # --- In a browser -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1200, 390])
 def test_report_in_chromium(report_file, tmp_path, width):

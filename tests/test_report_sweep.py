@@ -297,6 +297,7 @@ def test_sweep_in_chromium(page_file, tmp_path, width):
             assert (background == "rgb(255, 255, 255)") == (scheme == "light")
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_a_sheet_of_paper_holds_all_rows_and_no_column_is_cut(page_file, tmp_path):
     with chromium(tmp_path / "profile") as browser:
@@ -344,6 +345,7 @@ def test_tables_sort_by_keyboard(page_file, tmp_path):
         assert table.locator("tbody th").all_inner_texts() == ["sub-pixel"] * 6 + ["whole pixels"] * 6
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_the_first_stop_of_the_keyboard_leads_to_the_results(page_file, tmp_path):
     with chromium(tmp_path / "profile") as browser:

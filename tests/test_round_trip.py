@@ -34,6 +34,7 @@ trials = specification(Trial, matching=matchers)
 some = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 
 
+@pytest.mark.slow
 @some
 @given(trials)
 def test_a_trial_survives(trial: Trial) -> None:

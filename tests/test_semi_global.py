@@ -140,6 +140,7 @@ def test_the_seam_is_no_border_for_paths(paths, columns):
         np.testing.assert_array_equal(np.roll(a, columns, axis=1), b)
 
 
+@pytest.mark.slow
 def test_a_path_runs_around_the_row_until_it_repeats_itself():
     """One pixel knows its label, on the other side of all columns that know nothing: the path has to bring it round."""
     costs = np.zeros((3, 50, 32), np.uint8)
@@ -274,6 +275,7 @@ def test_threads_change_nothing(threads, paths):
         np.testing.assert_array_equal(getattr(alone, field.name), getattr(together, field.name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [1, 30])
 def test_the_seam_is_no_border(columns):
     """Turning the world by whole columns, across the seam, turns the answer and changes nothing of it."""

@@ -186,6 +186,7 @@ def test_slope_is_the_derivative(lens):
     np.testing.assert_allclose(moved[inside], expected[inside], rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", [False, True])
 def test_a_window_is_the_least_squares_solution(far):
     """Against numpy's solver, sample by sample, on random fields with holes."""
@@ -230,6 +231,7 @@ def test_a_window_is_the_least_squares_solution(far):
     assert checked > 30
 
 
+@pytest.mark.slow
 def test_gain_and_offset_do_not_matter():
     there, (first, second) = motion(), pair()
     plain, changed = (refine((first, image), there) for image in (second, (1.3 * second - 25).astype(np.float32)))

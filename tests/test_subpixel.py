@@ -161,6 +161,7 @@ def test_images_recover_the_shift_at_any_pitch(pitch_px):
         assert np.median(np.abs(error)) < 0.01
 
 
+@pytest.mark.slow
 def test_images_recover_the_shift_along_alpha():
     """The same steps on a curve that is sampled in alpha_2."""
     k = 7.3
@@ -229,6 +230,7 @@ def test_threads_change_nothing(kind, cost, step):
     assert np.nanmax(np.abs(one.k - whole.k)) <= 1
 
 
+@pytest.mark.slow
 def test_half_samples_of_squares_are_bilinear():
     """Against windows of a panorama that is interpolated as a whole."""
     draws = np.random.default_rng(5)
