@@ -156,7 +156,7 @@ def halves_ratio(found: SensorCalibration) -> Picture:
 def correlations(found: SensorCalibration) -> Picture:
     """Correlation of the numbers that were found."""
     names = [key.rpartition(".")[2] for key in found.keys]
-    size = min(380, 60 + 32 * len(names))
+    size = min(HALF - 190, 60 + 32 * len(names))  # names to the left, bar and its labels to the right
     fig = theme.figure(HALF, size + 110)
     ax = theme.axes(fig, 100, 10, size, size)
     drawn = ax.imshow(found.uncertainty.correlation, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
