@@ -13,9 +13,11 @@ HERE = Path(__file__).parent
 
 def findings(folder: Path = HERE) -> list[str]:
     """All sentences, in the order of the README."""
-    files = {name: json.loads((folder / f"{name}.json").read_text()) for name in ("matchers", "law", "law_best")}
+    names = ("matchers", "cameras", "law", "law_best")
+    files = {name: json.loads((folder / f"{name}.json").read_text()) for name in names}
     return [
         *_matchers(files["matchers"]),
+        *_cameras(files["cameras"]["cameras"]),
         *_column_windows(files["law"]["law"]),
         *_slanted_windows(files["law_best"]["law"]),
     ]
@@ -60,6 +62,41 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
             corridor and {100 * noisy["room"]["within_1_sigma"]:.0f} % in the room.
         """),
     ]
+
+
+def _cameras(cameras: list[dict[str, Any]]) -> list[str]:
+    found = {(each["scene"], each["matcher"], each["surface"], each["sensor"]): each for each in cameras}
+
+    def ratios(surface: str, sensor: str) -> str:
+        box, room = (found[scene, "slanted", surface, sensor] for scene in ("box", "room"))
+        return f"{_ratio(box)} in the box and {_ratio(room)} in the room"
+
+    mirrors = [found[scene, "slanted", "all", "mirror"] for scene in ("box", "room")]
+    columns = [each for each in cameras if each["matcher"] == "column"]
+    off = max(abs(each["ratio_to_mirror"] - 1) for each in columns)
+    densities = [
+        abs(each["density"] - found[each["scene"], each["matcher"], "all", "mirror"]["density"]) for each in cameras
+    ]
+    return [
+        _one_line(f"""
+            With slanted windows the fisheye's median range error is {ratios("all", "fisheye")} times that of the
+            mirror ({" and ".join(f"{1000 * each['range_median_abs_m']:.2f}" for each in mirrors)} mm), the
+            equirectangular camera's {ratios("all", "equirectangular")}.
+        """),
+        _one_line(f"""
+            On walls these are {ratios("wall", "fisheye")}, and {ratios("wall", "equirectangular")}.
+        """),
+        _one_line(f"""
+            With column-following windows on the panorama the camera matters little: no ratio, on walls or floors,
+            is further than {100 * off:.1f} % from 1. Densities differ from the mirror's by at most
+            {100 * max(densities):.1f} points.
+        """),
+    ]
+
+
+def _ratio(entry: dict[str, Any]) -> str:
+    low, high = entry["ratio_to_mirror_ci95"]
+    return f"{entry['ratio_to_mirror']:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _column_windows(law: dict[str, Any]) -> list[str]:

@@ -2,7 +2,8 @@
 
 `paper.json` holds the paper's experiment in each of the shipped scenes, `law.json` the test of the sensitivity law over
 all trials of `experiments/law.toml`, `law_best.json` the same with the best matcher, `matchers.json` the ladder of
-matchers on all scenes and how near they come to the bound (some minutes each), and all of them what made the numbers.
+matchers on all scenes and how near they come to the bound, `cameras.json` what three cameras make of the range (some
+minutes each), and all of them what made the numbers.
 Tests compare with them (see `tests/test_reference.py`); a change of these numbers belongs into the same commit as the
 change that caused it.
 """
@@ -13,6 +14,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
+from harness.evaluation.statistics import mean_over_seeds
 from harness.pipeline.environment import environment
 from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
@@ -47,9 +51,52 @@ def matchers() -> dict[str, Any]:
     return {"ladder": ladder, "limit": limit}
 
 
+def cameras(folder: Path | None = None) -> dict[str, Any]:
+    """Range errors of every camera, and as ratios to the mirror's at the same seed; 95 % intervals over seeds.
+
+    Parameters
+    ----------
+    folder
+        Of a run to go on with; a temporary one when None.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        result = run_experiment(load_experiment("cameras"), folder or Path(temporary))
+    table = pd.DataFrame([row.coordinates | row.payload["figures"] for row in result.rows])
+    table["scene"] = [Path(each).stem for each in table["scene"]]
+    found = []
+    for (scene, matcher), part in table.groupby(["scene", "matching.kind"], sort=False):
+        density = part.groupby("sensor")["density"].mean()
+        for surface, prefix in (("all", ""), ("wall", "wall_"), ("floor", "floor_")):
+            errors = part.pivot_table(f"{prefix}range_median_abs_m", index="seed", columns="sensor")
+            ratios = errors.div(errors["mirror"], axis=0)
+            absolute, relative = (mean_over_seeds(each, logarithmic=True) for each in (errors, ratios))
+            found += [
+                {
+                    "scene": scene,
+                    "matcher": matcher,
+                    "surface": surface,
+                    "sensor": sensor,
+                    "seeds": len(errors),
+                    "range_median_abs_m": float(absolute.mean[i]),
+                    "range_median_abs_m_ci95": [float(absolute.low[i]), float(absolute.high[i])],
+                    "ratio_to_mirror": float(relative.mean[i]),
+                    "ratio_to_mirror_ci95": [float(relative.low[i]), float(relative.high[i])],
+                    "density": float(density[sensor]),
+                }
+                for i, sensor in enumerate(absolute.x)
+            ]
+    return {"cameras": found}
+
+
 def main() -> None:
     """Run the experiments named on the command line, or all, and write their files."""
-    known = {"paper": paper, "law": law, "law_best": lambda: law("law_best"), "matchers": matchers}
+    known = {
+        "paper": paper,
+        "law": law,
+        "law_best": lambda: law("law_best"),
+        "matchers": matchers,
+        "cameras": cameras,
+    }
     for name in sys.argv[1:] or known:
         numbers = known[name]()
         made_by = environment()
