@@ -18,7 +18,7 @@ else:
 
 
 class Camera(Spec):
-    """The perspective camera behind the mirror: 640x480 as in the paper, +20° of elevation 238 px from the centre."""
+    """The image and the camera matrix. The default is 640x480 as in the paper, +20° of elevation 238 px from the centre."""
 
     width_px: Pixels = 640
     """Width of the image, pixels."""
@@ -40,6 +40,17 @@ class Camera(Spec):
         """Whether the focal length is still to be fitted to a field of view."""
         focal_px: Any = self.focal_px
         return isinstance(focal_px, str)
+
+    @property
+    def matrix(self) -> dict[str, float]:
+        """The camera matrix, as the compiled models name its entries; pixels."""
+        return {
+            "fu": self.focal_px,
+            "fv": self.focal_px * self.aspect,
+            "skew": self.skew_px,
+            "cu": self.cx_px,
+            "cv": self.cy_px,
+        }
 
     @model_validator(mode="after")
     def _looks_at_its_mirror(self) -> "Camera":

@@ -21,6 +21,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from harness.camera._pixel_kernels import from_pixel, moved_pixel, to_pixel
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
@@ -68,11 +69,7 @@ class DoubleSphere(AxialModel):
     def parameters(self, camera: Camera, lens: Lens) -> "DoubleSphereCamera":  # noqa: ARG002
         """What the compiled functions are given."""
         return DoubleSphereCamera(
-            fu=camera.focal_px,
-            fv=camera.focal_px * camera.aspect,
-            skew=camera.skew_px,
-            cu=camera.cx_px,
-            cv=camera.cy_px,
+            **camera.matrix,
             xi=self.xi,
             alpha=self.alpha,
             lowest=self._lowest,
@@ -100,7 +97,8 @@ def _project(x, y, z, camera):
     z_2 = camera.xi * d + z
     ahead = alpha * math.sqrt(x * x + y * y + z_2 * z_2) + (1.0 - alpha) * z_2
     m, n = x / ahead, y / ahead
-    return camera.fu * m + camera.skew * n + camera.cu, camera.fv * n + camera.cv, z > camera.lowest * d
+    u, v = to_pixel(m, n, camera)
+    return u, v, z > camera.lowest * d
 
 
 @kernel
@@ -114,21 +112,14 @@ def _move(x, y, z, dx, dy, dz, camera):
     ahead_d = alpha * (across_d + z_2 * z_2_d) / d_2 + (1.0 - alpha) * z_2_d
     m, n = x / ahead, y / ahead
     m_d, n_d = (dx - m * ahead_d) / ahead, (dy - n * ahead_d) / ahead
-    return (
-        camera.fu * m + camera.skew * n + camera.cu,
-        camera.fv * n + camera.cv,
-        camera.fu * m_d + camera.skew * n_d,
-        camera.fv * n_d,
-    )
+    return moved_pixel(m, n, m_d, n_d, camera)
 
 
 @kernel
 def _rays(u, v, camera, x_out, y_out, z_out):
-    fu, fv, skew, cu, cv = camera.fu, camera.fv, camera.skew, camera.cu, camera.cv
     xi, alpha = camera.xi, camera.alpha
     for i in range(u.size):
-        n = (v[i] - cv) / fv
-        m = (u[i] - cu - skew * n) / fu
+        m, n = from_pixel(u[i], v[i], camera)
         r2 = m * m + n * n
         # Either root is not a number where no direction is seen; for xi >= 1 all that is seen lies ahead.
         z_2 = (1.0 - alpha * alpha * r2) / (alpha * math.sqrt(1.0 - (2.0 * alpha - 1.0) * r2) + 1.0 - alpha)

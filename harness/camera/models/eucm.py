@@ -19,6 +19,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from harness.camera._pixel_kernels import from_pixel, moved_pixel, to_pixel
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
@@ -54,11 +55,7 @@ class ExtendedUnified(AxialModel):
     def parameters(self, camera: Camera, lens: Lens) -> "ExtendedUnifiedCamera":  # noqa: ARG002
         """What the compiled functions are given."""
         return ExtendedUnifiedCamera(
-            fu=camera.focal_px,
-            fv=camera.focal_px * camera.aspect,
-            skew=camera.skew_px,
-            cu=camera.cx_px,
-            cv=camera.cy_px,
+            **camera.matrix,
             alpha=self.alpha,
             beta=self.beta,
             lowest=lowest_of(self.alpha),
@@ -90,7 +87,8 @@ def _project(x, y, z, camera):
     d = math.sqrt(camera.beta * (x * x + y * y) + z * z)
     ahead = alpha * d + (1.0 - alpha) * z
     m, n = x / ahead, y / ahead
-    return camera.fu * m + camera.skew * n + camera.cu, camera.fv * n + camera.cv, z > camera.lowest * d
+    u, v = to_pixel(m, n, camera)
+    return u, v, z > camera.lowest * d
 
 
 @kernel
@@ -101,21 +99,14 @@ def _move(x, y, z, dx, dy, dz, camera):
     ahead_d = alpha * (beta * (x * dx + y * dy) + z * dz) / d + (1.0 - alpha) * dz
     m, n = x / ahead, y / ahead
     m_d, n_d = (dx - m * ahead_d) / ahead, (dy - n * ahead_d) / ahead
-    return (
-        camera.fu * m + camera.skew * n + camera.cu,
-        camera.fv * n + camera.cv,
-        camera.fu * m_d + camera.skew * n_d,
-        camera.fv * n_d,
-    )
+    return moved_pixel(m, n, m_d, n_d, camera)
 
 
 @kernel
 def _rays(u, v, camera, x_out, y_out, z_out):
-    fu, fv, skew, cu, cv = camera.fu, camera.fv, camera.skew, camera.cu, camera.cv
     alpha, beta = camera.alpha, camera.beta
     for i in range(u.size):
-        n = (v[i] - cv) / fv
-        m = (u[i] - cu - skew * n) / fu
+        m, n = from_pixel(u[i], v[i], camera)
         r2 = beta * (m * m + n * n)
         root = math.sqrt(1.0 - (2.0 * alpha - 1.0) * r2)  # not a number where no direction is seen
         x_out[i] = m

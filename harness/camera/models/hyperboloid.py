@@ -93,11 +93,7 @@ class Mirror(CameraModel):
         # The unified model's normalised plane is larger by s: x' = x (1 + k1 r²) reads m' = m (1 + (k1/s²) |m|²).
         s = camera.focal_px / gamma_u
         return HyperboloidCamera(
-            fu=camera.focal_px,
-            fv=camera.focal_px * camera.aspect,
-            skew=camera.skew_px,
-            cu=camera.cx_px,
-            cv=camera.cy_px,
+            **camera.matrix,
             a=self.a_m,
             b=self.b_m,
             e=self.e_m,

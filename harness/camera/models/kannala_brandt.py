@@ -17,6 +17,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from harness.camera._pixel_kernels import from_pixel, moved_pixel, to_pixel
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
@@ -63,11 +64,7 @@ class KannalaBrandt(AxialModel):
     def parameters(self, camera: Camera, lens: Lens) -> "KannalaBrandtCamera":
         """What the compiled functions are given."""
         return KannalaBrandtCamera(
-            fu=camera.focal_px,
-            fv=camera.focal_px * camera.aspect,
-            skew=camera.skew_px,
-            cu=camera.cx_px,
-            cv=camera.cy_px,
+            **camera.matrix,
             k1=self.k1,
             k2=self.k2,
             k3=self.k3,
@@ -114,7 +111,8 @@ def _project(x, y, z, camera):
     scale = r / rho if rho > 0.0 else 1.0 / z
     m, n = scale * x, scale * y
     inside = theta <= camera.last and (rho > 0.0 or z > 0.0)
-    return camera.fu * m + camera.skew * n + camera.cu, camera.fv * n + camera.cv, inside
+    u, v = to_pixel(m, n, camera)
+    return u, v, inside
 
 
 @kernel
@@ -129,12 +127,7 @@ def _move(x, y, z, dx, dy, dz, camera):
         scale, scale_d = 1.0 / z, 0.0
     m, n = scale * x, scale * y
     m_d, n_d = scale * dx + scale_d * x, scale * dy + scale_d * y
-    return (
-        camera.fu * m + camera.skew * n + camera.cu,
-        camera.fv * n + camera.cv,
-        camera.fu * m_d + camera.skew * n_d,
-        camera.fv * n_d,
-    )
+    return moved_pixel(m, n, m_d, n_d, camera)
 
 
 @kernel
@@ -164,10 +157,8 @@ def _angle(r, camera):
 
 @kernel
 def _rays(u, v, camera, x_out, y_out, z_out):
-    fu, fv, skew, cu, cv = camera.fu, camera.fv, camera.skew, camera.cu, camera.cv
     for i in range(u.size):
-        n = (v[i] - cv) / fv
-        m = (u[i] - cu - skew * n) / fu
+        m, n = from_pixel(u[i], v[i], camera)
         r = math.sqrt(m * m + n * n)
         theta = _angle(r, camera)
         scale = math.sin(theta) / r if r > 0.0 else 1.0

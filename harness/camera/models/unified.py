@@ -24,6 +24,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from harness.camera._lens_kernels import bend, move_bent, unbend
+from harness.camera._pixel_kernels import from_pixel, moved_pixel, to_pixel
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens, fold_radius, least_bent_radius
@@ -62,11 +63,7 @@ class Unified(AxialModel):
     def parameters(self, camera: Camera, lens: Lens) -> "UnifiedCamera":
         """What the compiled functions are given."""
         return UnifiedCamera(
-            fu=camera.focal_px,
-            fv=camera.focal_px * camera.aspect,
-            skew=camera.skew_px,
-            cu=camera.cx_px,
-            cv=camera.cy_px,
+            **camera.matrix,
             xi=self.xi,
             lowest=_lowest(self.xi),
             k1=lens.k1,
@@ -110,7 +107,8 @@ def _project(x, y, z, camera):
     m, n = x / ahead, y / ahead
     inside = z > camera.lowest * norm and math.sqrt(m * m + n * n) <= camera.fold
     m, n = bend(m, n, camera.k1, camera.k2, camera.p1, camera.p2, camera.k3)
-    return camera.fu * m + camera.skew * n + camera.cu, camera.fv * n + camera.cv, inside
+    u, v = to_pixel(m, n, camera)
+    return u, v, inside
 
 
 @kernel
@@ -122,22 +120,16 @@ def _move(x, y, z, dx, dy, dz, camera):
     m, n = x / ahead, y / ahead
     m_d, n_d = (dx - m * ahead_d) / ahead, (dy - n * ahead_d) / ahead
     m, n, m_d, n_d = move_bent(m, n, m_d, n_d, camera.k1, camera.k2, camera.p1, camera.p2, camera.k3)
-    return (
-        camera.fu * m + camera.skew * n + camera.cu,
-        camera.fv * n + camera.cv,
-        camera.fu * m_d + camera.skew * n_d,
-        camera.fv * n_d,
-    )
+    return moved_pixel(m, n, m_d, n_d, camera)
 
 
 @kernel
 def _rays(u, v, camera, x_out, y_out, z_out):
-    fu, fv, skew, cu, cv, xi = camera.fu, camera.fv, camera.skew, camera.cu, camera.cv, camera.xi
+    xi = camera.xi
     k1, k2, p1, p2, k3, fold = camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, camera.fold
     has_lens = k1 != 0.0 or k2 != 0.0 or k3 != 0.0 or p1 != 0.0 or p2 != 0.0
     for i in range(u.size):
-        n = (v[i] - cv) / fv
-        m = (u[i] - cu - skew * n) / fu
+        m, n = from_pixel(u[i], v[i], camera)
         if has_lens:
             m, n = unbend(m, n, k1, k2, p1, p2, k3, fold)
         r2 = m * m + n * n
