@@ -18,7 +18,7 @@ else:
 
 
 class Camera(Spec):
-    """The image and the camera matrix. The default is 640x480 as in the paper, +20° of elevation 238 px from the centre."""
+    """The image and the camera matrix. By default 640x480 as in the paper, +20° of elevation 238 px from the centre."""
 
     width_px: Pixels = 640
     """Width of the image, pixels."""
