@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.cli import completers
-from harness.cli.options import Commands, add_out
+from harness.cli.options import Commands, Parser, add_out
+from harness.cli.sensor_options import add_mount_and_field
 
 if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult
@@ -48,7 +49,7 @@ def add(commands: Commands) -> None:
     add_out(command, "sensor file (default: print it)", metavar="FILE")
 
 
-def _add_model(command: argparse.ArgumentParser) -> None:
+def _add_model(command: Parser) -> None:
     command.add_argument("--model", default="unified", metavar="KIND", help="kind of camera model (default: unified)")
     command.add_argument(
         "--lens",
@@ -71,21 +72,11 @@ def _add_model(command: argparse.ArgumentParser) -> None:
         help="find a number that is usually given, such as skew; repeatable",
     )
     command.add_argument("--start", type=Path, metavar="FILE", help="sensor TOML to start from, in place of a search")
-    command.add_argument(
-        "--looks",
-        choices=("up", "down", "forward"),
-        help="where the camera's optical axis points (default: a hyperboloid mirror's down, all others' up)",
-    )
-    command.add_argument(
-        "--mirrored",
-        action=argparse.BooleanOptionalAction,
-        help="whether its image is reversed left to right, as in a mirror (default: a hyperboloid mirror's alone)",
-    )
-    command.add_argument(
-        "--angle-max", type=float, metavar="DEG", help="how far it sees off its axis (default: as far as the boards)"
-    )
-    command.add_argument(
-        "--elevation", type=float, nargs=2, metavar=("LOW", "HIGH"), help="between which elevations it sees, degrees"
+    add_mount_and_field(
+        command,
+        looks="down for a hyperboloid mirror, up for all others",
+        mirrored="yes for a hyperboloid mirror alone",
+        angle_max="as far as the boards",
     )
 
 

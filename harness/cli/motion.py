@@ -5,7 +5,7 @@ from pathlib import Path
 
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
-from harness.cli.options import Commands, add_out
+from harness.cli.options import Commands, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 
@@ -19,16 +19,8 @@ def add(commands: Commands) -> None:
         "that can be trusted. Needs pip install 'omnirange[motion]'.",
         epilog="Exit code 1 where the images do not tell where view 2 stands.",
     )
-    command.add_argument("left", type=Path, metavar="LEFT", help="image of view 1 (PNG, JPEG, TIFF ...)")
-    command.add_argument("right", type=Path, metavar="RIGHT", help="image of view 2")
+    add_images(command)
     add_sensor(command, "sensor TOML or calibration file of both views", required=True, second=True)
-    command.add_argument(
-        "--bits",
-        type=int,
-        choices=range(8, 17),
-        metavar="N",
-        help="white is the level 2^N - 1 in both images (default: by the file's type)",
-    )
     held = command.add_mutually_exclusive_group()
     held.add_argument("--upright", action="store_true", help="the sensor's z is vertical in both views")
     held.add_argument("--planar", action="store_true", help="and the sensor has moved horizontally")

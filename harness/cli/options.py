@@ -72,6 +72,20 @@ def add_experiment(command: Parser) -> None:
     completers.offer(what, completers.experiments, completers.files(".toml"))
 
 
+def add_images(command: Parser) -> None:
+    """`LEFT`, `RIGHT` and `--bits`: the images of both views, and what is white in them."""
+    command.add_argument("left", type=Path, metavar="LEFT", help="image of view 1 (PNG, JPEG, TIFF ...)")
+    command.add_argument("right", type=Path, metavar="RIGHT", help="image of view 2")
+    command.add_argument(
+        "--bits",
+        type=int,
+        choices=range(8, 17),
+        metavar="N",
+        help="white is the level 2^N - 1 in both images, N from 8 to 16, such as 10 or 12 for raw images in "
+        "16-bit files (default: by the file's type, 255 for 8 bits, 65535 for 16 bits, 1 for floating point)",
+    )
+
+
 def add_out(command: Parser, what: str = "output folder", *, metavar: str = "DIR", required: bool = False) -> None:
     """`--out` as `out`: a path; None where it may be left out and is."""
     out = command.add_argument("--out", type=Path, metavar=metavar, required=required, help=what)

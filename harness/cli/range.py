@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from harness.cli import completers
-from harness.cli.options import Commands, add_out
+from harness.cli.options import Commands, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 if TYPE_CHECKING:
@@ -22,8 +22,7 @@ def add(commands: Commands) -> None:
         "predicted standard deviation, a coloured point cloud and a page. No truth is needed.",
         epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
     )
-    command.add_argument("left", type=Path, metavar="LEFT", help="mirror image of view 1 (PNG, JPEG, TIFF ...)")
-    command.add_argument("right", type=Path, metavar="RIGHT", help="mirror image of view 2")
+    add_images(command)
     add_sensor(command, "sensor TOML or calibration file", required=True, second=True)
     command.add_argument(
         "--mask",
@@ -33,14 +32,6 @@ def add(commands: Commands) -> None:
         "left image alone if view 2 has a sensor or a mask of its own",
     )
     command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")
-    command.add_argument(
-        "--bits",
-        type=int,
-        choices=range(8, 17),
-        metavar="N",
-        help="white is the level 2^N - 1 in both images, N from 8 to 16, such as 10 or 12 for raw images in "
-        "16-bit files (default: by the file's type, 255 for 8 bits, 65535 for 16 bits, 1 for floating point)",
-    )
     where = command.add_mutually_exclusive_group(required=True)
     pose = where.add_argument(
         "--pose", type=Path, metavar="FILE", help="view 2's pose in view 1's frame, TOML as omnirange motion writes it"

@@ -37,20 +37,28 @@ def add_sensor(command: Parser, what: str, *, required: bool = False, second: bo
 def add_choices(command: Parser) -> None:
     """What a calibration file does not say, or a sensor file is not to say."""
     command.add_argument("--camera", type=int, metavar="N", help="which of several cameras in a calibration, from 0")
+    add_mount_and_field(command, looks="up, for a calibration", mirrored="no, for a calibration")
+    command.add_argument(
+        "--size", type=int, nargs=2, metavar=("W", "H"), help="its image's size, for a calibration that does not say it"
+    )
+
+
+def add_mount_and_field(command: Parser, *, looks: str, mirrored: str, angle_max: str = "") -> None:
+    """`--looks`, `--mirrored`, `--angle-max` and `--elevation`, with the defaults in words."""
     command.add_argument(
         "--looks",
         choices=("up", "down", "forward"),
-        help="where its optical axis points (default: up, for a calibration)",
+        help=f"where its optical axis points (default: {looks})",
     )
     command.add_argument(
         "--mirrored",
         action=argparse.BooleanOptionalAction,
-        help="whether its image is reversed left to right, as in a mirror (default: no, for a calibration)",
+        help=f"whether its image is reversed left to right, as in a mirror (default: {mirrored})",
     )
+    default = f" (default: {angle_max})" if angle_max else ""
     command.add_argument(
-        "--size", type=int, nargs=2, metavar=("W", "H"), help="its image's size, for a calibration that does not say it"
+        "--angle-max", type=float, metavar="DEG", help=f"how far it sees off its optical axis{default}"
     )
-    command.add_argument("--angle-max", type=float, metavar="DEG", help="how far it sees off its optical axis")
     command.add_argument(
         "--elevation", type=float, nargs=2, metavar=("LOW", "HIGH"), help="between which elevations it sees, degrees"
     )
