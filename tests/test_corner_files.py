@@ -76,6 +76,10 @@ class TestRead:
         found = read_corners(tmp_path / "a.xml", size=(640, 480))
         np.testing.assert_array_equal(found.pixels, corners.pixels)
         np.testing.assert_array_equal(found.points_m, corners.points_m)
+        sized = opencv_xml(corners).replace("</opencv_storage>", "<imageSize>\n  640 480</imageSize></opencv_storage>")
+        (tmp_path / "b.xml").write_text(sized, encoding="utf-8")
+        found = read_corners(tmp_path / "b.xml")
+        assert (found.width_px, found.height_px) == (640, 480)
 
 
 BENT = """<?xml version='1.0'?><opencv_storage>

@@ -209,6 +209,9 @@ def test_masked_photographs(photographs, capsys):
     assert "160 × 160 pixels, each with a mask of its own" in page
     assert re.search(r"In view 1, \d\.\d % of .* In view 2, \d\.\d % of what the camera sees is masked", page)
     capsys.readouterr()
+    write_mask(folder / "black.png", np.s_[:, :], (160, 160))
+    assert ranged(folder, "black", "--mask", folder / "black.png") == 2
+    assert "sensor.mask hides it all: pixels that are used are white in it" in capsys.readouterr().err
     assert ranged(folder, "none", "--mask", folder / "absent.png") == 2
     assert f"--mask: '{folder / 'absent.png'}': no such file" in capsys.readouterr().err
 

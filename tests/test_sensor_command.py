@@ -46,6 +46,21 @@ def fisheye(tmp_path):
     return files.write(tmp_path, dump_toml(parse(Sensor, FISHEYE)), "fisheye.toml")
 
 
+@pytest.mark.parametrize("name", ["e.yaml", "e.toml", "e.txt"])
+@pytest.mark.parametrize("content", ["", " \n", "# nothing\n"])
+def test_an_empty_file_is_no_sensor(name, content, tmp_path, capsys):
+    file = files.write(tmp_path, content, name)
+    assert "is empty; a sensor's file has tables such as [model] and [camera]" in said(capsys, file, code=2)
+
+
+def test_a_mask_that_is_not_in_a_calibration_is_said(tmp_path, capsys):
+    Image.new("L", (640, 480), 255).save(tmp_path / "mask.png")
+    file = files.write(tmp_path, 'mask = "mask.png"\n' + dump_toml(MIRROR), "masked.toml")
+    text = said(capsys, file, "--to", "kalibr", "--out", tmp_path / "k.yaml")
+    assert f"the mask is not in it either: {tmp_path / 'mask.png'}" in text
+    assert "the mask is not in it" not in said(capsys, file, "--to", "toml", "--out", tmp_path / "t.toml")
+
+
 # --- Words and picture ---------------------------------------------------------------------------------------------
 
 
@@ -255,7 +270,7 @@ def test_the_file_goes_to_standard_output_and_words_beside_it(mirror, capsys):
         ),
         (["--to", "toml", "--model", "fish"], "--model: toml has no model 'fish'; it has "),
         (["--camera", 3], "--camera: has one camera, number 0"),
-        (["--size", 10, 20], "--size: is a sensor file, which says its size itself: leave it out"),
+        (["--size", 10, 20], "--size: leave it out: the sensor file says its size"),
         (["--elevation", 30, 20], "elevation_min_deg must be below elevation_max_deg"),
         (["--angle-max", -3], "field.angle_max_deg: must be above 0; found -3"),
     ],
@@ -286,7 +301,7 @@ def test_other_commands_take_the_same_options(tmp_path, capsys):
     assert main([*pair, "--camera", "1", "--camera-2", "1"]) == 2
     assert "--sensor-2: is missing: there is no file for --camera-2" in capsys.readouterr().err
     assert main([*pair, "--camera", "1", "--sensor-2", path, "--camera-2", "9"]) == 2
-    assert "--camera: there is no camera 9; the file has 0 to 3" in capsys.readouterr().err
+    assert "--camera-2: there is no camera 9; the file has 0 to 3" in capsys.readouterr().err
 
 
 @pytest.mark.slow  # the loops are compiled for a fisheye

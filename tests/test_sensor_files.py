@@ -233,7 +233,7 @@ def test_load_sensor_takes_all_of_it(tmp_path):
     assert harness.load_sensor(own) == sensor
     assert harness.load_sensor(own, angle_max_deg=60.0).field.angle_max_deg == 60
     assert harness.load_sensor(own, mirrored=True).mirrored
-    with pytest.raises(InputError, match="--size: is a sensor file, which says its size itself"):
+    with pytest.raises(InputError, match="--size: leave it out: the sensor file says its size"):
         harness.load_sensor(own, size=(10, 10))
     with pytest.raises(InputError, match="sensor: is no file"):
         harness.load_sensor({}, looks="up")

@@ -26,7 +26,7 @@ CSV   a line for each corner, under the header image,x_m,y_m,u_px,v_px: the imag
 JSON  {"width_px": 1280, "height_px": 960, "images": [{"name": "a.png", "points_m": [[x, y], ...],
       "pixels": [[u, v], ...]}, ...]}
 NPZ   arrays points_m [m, 2], pixels [m, 2] and image [m], a number for each corner; size [2], width and height.
-XML, YAML or JSON of OpenCV, with objectPoints and imagePoints, one matrix for each image.
+XML, YAML or JSON of OpenCV, with objectPoints and imagePoints, one matrix for each image, and imageSize.
 """
 """The layouts that are read, for people."""
 
@@ -180,7 +180,10 @@ def _from_opencv(content: Content) -> Found:
         if points.shape[1] == 3 and np.ptp(points[:, 2]) > 0:
             raise refusal(content, f"objectPoints[{i}]", "must lie in one plane, z = 0: boards are plane")
         found.append((str(i), points[:, :2], pixels))
-    return found, None
+    if "imageSize" not in root:
+        return found, None
+    size = [int(each) for each in numbers(content, root["imageSize"], "imageSize", "width height")]
+    return found, (size[0], size[1])
 
 
 def _points(content: Content, value: Any, key: str) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from harness.calibration.adjust import Adjusted, adjust
 from harness.calibration.board_coverage import Coverage, coverage_of
@@ -204,8 +205,15 @@ def _without_outliers(
     return final, corners.where(keep), None if keep.all() else corners.where(~keep)
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[-2 if len(str(error).splitlines()) > 2 else 0].strip()
+def _first_line(error: ValueError) -> str:
+    """What is wrong, in our words: a specification's own messages, and those of its library without their lists."""
+    if not isinstance(error, ValidationError):
+        return str(error).splitlines()[0].strip()
+    first = error.errors()[0]
+    text = first["msg"].removeprefix("Value error, ")
+    if not text.startswith("Input should be "):
+        return text
+    return f"must be {text.removeprefix('Input should be ')}; found {first['input']:g}"
 
 
 def _with_field(sensor: Sensor, field: FieldOfView) -> Sensor:

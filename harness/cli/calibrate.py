@@ -13,6 +13,9 @@ from harness.cli.sensor_options import add_mount_and_field
 if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult
 
+_ARGUMENTS = ("fix", "free", "lens", "start", "model")
+"""Arguments of `harness.calibrate` that are options of the same name."""
+
 
 def add(commands: Commands) -> None:
     """Declare the sub-command."""
@@ -87,6 +90,8 @@ def run(options: Namespace) -> None:
     from harness.spec import dump_toml
 
     board = None
+    if options.board is not None and options.corners is not None:
+        raise InputError("leave it out: the file of corners says where they are on the board", file="--board")
     if options.board is not None:
         if options.square_m is None:
             raise InputError("say how large a square is: --square-m 0.04 for 40 mm", file="--square-m")
@@ -96,20 +101,26 @@ def run(options: Namespace) -> None:
     elif options.corners is None:
         raise InputError("say what the board is, as 9x6 for 9 by 6 inner corners", file="--board")
     mount = {"looks": options.looks, "mirrored": options.mirrored}
-    found = harness.calibrate(
-        options.images,
-        board=board,
-        corners=options.corners,
-        size=None if options.size is None else tuple(options.size),
-        model=options.model,
-        lens=options.lens,
-        free=options.free,
-        fix=dict(_fixed(each) for each in options.fix),
-        start=options.start,
-        mount={key: value for key, value in mount.items() if value is not None} or None,
-        field=_field(options),
-        tell=lambda line: print(line, flush=True),
-    )
+    try:
+        found = harness.calibrate(
+            options.images,
+            board=board,
+            corners=options.corners,
+            size=None if options.size is None else tuple(options.size),
+            model=options.model,
+            lens=options.lens,
+            free=options.free,
+            fix=dict(_fixed(each) for each in options.fix),
+            start=options.start,
+            mount={key: value for key, value in mount.items() if value is not None} or None,
+            field=_field(options),
+            tell=lambda line: print(line, flush=True),
+        )
+    except InputError as error:
+        if error.file is not None or error.key not in _ARGUMENTS:
+            raise
+        file = options.start if error.key == "start" else None
+        raise InputError(error.problem, file=file, key=f"--{error.key}") from error
     print("\n".join(_summary(found)))
     if options.out is None:
         print(f"\n{dump_toml(found.sensor)}")

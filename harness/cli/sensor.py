@@ -148,6 +148,8 @@ def _said_of(written: "WrittenSensor", found: "SensorFile", out: Path | None) ->
     lines = [f"{out or written.format}: {title}, {nearness}"]
     if written.format != "toml":
         lines.append(f"mount and field are not in it; read it with {_reading(found)}")
+        if found.sensor.mask is not None:
+            lines.append(f"the mask is not in it either: {found.sensor.mask.file}")
     return lines
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_sensor(command: Parser, what: str, *, required: bool = False, second: bool = False) -> None:
-    """`--sensor` with the options of `add_choices`.
+    """`--sensor` with the options of `add_choices`, which of two sensors hold for those that are calibrations.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def add_sensor(command: Parser, what: str, *, required: bool = False, second: bo
     """
     options = [command.add_argument("--sensor", type=Path, required=required, metavar="FILE", help=what)]
     if second:
-        words = "the same of view 2, if another sensor took it"
+        words = "the same of view 2, if another sensor took it; what follows then holds for those that are calibrations"
         options.append(command.add_argument("--sensor-2", type=Path, metavar="FILE", help=words))
     for each in options:
         completers.offer(each, completers.sensors, completers.files())
@@ -83,16 +83,16 @@ def first_sensor(options: Namespace) -> "Sensor | None":
     from harness.errors import InputError
     from harness.io.calibrations.sensors import Chosen, load_sensor
 
-    choices = chosen(options, options.camera)
     if options.sensor is None:
-        if choices != Chosen():
+        if chosen(options, options.camera) != Chosen():
             raise InputError("is missing: there is no file for the other options to choose from", file="--sensor")
         return None
-    return load_sensor(options.sensor, choices)
+    other = getattr(options, "sensor_2", None)
+    return load_sensor(options.sensor, _of_file(options, options.sensor, options.camera, other))
 
 
 def second_sensor(options: Namespace) -> "Sensor | None":
-    """The sensor of `--sensor-2`, mounted as the first one; None where it is not given."""
+    """The sensor of `--sensor-2`; None where it is not given."""
     from harness.errors import InputError
     from harness.io.calibrations.sensors import load_sensor
 
@@ -100,4 +100,28 @@ def second_sensor(options: Namespace) -> "Sensor | None":
         if options.camera_2 is not None:
             raise InputError("is missing: there is no file for --camera-2 to choose from", file="--sensor-2")
         return None
-    return load_sensor(options.sensor_2, chosen(options, options.camera_2))
+    try:
+        return load_sensor(options.sensor_2, _of_file(options, options.sensor_2, options.camera_2, options.sensor))
+    except InputError as error:
+        key = "--camera-2" if error.key == "--camera" else error.key
+        raise InputError(error.problem, file=error.file, key=key) from error
+
+
+def _of_file(options: Namespace, file: Path, camera: int | None, other: Path | None) -> "Chosen":
+    """What the options say of a file.
+
+    Of two sensors they hold for those that are calibrations of other programs, which need them: a sensor's own TOML
+    says how it is mounted.
+    """
+    from harness.errors import InputError
+    from harness.io.calibrations.sensors import Chosen, says_its_mount
+
+    choices = chosen(options, camera)
+    if other is None or choices == Chosen(camera=camera) or not says_its_mount(file):
+        return choices
+    if says_its_mount(other):
+        raise InputError(
+            "both are sensor files, which say their mount, field and size: leave these options out",
+            file="--sensor and --sensor-2",
+        )
+    return Chosen(camera=camera)

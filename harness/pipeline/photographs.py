@@ -25,6 +25,7 @@ from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
 from harness.matching.ranges import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
+from harness.pipeline.sight import check_sensor
 
 WRITTEN = ("range.npy", "range_mm.png", "sigma_m.npy", "alpha_2.npy", "reason.npy", "points.ply")
 
@@ -118,9 +119,12 @@ def estimate(
     Raises
     ------
     InputError
-        When the matcher cannot be found, or what it returns is invalid.
+        When a sensor sees nothing of the panorama, the matcher cannot be found, or what it returns is invalid.
     """
-    pair = Pair((first.grey, second.grey), sensors, motion, _grid(grid or Grid(), sensors, motion))
+    grid = _grid(grid or Grid(), sensors, motion)
+    check_sensor(sensors[0], grid)
+    check_sensor(sensors[1], grid, key="sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
+    pair = Pair((first.grey, second.grey), sensors, motion, grid)
     matches = matcher.match(pair)
     a_1 = alpha_1(pair.grid, motion.t_v1)
     range_m, reason = ranges_of(matches, a_1, motion.baseline_m)

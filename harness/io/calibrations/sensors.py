@@ -81,6 +81,8 @@ def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
     file = shipped.or_shipped("sensors", file)
     content = read_content(file)
     if content.syntax == "toml":
+        if not content.data:
+            raise InputError("is empty; a sensor's file has tables such as [model] and [camera]", file=file)
         return SensorFile(_with_choices(content.data, file, chosen), None, None, ())
     calibration = calibration_in(content)
     camera = _the_camera(calibration, chosen)
@@ -88,6 +90,17 @@ def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
     is_told = chosen.looks is not None or chosen.mirrored is not None or not isinstance(sensor.model, AxialModel)
     unmounted = () if is_told else (_UNMOUNTED,)
     return SensorFile(sensor, calibration, camera, (*camera.notes, *unmounted, *note))
+
+
+def says_its_mount(file: Path) -> bool:
+    """Whether a file is a sensor's own TOML, or a shipped sensor's name, and no calibration of another program.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    return read_content(shipped.or_shipped("sensors", file)).syntax == "toml"
 
 
 def load_sensor(file: Path, chosen: Chosen | None = None) -> Sensor:
@@ -158,7 +171,7 @@ def _with_choices(table: dict[str, Any], file: Path, chosen: Chosen) -> Sensor:
     if chosen.camera not in (None, 0):
         raise InputError("has one camera, number 0", file=file, key="--camera")
     if chosen.size is not None:
-        raise InputError("is a sensor file, which says its size itself: leave it out", file=file, key="--size")
+        raise InputError("leave it out: the sensor file says its size", file=file, key="--size")
     sensor = sensor_of(table, file)
     changed = as_given(sensor)
     if chosen.looks is not None or chosen.mirrored is not None:
