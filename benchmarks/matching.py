@@ -63,10 +63,10 @@ def rectified(outcome: Outcome) -> list[np.ndarray]:
     directions = np.stack(
         np.broadcast_arrays(-np.cos(alpha), sine * np.cos(around)[:, None], sine * np.sin(around)[:, None]), axis=-1
     )
-    pixels, seen = project(outcome.trial.sensor, directions)
+    pixels, visible = project(outcome.trial.sensor, directions)
     places = np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1)
     return [
-        np.where(seen, ndimage.map_coordinates(image, places, order=1, mode="nearest"), 0).astype(np.uint8)
+        np.where(visible, ndimage.map_coordinates(image, places, order=1, mode="nearest"), 0).astype(np.uint8)
         for image in outcome.images
     ]
 
@@ -179,9 +179,9 @@ def median_error_px(pair: list[np.ndarray], outcome: Outcome) -> float:
     x, y, z = np.moveaxis(normalise(cylinder(outcome.trial.panorama)), -1, 0)
     column = (np.arccos(-x) / (2 * np.pi) * steps).astype(int)
     row = (np.arctan2(z, y) % (2 * np.pi) / (2 * np.pi) * steps).astype(int)
-    found = opencv_matchers(7)["SGBM"](*pair)[row, column] / 16  # fixed point; negative where there is none
-    error = found - (truth.alpha_2 - truth.alpha_1) / (2 * np.pi) * steps
-    return float(np.median(np.abs(error[truth.domain & truth.wall & (found > 0)])))
+    disparity = opencv_matchers(7)["SGBM"](*pair)[row, column] / 16  # fixed point; negative where there is none
+    error = disparity - (truth.alpha_2 - truth.alpha_1) / (2 * np.pi) * steps
+    return float(np.median(np.abs(error[truth.domain & truth.wall & (disparity > 0)])))
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ def errors(turn: Turn, covariance: np.ndarray, truth: Turn) -> tuple[float, floa
 def main() -> None:
     given = [int(each) for each in sys.argv[1:]]
     count, seed = [*given, *(12, 1)[len(given) :]]
-    found: dict[tuple[str, float], list[tuple[float, float, np.ndarray]]] = {}
+    errors_of: dict[tuple[str, float], list[tuple[float, float, np.ndarray]]] = {}
     statuses: Counter[str] = Counter()
     wrong = 0
     for i, (name, first, second) in enumerate(pairs(count, seed)):
@@ -81,12 +81,12 @@ def main() -> None:
             for stage in ("sparse", "direct"):
                 fit = getattr(estimate, stage)
                 if fit is not None and estimate.direction_v1 is not None:
-                    found.setdefault((stage, noise), []).append(errors(fit.turn, fit.covariance, truth))
+                    errors_of.setdefault((stage, noise), []).append(errors(fit.turn, fit.covariance, truth))
             if estimate.status == harness.Status.OK:
                 turn = Turn(estimate.R_v2_from_v1, estimate.direction_v1)
                 wrong += max(errors(turn, estimate.covariance, truth)[:2]) > 2
     print("\nstage   noise  rotation  direction  1 sigma  2 sigma  rms")
-    for (stage, noise), rows in sorted(found.items()):
+    for (stage, noise), rows in sorted(errors_of.items()):
         rotation, direction = (np.median([row[k] for row in rows]) for k in (0, 1))
         off = np.abs([row[2] for row in rows])
         print(

@@ -37,7 +37,7 @@ from harness.files import cache_folder, replace_file, user_cache_folder
 SOURCES = ("*/_*kernels.py", "*/*/_*kernels.py", "camera/models/*.py")
 """Files of compiled code, below the package. What is compiled takes nothing from other files of the package, constants
 included."""
-KEPT_VERSIONS = 8
+VERSIONS_ON_DISK = 8
 """Folders kept of other states of the sources; those used least recently go first."""
 LEAST_FREE_MB = 16
 """All machine code together needs less than half of that."""
@@ -91,7 +91,7 @@ class _Store:
     def __init__(self) -> None:
         self.hashes = {path: _sha(path.read_bytes()) for pattern in SOURCES for path in _PACKAGE.glob(pattern)}
         self.folder: Path | None = None
-        self._told = False
+        self._is_announced = False
         reasons = {parent: _not_writable(parent / name) for parent in _parents() for name in [self._name()]}
         usable = [parent for parent, reason in reasons.items() if not reason]
         if not reasons:
@@ -131,9 +131,9 @@ class _Store:
 
     def tell(self, text: str) -> None:
         """Tell the user, once; workers leave it to the process that began them."""
-        if not self._told and "OMNIRANGE_WORKER" not in os.environ:
+        if not self._is_announced and "OMNIRANGE_WORKER" not in os.environ:
             warnings.warn(text, Notice, stacklevel=2)
-        self._told = True
+        self._is_announced = True
 
     def read(self, name: str) -> bytes | None:
         """What was written under this name; None if it is not there, or not as it was written."""
@@ -200,7 +200,7 @@ def _prune(newest: Path) -> None:
     with suppress(OSError):
         others = [each for each in newest.parent.iterdir() if each != newest and each.is_dir()]
         others.sort(key=lambda each: each.stat().st_mtime)
-        for old in others[: -KEPT_VERSIONS or None]:
+        for old in others[: -VERSIONS_ON_DISK or None]:
             shutil.rmtree(old, ignore_errors=True)
 
 

@@ -50,7 +50,7 @@ def shortened(text: str) -> str:
     return line if len(line) <= LONGEST else f"{line[: LONGEST - 4].rstrip(', ')} ..."
 
 
-def told_apart(texts: Sequence[str], most: int = 60) -> list[str]:
+def shortened_labels(texts: Sequence[str], most: int = 60) -> list[str]:
     """Short texts for different things, no two alike: cut in the middle, or to where they differ, or else numbered.
 
     Parameters

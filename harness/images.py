@@ -172,10 +172,10 @@ def _scaled(
         raise InputError(
             f"has levels {low:g} .. {high:g}, outside 0 .. {chosen:g}; {key} says which level is white", file=file
         )
-    told = f"as {key} says" if white is not None else "by the file's type"
+    origin = f"as {key} says" if white is not None else "by the file's type"
     if white is None and levels.dtype.kind != "f" and chosen > 255 and high <= _DIM * chosen:
-        told += f"; no level is above {high:g}: if white is less than {chosen:g}, give {key}"
-    return Picture(levels, float(chosen), f"{kind}, white is {chosen:g} ({told})")
+        origin += f"; no level is above {high:g}: if white is less than {chosen:g}, give {key}"
+    return Picture(levels, float(chosen), f"{kind}, white is {chosen:g} ({origin})")
 
 
 def _type_of(image: Image.Image, file: str | Path) -> tuple[float | None, str]:

@@ -53,14 +53,14 @@ def up_to_date(model: type[BaseModel], table: Any, where: str = "") -> tuple[Any
     InputError
         When a key is given under both names.
     """
-    found: list[Renaming] = []
-    return _of_spec(model, table, where, found), found
+    renamings: list[Renaming] = []
+    return _of_spec(model, table, where, renamings), renamings
 
 
 def dotted_up_to_date(keys: DottedKeys, table: Mapping[str, Any], where: str = "") -> tuple[Any, list[Renaming]]:
     """A table with dotted keys of a specification, as `up_to_date`."""
-    found: list[Renaming] = []
-    return _of_dotted(keys, table, where, found), found
+    renamings: list[Renaming] = []
+    return _of_dotted(keys, table, where, renamings), renamings
 
 
 def up_to_date_key(model: type[BaseModel], key: str) -> str:
@@ -68,10 +68,10 @@ def up_to_date_key(model: type[BaseModel], key: str) -> str:
     return _of_key(model, key)[0]
 
 
-def give_notice(found: Iterable[Renaming], file: str | Path | None = None) -> None:
+def give_notice(renamings: Iterable[Renaming], file: str | Path | None = None) -> None:
     """Say, once for each new name, which keys of a file have it."""
     keys: dict[tuple[str, str], list[str]] = {}
-    for each in found:
+    for each in renamings:
         keys.setdefault((each.former, each.present), []).append(each.where)
     for (former, present), locations in keys.items():
         where = ": ".join(part for part in (str(file or ""), shortened(", ".join(dict.fromkeys(locations)))) if part)
@@ -94,21 +94,21 @@ def former_names(model: type[BaseModel]) -> Mapping[str, str]:
 # --- Tables -------------------------------------------------------------------------------------------------------
 
 
-def _of_spec(model: type[BaseModel], table: Any, where: str, found: list[Renaming]) -> Any:
+def _of_spec(model: type[BaseModel], table: Any, where: str, renamings: list[Renaming]) -> Any:
     if not isinstance(table, Mapping):
         return table
     names, changed = former_names(model), {}
     for key in names.keys() & table.keys():
         if names[key] in table:
             raise InputError(f"'{key}' is now called '{names[key]}'; give only that one", key=_below(where, key))
-        found.append(Renaming(_below(where, key), key, names[key]))
+        renamings.append(Renaming(_below(where, key), key, names[key]))
         changed[names[key]] = table[key]
     fields = _worth_a_look(model)
     for key in (*table, *changed):
         if key in fields:
             before = changed.get(key, table.get(key))
             location = _below(where, next((old for old, new in names.items() if new == key and old in table), key))
-            after = _of_value(fields[key], before, location, found)
+            after = _of_value(fields[key], before, location, renamings)
             if after is not before:
                 changed[key] = after
     if not changed:
@@ -116,11 +116,11 @@ def _of_spec(model: type[BaseModel], table: Any, where: str, found: list[Renamin
     return {names.get(key, key): changed.get(names.get(key, key), value) for key, value in table.items()}
 
 
-def _of_value(annotations: tuple[Any, ...], value: Any, where: str, found: list[Renaming]) -> Any:
+def _of_value(annotations: tuple[Any, ...], value: Any, where: str, renamings: list[Renaming]) -> Any:
     """A value that may be of any of these types, each a specification, a container, or `DottedKeys`."""
     if isinstance(value, list | tuple):
         items = [
-            _of_value(_inside(annotations, number), item, f"{where}[{number}]", found)
+            _of_value(_inside(annotations, number), item, f"{where}[{number}]", renamings)
             for number, item in enumerate(value)
         ]
         return value if all(one is other for one, other in zip(value, items, strict=True)) else items
@@ -129,14 +129,14 @@ def _of_value(annotations: tuple[Any, ...], value: Any, where: str, found: list[
     specs = [each for each in annotations if isinstance(each, type) and issubclass(each, BaseModel)]
     named = [each for each in specs if value.get("kind") in tags(each, "kind")]
     for spec in named or specs:
-        value = _of_spec(spec, value, where, found)
+        value = _of_spec(spec, value, where, renamings)
     for each in annotations:
         if isinstance(each, DottedKeys):
-            return _of_dotted(each, value, where, found)
+            return _of_dotted(each, value, where, renamings)
     if specs:
         return value
     changed = {
-        key: _of_value(_inside(annotations, key), item, _below(where, key), found) for key, item in value.items()
+        key: _of_value(_inside(annotations, key), item, _below(where, key), renamings) for key, item in value.items()
     }
     return value if all(changed[key] is item for key, item in value.items()) else changed
 
@@ -157,18 +157,18 @@ def _below(where: str, key: Any) -> str:
 # --- Dotted keys --------------------------------------------------------------------------------------------------
 
 
-def _of_dotted(keys: DottedKeys, table: Mapping[str, Any], where: str, found: list[Renaming]) -> Any:
+def _of_dotted(keys: DottedKeys, table: Mapping[str, Any], where: str, renamings: list[Renaming]) -> Any:
     changed: dict[str, Any] = {}
     for key, value in table.items():
         present, annotations, renamed = _of_key(keys.of, str(key))
         location = _below(where, key)
         if renamed and present in table:
             raise InputError(f"'{key}' is now called '{present}'; give only that one", key=location)
-        found += [Renaming(location, *each) for each in renamed]
+        renamings += [Renaming(location, *each) for each in renamed]
         if keys.listed and isinstance(value, list | tuple):
-            changed[present] = [_of_value(annotations, each, location, found) for each in value]
+            changed[present] = [_of_value(annotations, each, location, renamings) for each in value]
         else:
-            changed[present] = _of_value(annotations, value, location, found)
+            changed[present] = _of_value(annotations, value, location, renamings)
     return changed
 
 
@@ -198,9 +198,9 @@ def _worth_a_look(model: type[BaseModel]) -> Mapping[str, tuple[Any, ...]]:
     fields: dict[str, tuple[Any, ...]] = {}
     for name, field in model.model_fields.items():
         dotted = tuple(each for each in field.metadata if isinstance(each, DottedKeys))
-        found = dotted or tuple(each for each in members(field.annotation) if _is_worth_a_look(each))
-        if found:
-            fields[name] = found
+        worth = dotted or tuple(each for each in members(field.annotation) if _is_worth_a_look(each))
+        if worth:
+            fields[name] = worth
     return fields
 
 

@@ -13,13 +13,13 @@ def draw(turn, n=400, *, false=0.0, noise_px=0.2, seed=0, near=1.0, far=8.0, bas
     """Points in all directions that both views see, with noise on the pixels; a share of them matched at random."""
     draws = np.random.default_rng(seed)
     R, t = turn.R, baseline * turn.t
-    found = []
-    while sum(map(len, found)) < n:
+    result = []
+    while sum(map(len, result)) < n:
         p = normalise(draws.normal(size=(4 * n, 3))) * draws.uniform(near, far, (4 * n, 1))
         p = p if points is None else points(draws, 4 * n)
-        seen = project(SENSOR, p)[1] & project(SENSOR, (p - t) @ R.T)[1]
-        found.append(p[seen])
-    p = np.vstack(found)[:n]
+        visible = project(SENSOR, p)[1] & project(SENSOR, (p - t) @ R.T)[1]
+        result.append(p[visible])
+    p = np.vstack(result)[:n]
     pixels = [project(SENSOR, each)[0] + draws.normal(0, noise_px, (n, 2)) for each in (p, (p - t) @ R.T)]
     wrong = int(false * n)
     pixels[1][:wrong] = pixels[1][draws.permutation(n)[:wrong]]

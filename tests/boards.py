@@ -24,7 +24,7 @@ NEARLY_PARABOLIC = Sensor(model=Mirror(b_m=0.012), camera=Camera(focal_px=1900.0
 """xi = 0.9961."""
 
 
-def seen_boards(
+def visible_boards(
     sensor: Sensor,
     count: int,
     seed: int,
@@ -44,22 +44,22 @@ def seen_boards(
     camera = sensor.camera
     points = board.points_m
     middle = points.mean(axis=0)
-    found, R, t = [], [], []
-    while len(found) < count:
+    result, R, t = [], [], []
+    while len(result) < count:
         direction, valid = unproject(sensor, rng.uniform([0, 0], [camera.width_px, camera.height_px]))
         turn = Rotation.random(random_state=rng).as_matrix()
         if not valid or abs(turn[:, 2] @ direction) < 0.5:
             continue
         origin = direction * rng.uniform(*range_m) - turn[:, :2] @ middle
-        pixels, seen = project(sensor, points @ turn[:, :2].T + origin)
-        if not seen.all():
+        pixels, visible = project(sensor, points @ turn[:, :2].T + origin)
+        if not visible.all():
             continue
         if rim and not _near_rim(sensor, pixels):
             continue
-        found.append((f"board {len(found)}", points, pixels))
+        result.append((f"board {len(result)}", points, pixels))
         R.append(turn)
         t.append(origin)
-    return corners_of(found, camera.width_px, camera.height_px), BoardPoses(np.array(R), np.array(t))
+    return corners_of(result, camera.width_px, camera.height_px), BoardPoses(np.array(R), np.array(t))
 
 
 def _near_rim(sensor: Sensor, pixels: np.ndarray) -> bool:

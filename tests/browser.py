@@ -35,13 +35,13 @@ class Visit:
 
 def chromium_path() -> str:
     """Where Chromium is; without it the test is skipped, but under CI it fails: there it must not be missing."""
-    found = shutil.which("chromium") or shutil.which("chromium-browser")
-    if found is None:
+    result = shutil.which("chromium") or shutil.which("chromium-browser")
+    if result is None:
         message = "no chromium on this machine; on Debian: apt-get install chromium"
         if os.environ.get("CI"):
             pytest.fail(message)
         pytest.skip(message)
-    return found
+    return result
 
 
 @contextmanager
@@ -72,17 +72,17 @@ def visit(
     page = context.new_page()
     page.emulate_media(color_scheme=scheme)
     page.set_viewport_size({"width": width, "height": height})
-    seen = Visit(page)
+    visited = Visit(page)
 
     def answer(route: Route, request: Request) -> None:
         if request.url == file.as_uri() or request.url.startswith("data:"):
             route.continue_()
         else:
-            seen.requests.append(request.url)
+            visited.requests.append(request.url)
             route.abort()
 
     page.route("**/*", answer)
-    page.on("console", lambda message: message.type in {"error", "warning"} and seen.complaints.append(message.text))
-    page.on("pageerror", lambda error: seen.complaints.append(str(error)))
+    page.on("console", lambda message: message.type in {"error", "warning"} and visited.complaints.append(message.text))
+    page.on("pageerror", lambda error: visited.complaints.append(str(error)))
     page.goto(file.as_uri(), wait_until="load")
-    return seen
+    return visited

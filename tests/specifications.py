@@ -81,10 +81,10 @@ def strategy_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> SearchStrate
 
 def _flat(metadata: Any) -> list[Any]:
     """Constraints out of what pydantic groups."""
-    found: list[Any] = []
+    result: list[Any] = []
     for each in metadata:
-        found += _flat(each.metadata) if isinstance(each, FieldInfo) else [each]
-    return found
+        result += _flat(each.metadata) if isinstance(each, FieldInfo) else [each]
+    return result
 
 
 def _sequence(annotation: Any, metadata: tuple[Any, ...]) -> SearchStrategy[Any]:

@@ -86,10 +86,10 @@ def rows(out: Path) -> dict[str, tuple[str, str]]:
         return {}
     with closing(sqlite3.connect(database, timeout=0)) as connection:
         try:
-            found = connection.execute("SELECT key, state, seconds FROM trials").fetchall()
+            result = connection.execute("SELECT key, state, seconds FROM trials").fetchall()
         except sqlite3.OperationalError:  # locked, or killed before there was a table
             return {}
-    return {key: (state, seconds) for key, state, seconds in found}
+    return {key: (state, seconds) for key, state, seconds in result}
 
 
 def wait_for(folder: Path, trials: int = 2, seconds: float = 600) -> None:

@@ -14,7 +14,7 @@ from harness.errors import InputError
 from harness.geometry.pose import Pose
 from harness.io.view_folder import png
 from harness.simulation.scene import Chessboard, Scene, load_scene
-from harness.simulation.targets import seen_boards
+from harness.simulation.targets import visible_boards
 
 cv2 = pytest.importorskip("cv2")
 
@@ -41,9 +41,9 @@ def view(of: Scene, samples: int = 16) -> np.ndarray:
     return harness.render(of, sensor=LARGE, position_m=(0, 0, 1), samples=samples).image
 
 
-def same_board(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
+def same_board(corners: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """Errors of corners, whichever way round the board was taken."""
-    grid = found.reshape(6, 9, 2)
+    grid = corners.reshape(6, 9, 2)
     ways = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
     return min((way.reshape(-1, 2) - exact for way in ways), key=lambda error: np.abs(error).max())
 
@@ -67,15 +67,15 @@ class TestTarget:
         room = {"kind": "box", "size_m": [6, 6, 3], "inward": True, "texture": {"kind": "grey", "value": 120}}
         place = {"position_m": [0, 0, -0.5]}
         whole = load_scene({"name": "a", "scale": 2.0, "objects": [room | place, flat.model_dump()]})
-        (seen,) = seen_boards(whole, Sensor(), Pose(position_m=(0.4, 0, 1)))
-        assert seen.points_world_m[0].tolist() == pytest.approx([0.4 - 0.3, -0.1, 0])
-        assert seen.points_world_m[-1].tolist() == pytest.approx([0.4 + 0.3, 0.1, 0])
-        np.testing.assert_allclose(seen.points_m[-1], [0.6, 0.2])
+        (visible,) = visible_boards(whole, Sensor(), Pose(position_m=(0.4, 0, 1)))
+        assert visible.points_world_m[0].tolist() == pytest.approx([0.4 - 0.3, -0.1, 0])
+        assert visible.points_world_m[-1].tolist() == pytest.approx([0.4 + 0.3, 0.1, 0])
+        np.testing.assert_allclose(visible.points_m[-1], [0.6, 0.2])
         expected, _ = project(Sensor(), [[-0.3, -0.1, -1.0], [0.3, 0.1, -1.0]])
-        np.testing.assert_allclose(seen.pixels[[0, -1]], expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(visible.pixels[[0, -1]], expected, rtol=0, atol=1e-9)
         # Within 15° of straight down the camera sees itself.
-        off_axis = np.degrees(np.arctan(np.hypot(*(seen.points_world_m[:, :2] - [0.4, 0]).T)))
-        np.testing.assert_array_equal(seen.visible, off_axis > 15)
+        off_axis = np.degrees(np.arctan(np.hypot(*(visible.points_world_m[:, :2] - [0.4, 0]).T)))
+        np.testing.assert_array_equal(visible.visible, off_axis > 15)
 
     def test_hidden_corners_are_not_visible(self):
         pole = {
@@ -84,8 +84,8 @@ class TestTarget:
             "position_m": [0.2, 0.0, 0.3],
             "texture": {"kind": "grey", "value": 50},
         }
-        (free,) = seen_boards(scene(0), Sensor(), Pose(position_m=(0, 0, 1)))
-        (hidden,) = seen_boards(scene(0, 90, 0, pole), Sensor(), Pose(position_m=(0, 0, 1)))
+        (free,) = visible_boards(scene(0), Sensor(), Pose(position_m=(0, 0, 1)))
+        (hidden,) = visible_boards(scene(0, 90, 0, pole), Sensor(), Pose(position_m=(0, 0, 1)))
         assert free.visible.all()
         # Seen from 0.185 m the pole is 57 mm wide on the board: one row of nine corners, or two.
         assert np.count_nonzero(~hidden.visible) in {9, 18}
@@ -96,10 +96,10 @@ class TestTarget:
         of = scene(40, 80, 10)
         image = view(of, 64)
         sensor = harness.load_sensor(LARGE)
-        (seen,) = seen_boards(of, sensor, Pose(position_m=(0, 0, 1)))
+        (visible,) = visible_boards(of, sensor, Pose(position_m=(0, 0, 1)))
         board = of.objects[1]
         for index in (10, 25, 40):
-            corner = seen.points_world_m[index]
+            corner = visible.points_world_m[index]
             sides = board.pose.R_world_from_view[:, :2] * 0.008
             offsets = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ sides.T
             at = np.rint(project(sensor, corner + offsets - [0, 0, 1])[0]).astype(int)
@@ -138,16 +138,16 @@ class TestDetector:
     @classmethod
     def images(cls):
         scenes = [scene(10, 75, 5), scene(130, 100, -12), scene(250, 90, 15)]
-        corners = [seen_boards(each, harness.load_sensor(LARGE), Pose(position_m=(0, 0, 1)))[0] for each in scenes]
+        corners = [visible_boards(each, harness.load_sensor(LARGE), Pose(position_m=(0, 0, 1)))[0] for each in scenes]
         return [view(each) for each in scenes], corners
 
     @pytest.mark.slow
     def test_boards_are_found_and_their_corners_good_to_a_twentieth_of_a_pixel(self, images):
-        for image, seen in zip(*images, strict=True):
-            assert seen.visible.all()
+        for image, visible in zip(*images, strict=True):
+            assert visible.visible.all()
             grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-            found = find_board(cv2, grey, BOARD, rough_sensor(1280, 960, find_circle(grey)))
-            error = same_board(found, seen.pixels)
+            corners = find_board(cv2, grey, BOARD, rough_sensor(1280, 960, find_circle(grey)))
+            error = same_board(corners, visible.pixels)
             # Squares are 10 to 40 px wide and bent, pixels are areas: 0.03 to 0.04 px, and less on one side.
             assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) < 0.05
             assert np.abs(error.mean(axis=0)).max() < 0.025
@@ -155,14 +155,14 @@ class TestDetector:
     @pytest.mark.slow
     def test_through_windows_alone(self, images, monkeypatch):
         """What bends too much for the detector is found in a perspective window; here it is refused the image."""
-        image, seen = images[0][1], images[1][1]
+        image, visible = images[0][1], images[1][1]
         grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         inner = detect._detect
         monkeypatch.setattr(
             detect, "_detect", lambda cv2, patch, board: None if patch is grey else inner(cv2, patch, board)
         )
-        found = find_board(cv2, grey, BOARD, rough_sensor(1280, 960, find_circle(grey)))
-        assert np.sqrt(np.mean(np.sum(same_board(found, seen.pixels) ** 2, axis=-1))) < 0.05
+        corners = find_board(cv2, grey, BOARD, rough_sensor(1280, 960, find_circle(grey)))
+        assert np.sqrt(np.mean(np.sum(same_board(corners, visible.pixels) ** 2, axis=-1))) < 0.05
 
     def test_a_grid_with_one_corner_astray_is_refused(self):
         grid = BOARD.points_m * 500 + 100

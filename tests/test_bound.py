@@ -60,7 +60,7 @@ ROOM = Scene(
 
 
 @pytest.fixture(scope="module")
-def seen():
+def reference():
     return truth(ROOM, VIEWS[0], X, in_field(SENSOR, X), pose_2=VIEWS[1], sensor_2=SENSOR)
 
 
@@ -69,19 +69,19 @@ def images():
     return tuple(render(ROOM, SENSOR, view) for view in VIEWS)
 
 
-def textured(seen):
+def textured(reference):
     """Pixels whose windows see texture alone."""
-    return ~ndimage.maximum_filter(seen.textureless, size=WINDOW, mode=("nearest", "wrap"))
+    return ~ndimage.maximum_filter(reference.textureless, size=WINDOW, mode=("nearest", "wrap"))
 
 
-def bound_of(images, seen, sensor_2=SENSOR, **changes):
+def bound_of(images, reference, sensor_2=SENSOR, **changes):
     settings = {"R_world_from_v1": VIEWS[0].R_world_from_view, "window_px": WINDOW, "sigma_grey": 1.0} | changes
-    return cramer_rao(images, (SENSOR, sensor_2), MOTION, GRID, seen, **settings)
+    return cramer_rao(images, (SENSOR, sensor_2), MOTION, GRID, reference, **settings)
 
 
 @pytest.fixture(scope="module")
-def slanted(images, seen):
-    return bound_of(images, seen)
+def slanted(images, reference):
+    return bound_of(images, reference)
 
 
 # The formula ---------------------------------------------------------------------------------------------------------
@@ -130,16 +130,16 @@ def test_the_most_likely_shift_of_an_unknown_texture_attains_it(samples):
         spectra.append(np.fft.fft(noisy, axis=-1)[:, waves] / n)
         slopes.append(texture(x - moved, 1)[:, None])
     product = np.conj(spectra[0]) * spectra[1]
-    found = np.full(draws, shift)
+    result = np.full(draws, shift)
     for _ in range(5):
-        turned = product * np.exp(2j * np.pi * waves * found[:, None])
+        turned = product * np.exp(2j * np.pi * waves * result[:, None])
         slope = -np.sum(2 * np.pi * waves * turned.imag, axis=-1)
         curvature = -np.sum((2 * np.pi * waves) ** 2 * turned.real, axis=-1)
-        found -= slope / curvature
+        result -= slope / curvature
     bound = least_std(slopes[0], slopes[1], np.ones(1), sigma)
     # Four standard deviations of a standard deviation from 20,000 draws; noise times noise adds 0.1 %.
-    assert np.std(found) / bound == pytest.approx(1, abs=4 / np.sqrt(2 * draws) + 0.002)
-    assert np.mean(found) == pytest.approx(shift, abs=4 * bound / np.sqrt(draws))
+    assert np.std(result) / bound == pytest.approx(1, abs=4 / np.sqrt(2 * draws) + 0.002)
+    assert np.mean(result) == pytest.approx(shift, abs=4 * bound / np.sqrt(draws))
 
 
 # The panorama against brute force over raw pixels --------------------------------------------------------------------
@@ -161,12 +161,12 @@ def solid_images():
 
 
 def solid_images_of(sensor_2):
-    found = []
+    result = []
     for view, sensor in zip(VIEWS, (SENSOR, sensor_2), strict=True):
         x, valid = pixel_directions(sensor)
         points = ranges(ROOM, view, x, valid)[..., None] * x @ view.R_world_from_view.T + view.position_m
-        found.append(np.where(valid, solid(np.nan_to_num(points)), 0.0))
-    return tuple(found)
+        result.append(np.where(valid, solid(np.nan_to_num(points)), 0.0))
+    return tuple(result)
 
 
 def derivatives(rays_2, m):
@@ -205,10 +205,10 @@ def windows(pixels, count, seed):
         yield row, column, rows, columns
 
 
-def plane_of(seen, rows, columns):
+def plane_of(reference, rows, columns):
     """m by least squares from the window's ranges: 1/d is linear in the direction."""
     x = X[rows][:, columns].reshape(-1, 3)
-    return np.linalg.lstsq(x, 1 / seen.range_m[rows][:, columns].ravel(), rcond=None)[0]
+    return np.linalg.lstsq(x, 1 / reference.range_m[rows][:, columns].ravel(), rcond=None)[0]
 
 
 def raw_pixels_1():
@@ -248,15 +248,15 @@ def test_equals_the_sum_over_raw_pixels(sensor_2):
     First with the same points, which tests all but the sampling; then with nothing but the raw pixels of both images.
     """
     images = solid_images_of(sensor_2)
-    seen = truth(ROOM, VIEWS[0], X, in_field(SENSOR, X), pose_2=VIEWS[1], sensor_2=sensor_2)
-    bounds = {model: bound_of(images, seen, sensor_2, model=model) for model in ("slanted", "frontal")}
+    visible = truth(ROOM, VIEWS[0], X, in_field(SENSOR, X), pose_2=VIEWS[1], sensor_2=sensor_2)
+    bounds = {model: bound_of(images, visible, sensor_2, model=model) for model in ("slanted", "frontal")}
     first = raw_pixels_1()
     on_panorama = rows_and_columns(first)
     same_points, raw_pixels, count_2 = [], [], []
     # A spline rings for some pixels beside an edge, which the function does not know of.
     away = ndimage.minimum_filter(bounds["slanted"].pixels, size=9, mode=("nearest", "wrap"))
     for row, column, rows, columns in windows(away, 100, seed=2):
-        m, towards = plane_of(seen, rows, columns), X[row, column]
+        m, towards = plane_of(visible, rows, columns), X[row, column]
         members = inside(on_panorama, row, column)
         rays, met = raw_pixels_2(m, sensor_2)
         s_2 = derivatives(rays[inside(rows_and_columns(met), row, column)], m)
@@ -271,8 +271,8 @@ def test_equals_the_sum_over_raw_pixels(sensor_2):
                 least_std(s_1, s_2, np.append(towards, [0, 0]), 1.0),
                 least_std(s_1[:, :3] @ towards[:, None], s_2[:, :3] @ towards[:, None], np.ones(1), 1.0),
             ]
-            found = [bounds[model].range_m[row, column] for model in ("slanted", "frontal")]
-            return np.array(found) / (seen.range_m[row, column] ** 2 * np.array(std))
+            result = [bounds[model].range_m[row, column] for model in ("slanted", "frontal")]
+            return np.array(result) / (visible.range_m[row, column] ** 2 * np.array(std))
 
         same_points.append(ratios(both, np.sqrt(kappa)[:, None] * both))
         raw_pixels.append(ratios(s_1, s_2))
@@ -289,20 +289,20 @@ def test_equals_the_sum_over_raw_pixels(sensor_2):
 
 
 @pytest.mark.slow
-def test_a_window_of_mirror_pixels_equals_the_sum_over_them(solid_images, seen):
+def test_a_window_of_mirror_pixels_equals_the_sum_over_them(solid_images, reference):
     """The same formula for a square of the mirror image, against derivatives of the known texture."""
     size = 13
     bounds = {
-        model: bound_of(solid_images, seen, model=model, frame="mirror", window_px=size)
+        model: bound_of(solid_images, reference, model=model, frame="mirror", window_px=size)
         for model in ("slanted", "frontal")
     }
     place, _ = project(SENSOR, X)
     omega, _ = pixel_directions(SENSOR)
     # A wider window on one plane, so that its corners belong to no neighbour's.
-    away = ndimage.minimum_filter(bounds["slanted"].pixels & slanted_whole(seen), size=9, mode=("nearest", "wrap"))
-    found = []
+    away = ndimage.minimum_filter(bounds["slanted"].pixels & slanted_whole(reference), size=9, mode=("nearest", "wrap"))
+    result = []
     for row, column, rows, columns in windows(away, 60, seed=3):
-        m = plane_of(seen, rows, columns)
+        m = plane_of(reference, rows, columns)
         u, v = np.rint(place[row, column]).astype(int)
         towards = omega[v, u]
         square = omega[v - size // 2 : v + size // 2 + 1, u - size // 2 : u + size // 2 + 1].reshape(-1, 3)
@@ -317,24 +317,24 @@ def test_a_window_of_mirror_pixels_equals_the_sum_over_them(solid_images, seen):
             least_std(both[:, :3] @ towards[:, None], other[:, :3] @ towards[:, None], np.ones(1), 1.0),
         ]
         mine = [bounds[model].range_m[row, column] for model in ("slanted", "frontal")]
-        found.append(np.array(mine) / (seen.range_m[row, column] ** 2 * np.array(std)))
+        result.append(np.array(mine) / (reference.range_m[row, column] ** 2 * np.array(std)))
     # As for windows of the panorama.
-    slanted, frontal = np.array(found).T
+    slanted, frontal = np.array(result).T
     assert np.max(np.abs(slanted - 1)) < 0.01
     assert np.max(np.abs(frontal - 1)) < 0.002
 
 
-def slanted_whole(seen):
+def slanted_whole(reference):
     """Pixels that have a bound for the panorama's own window too."""
     blank = tuple(np.zeros(pixel_directions(SENSOR)[1].shape) for _ in range(2))
-    return bound_of(blank, seen).pixels
+    return bound_of(blank, reference).pixels
 
 
 # Noise ---------------------------------------------------------------------------------------------------------------
 
 
-def test_scales_with_the_noise(images, seen, slanted):
-    doubled = bound_of(images, seen, sigma_grey=2.0)
+def test_scales_with_the_noise(images, reference, slanted):
+    doubled = bound_of(images, reference, sigma_grey=2.0)
     for name in ("alpha_2", "disparity_px", "range_m"):
         one, two = getattr(slanted, name), getattr(doubled, name)
         both = np.isfinite(two)
@@ -342,8 +342,8 @@ def test_scales_with_the_noise(images, seen, slanted):
     assert both.sum() > 0.95 * np.isfinite(one).sum()
 
 
-def test_knowing_more_never_hurts(images, seen, slanted):
-    frontal = bound_of(images, seen, model="frontal")
+def test_knowing_more_never_hurts(images, reference, slanted):
+    frontal = bound_of(images, reference, model="frontal")
     np.testing.assert_array_equal(frontal.pixels, slanted.pixels)
     both = frontal.pixels & np.isfinite(slanted.range_m)
     # 1e-9: rounding of two Schur complements.
@@ -352,55 +352,55 @@ def test_knowing_more_never_hurts(images, seen, slanted):
     assert np.all(slanted.range_m[~frontal.pixels & ~np.isnan(slanted.range_m)] == np.inf)
 
 
-def test_angle_and_range_agree(seen, slanted):
+def test_angle_and_range_agree(reference, slanted):
     step = 1e-5
-    alphas = [exact_alpha_2((seen.range_m * (1 + e))[..., None] * X, MOTION.t_v1) for e in (-step, step)]
-    slope = np.abs(alphas[1] - alphas[0]) / (2 * step * seen.range_m)
+    alphas = [exact_alpha_2((reference.range_m * (1 + e))[..., None] * X, MOTION.t_v1) for e in (-step, step)]
+    slope = np.abs(alphas[1] - alphas[0]) / (2 * step * reference.range_m)
     finite = slanted.pixels & np.isfinite(slanted.range_m)
     # Rounding of the difference: 1e-16/1e-5 over slopes down to 1e-3.
     np.testing.assert_allclose(slanted.alpha_2[finite], (slope * slanted.range_m)[finite], rtol=1e-6)
     np.testing.assert_allclose(slanted.disparity_px, np.degrees(slanted.alpha_2), rtol=1e-12)
 
 
-def test_only_windows_on_one_plane(seen, slanted):
+def test_only_windows_on_one_plane(reference, slanted):
     half, width = WINDOW // 2, GRID.width_px
     for row, column in np.random.default_rng(3).integers([0, 0], GRID.shape, size=(2000, 2)):
         whole = half <= row < GRID.height_px - half
         rows = slice(max(row - half, 0), row + half + 1)
         columns = np.arange(column - half, column + half + 1) % width
-        part = [a[rows][:, columns] for a in (seen.face, seen.visible, seen.discontinuity)]
+        part = [a[rows][:, columns] for a in (reference.face, reference.visible, reference.discontinuity)]
         one_plane = whole and np.all(part[0] == part[0][0, 0]) and part[1].all() and not part[2].any()
         assert slanted.pixels[row, column] == one_plane
     assert 0.3 < slanted.pixels.mean() < 0.9
     assert np.all(np.isnan(slanted.alpha_2[~slanted.pixels]))
 
 
-def test_no_texture_no_bound(seen, slanted):
-    near = ndimage.maximum_filter(~seen.textureless, size=WINDOW + 12, mode=("nearest", "wrap"))
+def test_no_texture_no_bound(reference, slanted):
+    near = ndimage.maximum_filter(~reference.textureless, size=WINDOW + 12, mode=("nearest", "wrap"))
     bare = slanted.pixels & ~near
     assert bare.sum() > 100
     # Six panorama pixels, twelve of the image, from the nearest texture a spline has forgotten it: 0.43^12 is left.
     assert np.all(np.isinf(slanted.disparity_px[bare]))
-    assert np.all(slanted.disparity_px[slanted.pixels & textured(seen)] < 0.2)
+    assert np.all(slanted.disparity_px[slanted.pixels & textured(reference)] < 0.2)
 
 
-def test_flat_images_tell_nothing(seen):
+def test_flat_images_tell_nothing(reference):
     flat = np.full((240, 320), 77.0)
-    bound = bound_of((flat, flat), seen)
+    bound = bound_of((flat, flat), reference)
     assert np.all(bound.range_m[bound.pixels] == np.inf)
 
 
 # Estimators ----------------------------------------------------------------------------------------------------------
 
 
-def test_least_squares_comes_near_it(images, seen, slanted):
+def test_least_squares_comes_near_it(images, reference, slanted):
     """Gauss-Newton on a slanted window with gain and offset, from the truth, under noise.
 
     It compares raw pixels of image 1 with a quintic spline of image 2, so it attains the bound where both images show
     the texture equally well.
     """
     draws, sigma = 60, 1.0
-    chosen = textured(seen) & slanted.pixels
+    chosen = textured(reference) & slanted.pixels
     first = raw_pixels_1()
     place_1 = np.argwhere(pixel_directions(SENSOR)[1])
     on_panorama = rows_and_columns(first)
@@ -409,7 +409,7 @@ def test_least_squares_comes_near_it(images, seen, slanted):
         members = inside(on_panorama, row, column)
         x.append(first[members])
         place.append(place_1[members])
-        planes.append(plane_of(seen, rows, columns))
+        planes.append(plane_of(reference, rows, columns))
         at.append((row, column))
         size.append(members.sum())
     x, place, planes, rows, columns = *map(np.concatenate, (x, place)), np.array(planes), *np.transpose(at)
@@ -424,7 +424,7 @@ def test_least_squares_comes_near_it(images, seen, slanted):
 
     step = 1e-5
     motion_by_m = [(positions(planes + step * e) - positions(planes - step * e)) / (2 * step) for e in np.eye(3)]
-    rng, found = np.random.default_rng(5), []
+    rng, result = np.random.default_rng(5), []
     for _ in range(draws):
         noisy = [image + sigma * rng.standard_normal(image.shape) for image in images]
         y = noisy[0][place[:, 0], place[:, 1]]
@@ -441,8 +441,8 @@ def test_least_squares_comes_near_it(images, seen, slanted):
             residual = y - exposure[window, 0] * grey(spline, positions(m)) - exposure[window, 1]
             change = np.linalg.solve(normal, np.add.reduceat(jacobian * residual[:, None], start)[..., None])[..., 0]
             m, exposure = m + change[:, :3], exposure + change[:, 3:]
-        found.append(1 / np.sum(m * X[rows, columns], axis=-1))
-    ratio = np.std(found, axis=0, ddof=1) / slanted.range_m[rows, columns]
+        result.append(1 / np.sum(m * X[rows, columns], axis=-1))
+    ratio = np.std(result, axis=0, ddof=1) / slanted.range_m[rows, columns]
     # 60 draws tell one window's to 9 %, that of all 40 together to 2 %, for windows overlap. The estimator takes its
     # slopes from the noisy spline and weighs every raw pixel alike, whatever its area on the surface.
     assert 0.95 < np.sqrt(np.mean(ratio**2)) < 1.08
@@ -463,15 +463,22 @@ def test_least_squares_comes_near_it(images, seen, slanted):
         ({"model": "curved"}, "slanted or frontal"),
     ],
 )
-def test_refuses_settings(images, seen, changes, message):
+def test_refuses_settings(images, reference, changes, message):
     with pytest.raises(ValueError, match=message):
-        bound_of(images, seen, **changes)
+        bound_of(images, reference, **changes)
 
 
-def test_refuses_sizes_that_do_not_fit(images, seen):
+def test_refuses_sizes_that_do_not_fit(images, reference):
     with pytest.raises(ValueError, match="the image is"):
-        bound_of((images[0], images[1][1:]), seen)
+        bound_of((images[0], images[1][1:]), reference)
     with pytest.raises(ValueError, match="the truth is"):
         cramer_rao(
-            images, (SENSOR, SENSOR), MOTION, Grid(), seen, R_world_from_v1=np.eye(3), window_px=WINDOW, sigma_grey=1.0
+            images,
+            (SENSOR, SENSOR),
+            MOTION,
+            Grid(),
+            reference,
+            R_world_from_v1=np.eye(3),
+            window_px=WINDOW,
+            sigma_grey=1.0,
         )

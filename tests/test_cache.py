@@ -93,10 +93,10 @@ def test_the_least_recently_used_goes_first(tmp_path: Path) -> None:
             os.utime(path, ns=(age * 10**9, age * 10**9))  # clocks of file systems are coarse
         assert cache.contents().bytes <= 50_000
     assert cache.contents().files >= 5
-    kept, old = Maker(image), Maker(image)
-    cache.get(0, kept)
+    stored, old = Maker(image), Maker(image)
+    cache.get(0, stored)
     cache.get(1, old)
-    assert (kept.calls, old.calls) == (0, 1)
+    assert (stored.calls, old.calls) == (0, 1)
 
 
 def test_an_image_beyond_the_limit_is_not_kept(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from boards import BOARD, MIRROR, UNIFIED, noisy, seen_boards
+from boards import BOARD, MIRROR, UNIFIED, noisy, visible_boards
 
 import harness
 from harness.calibration.corner_files import corners_csv, read_corners
@@ -13,13 +13,13 @@ from harness.calibration.uncertainty import ray_difference
 from harness.cli import main
 from harness.errors import InputError
 from harness.io.view_folder import png
-from harness.simulation.targets import seen_boards as boards_of
+from harness.simulation.targets import visible_boards as boards_of
 
 
 @pytest.fixture(scope="module")
 def csv(tmp_path_factory):
     """Corners of eight boards in a file, two of them mistaken."""
-    corners = noisy(seen_boards(MIRROR, 8, 40)[0], 0.1, 7)
+    corners = noisy(visible_boards(MIRROR, 8, 40)[0], 0.1, 7)
     corners.pixels[[3, 200]] += [4.0, 2.0]
     file = tmp_path_factory.mktemp("corners") / "corners.csv"
     file.write_text(corners_csv(corners), encoding="utf-8")
@@ -28,26 +28,26 @@ def csv(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def written(csv):
-    found = harness.calibrate(corners=csv, model="hyperboloid")
-    return found, found.write(csv.parent / "mine.toml")
+    calibration = harness.calibrate(corners=csv, model="hyperboloid")
+    return calibration, calibration.write(csv.parent / "mine.toml")
 
 
 class TestFiles:
     def test_sensor_file_is_the_sensor(self, written):
-        found, (toml, _, _) = written
-        assert harness.load_sensor(toml) == found.sensor
+        result, (toml, _, _) = written
+        assert harness.load_sensor(toml) == result.sensor
 
     def test_json_has_numbers_covariance_and_corners(self, written):
-        found, (_, file, _) = written
+        result, (_, file, _) = written
         table = json.loads(file.read_text(encoding="utf-8"))
-        assert [each["key"] for each in table["parameters"]] == list(found.keys)
-        np.testing.assert_array_equal(table["covariance"], found.uncertainty.covariance)
+        assert [each["key"] for each in table["parameters"]] == list(result.keys)
+        np.testing.assert_array_equal(table["covariance"], result.uncertainty.covariance)
         sigma = [each["sigma"] for each in table["parameters"]]
         np.testing.assert_allclose(sigma, np.sqrt(np.diag(table["covariance"])), rtol=1e-12)
         assert table["rms_px"] == pytest.approx(0.14, rel=0.1)
         assert sum(len(each["pixels"]) for each in table["left_out"]) == 2
         again = read_corners(file)
-        np.testing.assert_array_equal(again.pixels, found.corners.pixels)
+        np.testing.assert_array_equal(again.pixels, result.corners.pixels)
 
     def test_poses_in_the_json_predict_the_corners(self, written):
         _, (toml, file, _) = written
@@ -61,29 +61,29 @@ class TestFiles:
             assert np.sqrt(np.mean(np.sum(residuals**2, axis=-1))) == pytest.approx(image["rms_px"])
 
     def test_page_is_whole_and_needs_nothing_else(self, written):
-        found, (_, _, html) = written
+        result, (_, _, html) = written
         page = html.read_text(encoding="utf-8")
         assert "Could not be drawn" not in page
         assert page.count("<img") == 9
         assert not re.search(r"(?:src|href)=\"(?!data:|#)", page)
         assert "nan" not in re.sub(r"data:[^\"]*", "", page).lower()
-        for key in found.keys:
+        for key in result.keys:
             assert key in page
-        assert f"{found.rms_px:.3g} px" in page
+        assert f"{result.rms_px:.3g} px" in page
 
     def test_notebook_shows_the_numbers(self, written):
-        found, _ = written
-        shown = found._repr_html_()
-        assert all(key in shown for key in found.keys)
-        assert len(repr(found)) < 200
+        result, _ = written
+        shown = result._repr_html_()
+        assert all(key in shown for key in result.keys)
+        assert len(repr(result)) < 200
 
 
 @pytest.mark.slow
 def test_page_of_few_images_without_noise(tmp_path):
     """Nothing to compare, nothing left: the page says so and is drawn all the same."""
-    corners, _ = seen_boards(UNIFIED, 2, 41)
-    found = harness.calibrate(corners=corners, model="unified", lens=["k1"])
-    page = found.write(tmp_path / "a.toml")[2].read_text(encoding="utf-8")
+    corners, _ = visible_boards(UNIFIED, 2, 41)
+    calibration = harness.calibrate(corners=corners, model="unified", lens=["k1"])
+    page = calibration.write(tmp_path / "a.toml")[2].read_text(encoding="utf-8")
     assert "Could not be drawn" not in page
     assert "Nothing to compare" in page
     json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
@@ -160,15 +160,15 @@ class TestCommand:
 
 class TestArguments:
     def test_places_by_name(self):
-        corners, _ = seen_boards(MIRROR, 5, 42)
+        corners, _ = visible_boards(MIRROR, 5, 42)
         ends = [*corners.starts, len(corners.image)]
         places = {
             name: (corners.points_m[ends[i] : ends[i + 1]], corners.pixels[ends[i] : ends[i + 1]].tolist())
             for i, name in enumerate(corners.images)
         }
-        found = harness.calibrate(corners=places, size=(640, 480), model="hyperboloid", fix={"aspect": 1.0})
-        assert found.corners.images == corners.images
-        assert np.nanmax(np.abs(ray_difference(found.sensor, MIRROR, found.grid))) < 1e-6
+        calibration = harness.calibrate(corners=places, size=(640, 480), model="hyperboloid", fix={"aspect": 1.0})
+        assert calibration.corners.images == corners.images
+        assert np.nanmax(np.abs(ray_difference(calibration.sensor, MIRROR, calibration.grid))) < 1e-6
 
     @pytest.mark.parametrize(
         ("corners", "size", "message"),
@@ -202,10 +202,10 @@ def test_from_rendered_images_to_the_sensor_that_took_them(tmp_path):
         files.append(tmp_path / f"{i}.png")
         files[-1].write_bytes(png((view.image + noise).astype(np.float32)))
     said: list[str] = []
-    found = harness.calibrate(files, board=BOARD, model="hyperboloid", tell=said.append)
-    assert len(found.corners.images) == 8
+    calibration = harness.calibrate(files, board=BOARD, model="hyperboloid", tell=said.append)
+    assert len(calibration.corners.images) == 8
     # Corners are good to 0.04 px (tests/test_boards_in_images.py), not all of it noise.
-    assert found.rms_px < 0.06
-    error = np.linalg.norm(ray_difference(found.sensor, sensor, found.grid), axis=-1)
+    assert calibration.rms_px < 0.06
+    error = np.linalg.norm(ray_difference(calibration.sensor, sensor, calibration.grid), axis=-1)
     assert np.median(error) < 0.15
     assert any("8 of 8" in line for line in said)

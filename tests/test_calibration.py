@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boards import BOARD, MIRROR, NEARLY_PARABOLIC, UNIFIED, noisy, seen_boards
+from boards import BOARD, MIRROR, NEARLY_PARABOLIC, UNIFIED, noisy, visible_boards
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -24,7 +24,7 @@ SENSORS = pytest.mark.parametrize("sensor", [MIRROR, UNIFIED], ids=["hyperboloid
 class TestPoses:
     @SENSORS
     def test_exact_bearings_give_exact_poses(self, sensor):
-        corners, truth = seen_boards(sensor, 8, 1)
+        corners, truth = visible_boards(sensor, 8, 1)
         poses = poses_from_bearings(corners, unproject(sensor, corners.pixels)[0])
         # Rounding, times the condition of a homography of 54 bearings: about 100.
         np.testing.assert_allclose(poses.R, truth.R, rtol=0, atol=1e-10)
@@ -32,14 +32,14 @@ class TestPoses:
 
     def test_a_board_behind_the_camera_is_not_taken_for_one_ahead(self):
         """A mirror sees below and above the horizon: bearings of both signs of z."""
-        corners, truth = seen_boards(MIRROR, 6, 2, rim=True)
+        corners, truth = visible_boards(MIRROR, 6, 2, rim=True)
         bearings = unproject(MIRROR, corners.pixels)[0]
         assert (bearings[:, 2] > 0).any()
         assert (bearings[:, 2] < 0).any()
         np.testing.assert_allclose(poses_from_bearings(corners, bearings).t, truth.t, rtol=0, atol=1e-10)
 
     def test_derivative_is_that_of_differences(self):
-        corners, poses = seen_boards(UNIFIED, 3, 3)
+        corners, poses = visible_boards(UNIFIED, 3, 3)
         camera = parameters_of(UNIFIED)
         analytic = pose_jacobian(camera, *poses.apply(corners))
         for i in range(6):
@@ -52,7 +52,7 @@ class TestPoses:
     @SENSORS
     def test_turned_over_twice_is_the_same_and_once_looks_alike(self, sensor):
         small = Board(columns=5, rows=4, square_m=0.002)
-        corners, poses = seen_boards(sensor, 6, 4, board=small, range_m=(0.5, 1.0))
+        corners, poses = visible_boards(sensor, 6, 4, board=small, range_m=(0.5, 1.0))
         other = turned_over(poses, corners)
         np.testing.assert_allclose(np.linalg.det(other.R), 1, rtol=0, atol=1e-12)
         again = turned_over(other, corners)
@@ -64,7 +64,7 @@ class TestPoses:
         assert (np.abs(Rotation.from_matrix(other.R @ np.swapaxes(poses.R, 1, 2)).magnitude()) > 0.01).all()
 
     def test_refinement_ends_where_scipy_does(self):
-        exact, truth = seen_boards(MIRROR, 3, 5)
+        exact, truth = visible_boards(MIRROR, 3, 5)
         corners = noisy(exact, 0.5, 0)
         start = poses_from_bearings(corners, unproject(MIRROR, corners.pixels)[0])
         poses, cost = refine_poses(parameters_of(MIRROR), corners, start)
@@ -111,7 +111,7 @@ class TestParameters:
     @SENSORS
     def test_derivatives(self, sensor):
         """By focal length and centre in closed form: u = f m + s n + cx, in which m does not depend on them."""
-        corners, poses = seen_boards(sensor, 4, 6)
+        corners, poses = visible_boards(sensor, 4, 6)
         p = poses.apply(corners)[1]
         keys = ("camera.focal_px", "camera.aspect", "camera.skew_px", "camera.cx_px", "camera.cy_px")
         parameters = Parameters(sensor, keys)
@@ -143,7 +143,7 @@ class TestAdjustment:
     @SENSORS
     def test_is_the_minimum_that_scipy_finds_with_its_covariance(self, sensor):
         """One dense problem of all unknowns, differentiated by scipy: nothing in common but the projection."""
-        exact, poses = seen_boards(sensor, 4, 7)
+        exact, poses = visible_boards(sensor, 4, 7)
         corners = noisy(exact, 0.2, 1)
         parameters = Parameters(sensor, choose_keys(sensor))
         start = parameters.vector(sensor)
@@ -167,13 +167,13 @@ class TestAdjustment:
         np.testing.assert_allclose(mine, sigma, rtol=1e-2)
 
     def test_a_start_that_cannot_see_the_corners_is_none(self):
-        corners, poses = seen_boards(MIRROR, 3, 8)
+        corners, poses = visible_boards(MIRROR, 3, 8)
         narrow = MIRROR.model_copy(update={"lens": Lens(k1=-20.0)})
         parameters = Parameters(narrow, choose_keys(MIRROR))
         assert adjust(parameters, corners, parameters.vector(narrow), poses) is None
 
     def test_robust_loss_is_hardly_moved_by_a_mistake(self):
-        exact, poses = seen_boards(MIRROR, 6, 9)
+        exact, poses = visible_boards(MIRROR, 6, 9)
         corners = noisy(exact, 0.1, 2)
         wrong = corners.pixels.copy()
         wrong[::25] += [20.0, -8.0]
@@ -230,58 +230,60 @@ class TestWhole:
         ids=["plain", "two", "rim", "nearly parabolic", "unified", "three", "xi is 1", "lens"],
     )
     def test_corners_without_noise_give_the_truth(self, sensor, boards, options):
-        corners, _ = seen_boards(sensor, seed=10, **boards)
-        found = calibrate_sensor(corners, getattr(sensor.model, "kind", "hyperboloid"), **options)
-        assert found.rms_px < 1e-6
-        assert found.left_out is None
-        for key, value in zip(found.keys, found.uncertainty.values, strict=True):
+        corners, _ = visible_boards(sensor, seed=10, **boards)
+        calibration = calibrate_sensor(corners, getattr(sensor.model, "kind", "hyperboloid"), **options)
+        assert calibration.rms_px < 1e-6
+        assert calibration.left_out is None
+        for key, value in zip(calibration.keys, calibration.uncertainty.values, strict=True):
             # Where numbers trade off, 1e-9 px of rounding go a long way in them; rays tell.
             assert value == pytest.approx(value_of(sensor, key), rel=1e-3, abs=1e-3), key
-        assert np.nanmax(np.abs(ray_difference(found.sensor, sensor, found.grid))) < 1e-4
+        assert np.nanmax(np.abs(ray_difference(calibration.sensor, sensor, calibration.grid))) < 1e-4
 
     @SENSORS
     def test_with_noise_every_number_is_within_three_standard_deviations(self, sensor):
-        corners = noisy(seen_boards(sensor, 14, 11)[0], 0.1, 3)
-        found = calibrate_sensor(corners, getattr(sensor.model, "kind", "hyperboloid"))
+        corners = noisy(visible_boards(sensor, 14, 11)[0], 0.1, 3)
+        calibration = calibrate_sensor(corners, getattr(sensor.model, "kind", "hyperboloid"))
         # 1,512 residuals less 93 unknowns: 1.9 % of scatter.
-        assert found.uncertainty.sigma_px == pytest.approx(0.1, rel=0.06)
-        truth = np.array([value_of(sensor, key) for key in found.keys])
-        assert (np.abs(found.uncertainty.values - truth) < 3 * found.uncertainty.sigma).all()
-        assert found.halves is not None
+        assert calibration.uncertainty.sigma_px == pytest.approx(0.1, rel=0.06)
+        truth = np.array([value_of(sensor, key) for key in calibration.keys])
+        assert (np.abs(calibration.uncertainty.values - truth) < 3 * calibration.uncertainty.sigma).all()
+        assert calibration.halves is not None
         # Halves differ by twice the whole's deviation: sqrt(2) for half of the boards, sqrt(2) for two of them.
-        ratio = np.sqrt(np.nanmean(found.halves.difference_px**2) / np.mean(found.ray_sigma_px**2))
+        ratio = np.sqrt(np.nanmean(calibration.halves.difference_px**2) / np.mean(calibration.ray_sigma_px**2))
         assert 0.8 < ratio < 5
 
     def test_mistakes_are_left_out_and_said(self):
-        exact, _ = seen_boards(MIRROR, 8, 12)
+        exact, _ = visible_boards(MIRROR, 8, 12)
         corners = noisy(exact, 0.1, 4)
         pixels = corners.pixels.copy()
         pixels[[5, 100]] += [3.0, 2.0]
         swapped = corners.image == 6
         pixels[swapped] = np.roll(pixels[swapped], 7, axis=0)
-        found = calibrate_sensor(replace(corners, pixels=pixels), "hyperboloid")
-        assert found.corners.images == tuple(name for name in corners.images if name != "board 6")
-        assert len(found.left_out.image) == 54 + 2
-        assert any("Nothing of board 6 was used" in note for note in found.notes)
-        assert found.rms_px == pytest.approx(0.1 * 2**0.5, rel=0.1)
+        calibration = calibrate_sensor(replace(corners, pixels=pixels), "hyperboloid")
+        assert calibration.corners.images == tuple(name for name in corners.images if name != "board 6")
+        assert len(calibration.left_out.image) == 54 + 2
+        assert any("Nothing of board 6 was used" in note for note in calibration.notes)
+        assert calibration.rms_px == pytest.approx(0.1 * 2**0.5, rel=0.1)
 
     def test_fixed_keys_keep_their_values(self):
-        corners = noisy(seen_boards(UNIFIED, 6, 13)[0], 0.1, 5)
-        found = calibrate_sensor(corners, "unified", fix={"aspect": 1.002, "xi": 1.1, "skew": None}, lens=["k1", "k2"])
-        assert found.keys == ("camera.focal_px", "camera.cx_px", "camera.cy_px", "lens.k1", "lens.k2")
-        assert (found.sensor.model.xi, found.sensor.camera.aspect) == (1.1, 1.002)
-        assert found.rms_px < 0.2
+        corners = noisy(visible_boards(UNIFIED, 6, 13)[0], 0.1, 5)
+        calibration = calibrate_sensor(
+            corners, "unified", fix={"aspect": 1.002, "xi": 1.1, "skew": None}, lens=["k1", "k2"]
+        )
+        assert calibration.keys == ("camera.focal_px", "camera.cx_px", "camera.cy_px", "lens.k1", "lens.k2")
+        assert (calibration.sensor.model.xi, calibration.sensor.camera.aspect) == (1.1, 1.002)
+        assert calibration.rms_px < 0.2
 
     def test_one_small_board_tells_little_and_that_is_said(self):
-        corners, _ = seen_boards(MIRROR, 1, 14, board=Board(columns=3, rows=2, square_m=0.01))
-        found = calibrate_sensor(noisy(corners, 0.1, 6), "hyperboloid", start=MIRROR)
-        assert found.halves is None
-        assert any("Rays are known to" in note for note in found.notes)
-        assert any("1 images are few" in note for note in found.notes)
+        corners, _ = visible_boards(MIRROR, 1, 14, board=Board(columns=3, rows=2, square_m=0.01))
+        calibration = calibrate_sensor(noisy(corners, 0.1, 6), "hyperboloid", start=MIRROR)
+        assert calibration.halves is None
+        assert any("Rays are known to" in note for note in calibration.notes)
+        assert any("1 images are few" in note for note in calibration.notes)
 
     def test_what_no_corner_tells_is_named(self):
         """Six corners of one board and eleven numbers: twelve equations less six for its pose."""
-        corners, poses = seen_boards(MIRROR, 1, 14, board=Board(columns=3, rows=2, square_m=0.01))
+        corners, poses = visible_boards(MIRROR, 1, 14, board=Board(columns=3, rows=2, square_m=0.01))
         parameters = Parameters(MIRROR, choose_keys(MIRROR, lens=["k1", "k2", "p1", "p2"], free=["skew"]))
         adjusted = adjust(parameters, corners, parameters.vector(MIRROR), poses)
         uncertainty = uncertainty_of(adjusted)
@@ -291,19 +293,19 @@ class TestWhole:
         assert np.isfinite(uncertainty.sigma[~lost]).all()
 
     def test_start_of_another_kind_is_refused(self):
-        corners, _ = seen_boards(MIRROR, 2, 15)
+        corners, _ = visible_boards(MIRROR, 2, 15)
         with pytest.raises(InputError, match="start: is a hyperboloid mirror, not of kind 'unified'"):
             calibrate_sensor(corners, "unified", start=MIRROR)
         with pytest.raises(InputError, match="model: there is no camera model 'fish'"):
             calibrate_sensor(corners, "fish")
 
     def test_field_is_what_the_boards_reached(self):
-        corners, _ = seen_boards(MIRROR, 10, 16)
-        found = calibrate_sensor(corners, "hyperboloid")
+        corners, _ = visible_boards(MIRROR, 10, 16)
+        calibration = calibrate_sensor(corners, "hyperboloid")
         directions = unproject(MIRROR, corners.pixels)[0]
         highest = np.degrees(np.arcsin(directions[:, 2].max()))
-        assert highest < found.sensor.field.elevation_max_deg < highest + 1.01
-        assert Sensor.model_validate(found.sensor.model_dump()) == found.sensor
+        assert highest < calibration.sensor.field.elevation_max_deg < highest + 1.01
+        assert Sensor.model_validate(calibration.sensor.model_dump()) == calibration.sensor
 
 
 class TestCorners:
@@ -320,7 +322,7 @@ class TestCorners:
             corners_of([("a", points, pixels)], 640, 480)
 
     def test_some_of_the_images(self):
-        corners, _ = seen_boards(MIRROR, 4, 17)
+        corners, _ = visible_boards(MIRROR, 4, 17)
         some = corners.of([1, 3])
         assert some.images == ("board 1", "board 3")
         assert some.starts.tolist() == [0, 54]
@@ -329,7 +331,7 @@ class TestCorners:
 
 def test_derivative_by_direction_is_used_as_it_stands():
     """`pose_jacobian` takes the camera room's: its last three columns."""
-    corners, poses = seen_boards(MIRROR, 2, 18)
+    corners, poses = visible_boards(MIRROR, 2, 18)
     turned, p = poses.apply(corners)
     np.testing.assert_array_equal(pose_jacobian(parameters_of(MIRROR), turned, p)[..., 3:], jacobian(MIRROR, p))
     assert isinstance(poses, BoardPoses)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boards import MIRROR, UNIFIED, noisy, seen_boards
+from boards import MIRROR, UNIFIED, noisy, visible_boards
 from cameras import random_sensor
 
 from harness.calibration.sensor_calibration import calibrate_sensor
@@ -17,15 +17,15 @@ KINDS = ("unified", "eucm", "double_sphere", "kannala_brandt", "ocam")
 
 def check(kind: str, seed: int, boards: int = 10) -> None:
     sensor = random_sensor(kind, seed)
-    exact, _ = seen_boards(sensor, boards, seed)
-    found = calibrate_sensor(exact, kind)
-    assert found.left_out is None
-    assert found.rms_px < 1e-6
-    assert np.nanmax(np.linalg.norm(ray_difference(found.sensor, sensor, found.grid), axis=-1)) < 1e-5
-    found = calibrate_sensor(noisy(exact, 0.1, seed), kind)
-    error = np.linalg.norm(ray_difference(found.sensor, sensor, found.grid), axis=-1)
+    exact, _ = visible_boards(sensor, boards, seed)
+    calibration = calibrate_sensor(exact, kind)
+    assert calibration.left_out is None
+    assert calibration.rms_px < 1e-6
+    assert np.nanmax(np.linalg.norm(ray_difference(calibration.sensor, sensor, calibration.grid), axis=-1)) < 1e-5
+    calibration = calibrate_sensor(noisy(exact, 0.1, seed), kind)
+    error = np.linalg.norm(ray_difference(calibration.sensor, sensor, calibration.grid), axis=-1)
     # The errors over the field go together: half of all calibrations are within one, nearly all within three.
-    assert np.sqrt(np.nanmean(error**2)) < 3 * np.sqrt(np.mean(found.ray_sigma_px**2))
+    assert np.sqrt(np.nanmean(error**2)) < 3 * np.sqrt(np.mean(calibration.ray_sigma_px**2))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -43,10 +43,10 @@ def test_more_sensors(kind, seed):
 @pytest.mark.parametrize("kind", ["eucm", "double_sphere", "ocam"])
 def test_one_model_stands_for_another(kind):
     """A mirror without a lens is exactly EUCM and double sphere, and nearly a polynomial."""
-    corners, _ = seen_boards(MIRROR, 8, 3)
-    found = calibrate_sensor(corners, kind, mount=Mount(looks="down", mirrored=True))
-    assert found.rms_px < {"ocam": 0.2}.get(kind, 1e-6)
-    off = np.linalg.norm(project(found.sensor, unproject(MIRROR, corners.pixels)[0])[0] - corners.pixels, axis=-1)
+    corners, _ = visible_boards(MIRROR, 8, 3)
+    calibration = calibrate_sensor(corners, kind, mount=Mount(looks="down", mirrored=True))
+    assert calibration.rms_px < {"ocam": 0.2}.get(kind, 1e-6)
+    off = np.linalg.norm(project(calibration.sensor, unproject(MIRROR, corners.pixels)[0])[0] - corners.pixels, axis=-1)
     # A principal point off by the width of a turn: the frames differ by it, which is no error of the rays.
     assert np.nanmax(off) < {"ocam": 3.0}.get(kind, 1e-4)
 
@@ -61,7 +61,7 @@ def test_one_model_stands_for_another(kind):
     ids=str,
 )
 def test_mount_is_taken_over_and_changes_nothing_but_frames(mount):
-    corners = noisy(seen_boards(UNIFIED, 6, 4)[0], 0.1, 1)
+    corners = noisy(visible_boards(UNIFIED, 6, 4)[0], 0.1, 1)
     plain = calibrate_sensor(corners, "unified")
     mounted = calibrate_sensor(corners, "unified", mount=mount)
     assert mounted.sensor.mount == mount
@@ -78,13 +78,13 @@ def test_mount_is_taken_over_and_changes_nothing_but_frames(mount):
     )  # fmt: skip
 
 
-def _inside(found):
-    grid = found.grid
+def _inside(calibration):
+    grid = calibration.grid
     return np.stack(np.meshgrid(grid.u, grid.v), axis=-1)[grid.inside]
 
 
 def test_start_with_a_mount_lends_it():
-    corners, _ = seen_boards(UNIFIED, 4, 5)
+    corners, _ = visible_boards(UNIFIED, 4, 5)
     start = UNIFIED.model_copy(update={"mount": Mount(looks="up", yaw_deg=30)})
-    found = calibrate_sensor(replace(corners), "unified", start=start)
-    assert found.sensor.mount == start.mount
+    calibration = calibrate_sensor(replace(corners), "unified", start=start)
+    assert calibration.sensor.mount == start.mount

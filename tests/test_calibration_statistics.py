@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from boards import MIRROR, UNIFIED, noisy, seen_boards
+from boards import MIRROR, UNIFIED, noisy, visible_boards
 
 from harness.calibration.adjust import adjust
 from harness.calibration.corners import Board
@@ -17,18 +17,18 @@ NOISE_PX, DRAWS = 0.1, 100
 
 @pytest.mark.parametrize("sensor", [MIRROR, UNIFIED], ids=["hyperboloid", "unified"])
 def test_numbers_and_rays_scatter_as_predicted(sensor):
-    exact, poses = seen_boards(sensor, 20, 30)
+    exact, poses = visible_boards(sensor, 20, 30)
     parameters = Parameters(sensor, choose_keys(sensor))
     truth, start = parameters.values(parameters.vector(sensor)), parameters.vector(sensor)
     grid = ray_grid(sensor)
     scores, squares, predicted = [], [], []
     for draw in range(DRAWS):
-        found = adjust(parameters, noisy(exact, NOISE_PX, 5000 + draw), start, poses)
-        uncertainty = uncertainty_of(found)
+        fitted = adjust(parameters, noisy(exact, NOISE_PX, 5000 + draw), start, poses)
+        uncertainty = uncertainty_of(fitted)
         scores.append((uncertainty.values - truth) / uncertainty.sigma)
-        squares.append(np.sum(ray_difference(sensor, parameters.sensor_at(found.vector), grid) ** 2, axis=-1))
+        squares.append(np.sum(ray_difference(sensor, parameters.sensor_at(fitted.vector), grid) ** 2, axis=-1))
         if draw < 10:
-            predicted.append(ray_sigma(found, uncertainty.vector_covariance, grid)[0] ** 2)
+            predicted.append(ray_sigma(fitted, uncertainty.vector_covariance, grid)[0] ** 2)
     within = np.mean(np.abs(scores) < 1)
     # 68.3 % expected; numbers that trade off count as two or three each time, so that the share scatters by 3 %.
     assert within == pytest.approx(0.683, abs=0.04)
@@ -40,8 +40,8 @@ def test_numbers_and_rays_scatter_as_predicted(sensor):
 
 def test_many_corners_bring_rays_to_a_fiftieth_of_a_pixel():
     """Noise of 0.1 px in 60 images of a board of 12 x 9 corners, close by."""
-    exact, _ = seen_boards(UNIFIED, 60, 31, board=Board(columns=12, rows=9, square_m=0.03))
-    found = calibrate_sensor(noisy(exact, NOISE_PX, 5), "unified")
-    error = np.linalg.norm(ray_difference(found.sensor, UNIFIED, found.grid), axis=-1)
+    exact, _ = visible_boards(UNIFIED, 60, 31, board=Board(columns=12, rows=9, square_m=0.03))
+    calibration = calibrate_sensor(noisy(exact, NOISE_PX, 5), "unified")
+    error = np.linalg.norm(ray_difference(calibration.sensor, UNIFIED, calibration.grid), axis=-1)
     assert np.median(error) < 0.02
-    assert np.median(found.ray_sigma_px) < 0.02
+    assert np.median(calibration.ray_sigma_px) < 0.02

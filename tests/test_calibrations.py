@@ -40,8 +40,8 @@ def one(folder: Path, text: str):
 @pytest.mark.parametrize("change", [str, lambda text: "\ufeff" + text.replace("\n", "\r\n")], ids=["", "from Windows"])
 def test_the_kind_follows_from_the_content(text, name, cameras, change, tmp_path):
     (tmp_path / "file").write_bytes(change(text).encode())
-    found = read_calibration(tmp_path / "file")
-    assert (found.format, len(found.cameras)) == (name, cameras)
+    result = read_calibration(tmp_path / "file")
+    assert (result.format, len(result.cameras)) == (name, cameras)
 
 
 def test_ocamcalib_without_its_comments(tmp_path):
@@ -104,9 +104,9 @@ def test_opencv_fisheye(tmp_path):
     guessed = one(tmp_path, files.FISHEYE_YAML.replace("fisheye_model: 1\n", ""))
     assert guessed.model == camera.model
     assert guessed.notes == (AMBIGUOUS,)
-    told = one(tmp_path, files.FISHEYE_YAML.replace("fisheye_model: 1", "fisheye_model: 0"))
-    assert told.model == {"kind": "unified", "xi": 0.0}
-    assert told.lens == {"k1": -0.013, "k2": 0.0041, "p1": -0.0023, "p2": 0.00031}
+    words = one(tmp_path, files.FISHEYE_YAML.replace("fisheye_model: 1", "fisheye_model: 0"))
+    assert words.model == {"kind": "unified", "xi": 0.0}
+    assert words.lens == {"k1": -0.013, "k2": 0.0041, "p1": -0.0023, "p2": 0.00031}
 
 
 def test_a_perspective_camera_is_the_unified_model_without_a_mirror(tmp_path):
@@ -203,8 +203,8 @@ def test_basalt(tmp_path):
     assert ucm.model == {"kind": "eucm", "alpha": 0.6, "beta": 1.0}
     assert ds.camera == {"focal_px": 158.2, "aspect": 158.4 / 158.2, "cx_px": 255.0, "cy_px": 256.1}
     # Camera 1 is turned by 90° about z and 0.2 m along the IMU's y; the first camera is 0.1 m along its x.
-    seen = kb.T_cam_from_first @ [1.0, 2.0, 3.0, 1.0]
-    assert seen == pytest.approx([2 - 0.2, -(1 + 0.1), 3, 1], abs=1e-15)
+    visible = kb.T_cam_from_first @ [1.0, 2.0, 3.0, 1.0]
+    assert visible == pytest.approx([2 - 0.2, -(1 + 0.1), 3, 1], abs=1e-15)
 
 
 def test_colmap_has_pixels_from_their_corner(tmp_path):

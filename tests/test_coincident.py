@@ -90,14 +90,14 @@ def test_the_later_object_is_seen_in_both_views_and_in_truth(seed):
     directions, valid = pixel_directions(SMALL)
     for pose in VIEWS:
         expected, range_m, edge = brute_force(scene, pose, directions[valid])
-        seen = truth(scene, pose, directions, valid, wrap_columns=False)
+        visible = truth(scene, pose, directions, valid, wrap_columns=False)
         geometry = geometry_of(scene)
         greys = np.array([texels[0, 0] for texels in geometry.textures])
-        found = greys[geometry.texture_of_face[seen.face[valid]]]
+        result = greys[geometry.texture_of_face[visible.face[valid]]]
         # A ray within 1e-6 of a triangle's side may fall on either side of it.
         assert edge.mean() < 0.01
-        np.testing.assert_array_equal(found[~edge], expected[~edge])
-        np.testing.assert_allclose(seen.range_m[valid], range_m, rtol=0, atol=1e-8)
+        np.testing.assert_array_equal(result[~edge], expected[~edge])
+        np.testing.assert_allclose(visible.range_m[valid], range_m, rtol=0, atol=1e-8)
         one = render(scene, SMALL, pose, 1)[valid]
         np.testing.assert_array_equal(one[~edge], expected[~edge])
         np.testing.assert_array_equal(render(scene, SMALL, pose, 4), render_every_sample(scene, SMALL, pose, 4))
@@ -107,8 +107,8 @@ def test_the_later_object_is_seen_in_both_views_and_in_truth(seed):
 def test_a_point_on_a_rug_is_visible_from_the_other_view():
     directions, valid = pixel_directions(SMALL)
     scene = room(rug(20), rug(30, 0.5, 0.3))
-    seen = truth(scene, VIEWS[0], directions, valid, pose_2=VIEWS[1], wrap_columns=False)
-    assert seen.unoccluded[valid].all()
+    visible = truth(scene, VIEWS[0], directions, valid, pose_2=VIEWS[1], wrap_columns=False)
+    assert visible.unoccluded[valid].all()
 
 
 @pytest.mark.filterwarnings("ignore::harness.errors.Notice")

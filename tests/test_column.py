@@ -93,10 +93,10 @@ def window_at(i, j, half, width):
 
 def window_cost(known, window, cost):
     """Over a window; NaN where one of its pairs is missing."""
-    found = [known.get(place) for place in window]
-    if None in found:
+    result = [known.get(place) for place in window]
+    if None in result:
         return np.nan
-    a, b = (np.array(each) for each in zip(*found, strict=True))
+    a, b = (np.array(each) for each in zip(*result, strict=True))
     if cost == "zncc":
         return 1 - np.corrcoef(a, b)[0, 1]
     if cost == "census":
@@ -187,15 +187,15 @@ def test_half_samples_are_samples_of_twice_as_many_columns(cost, pitch_px):
     made = costs_of_half_samples(first, second, whole, matcher, 1)
     known = {}
     tolerance = 2.0**-24 if cost == "zncc" else 0  # as above
-    found = np.argwhere(whole.reason == Reason.MATCHED)[::5]
-    for i, j in found.tolist():
+    result = np.argwhere(whole.reason == Reason.MATCHED)[::5]
+    for i, j in result.tolist():
         for n in range(7):
             k = 2 * int(whole.k[i, j]) + n - 3
             if k not in known:
                 known[k] = pairs(first, second, t, 2 * matcher.samples_per_column, k, cost)
             expected = window_cost(known[k], window_at(i, j, 1, GRID.width_px), cost)
             np.testing.assert_allclose(made[i, j, n], expected, rtol=0, atol=tolerance)
-    assert len(found) > 50
+    assert len(result) > 50
     assert np.isnan(made[whole.reason != Reason.MATCHED][..., ::2]).all()
 
 
@@ -299,11 +299,11 @@ def test_impossible_settings_are_refused(wrong, message):
 # -- On the paper's box ------------------------------------------------------------------------------------------------
 
 
-def outcomes(paper, kept, **settings):
+def outcomes(paper, cache, **settings):
     trial = paper.experiment.trial
     return [
         run_trial(
-            trial.model_copy(update={"matching": trial.matching.model_copy(update=settings | {"subpixel": s})}), kept
+            trial.model_copy(update={"matching": trial.matching.model_copy(update=settings | {"subpixel": s})}), cache
         )
         for s in ("none", "parabola")
     ]
@@ -316,8 +316,8 @@ def test_error_bounds_hold(paper, pitch_px):
 
 def test_what_is_found_is_what_the_square_window_finds(paper):
     """Two definitions of one idea: on walls, where both are right, they differ by less than a sample nearly always."""
-    kept = StageCache()
-    square, column = (outcomes(paper, kept, kind=kind)[1] for kind in ("window", "column"))
+    cache = StageCache()
+    square, column = (outcomes(paper, cache, kind=kind)[1] for kind in ("window", "column"))
     both = square.valid & column.valid & square.reference.domain & square.reference.wall
     assert both.sum() > 0.7 * (square.reference.domain & square.reference.wall).sum()
     assert np.mean(np.abs(square.matches.k - column.matches.k)[both] < 1) > 0.9

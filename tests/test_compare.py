@@ -118,7 +118,7 @@ def test_comparison_in_chromium(runs, tmp_path, width):
     file = tmp_path / "comparison.html"
     file.write_text(build_comparison(runs["window"], runs["column"], runs["baselines"]).html, encoding="utf-8")
     with chromium(tmp_path / "profile") as browser:
-        seen = visit(browser, file, width=width)
-        assert (seen.requests, seen.complaints) == ([], [])
-        assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
-        assert seen.page.locator("figure img").count() == 1
+        visited = visit(browser, file, width=width)
+        assert (visited.requests, visited.complaints) == ([], [])
+        assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+        assert visited.page.locator("figure img").count() == 1

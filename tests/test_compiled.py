@@ -178,7 +178,7 @@ def test_a_source_edited_after_the_program_began_is_not_kept(tmp_path: Path, mon
 
 def test_the_newest_versions_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("numba.core.config.CACHE_DIR", "")
-    monkeypatch.setattr(compiled, "KEPT_VERSIONS", 2)
+    monkeypatch.setattr(compiled, "VERSIONS_ON_DISK", 2)
     chosen, _ = store(monkeypatch, XDG_CACHE_HOME=str(tmp_path))
     for age in range(5):
         old = chosen.folder.with_name(f"old{age}")

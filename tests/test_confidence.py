@@ -29,13 +29,13 @@ def test_oracle_of_uniform_errors():
     n = 1000
     error = (np.arange(n) + 0.5) / n * np.where(np.arange(n) % 2, 1, -1)
     for statistic in ("mean", "median"):
-        found = sparsification(error, np.zeros(n), statistic=statistic)
-        np.testing.assert_allclose(found.oracle, (1 - found.removed) / 2, rtol=1e-12)
+        result = sparsification(error, np.zeros(n), statistic=statistic)
+        np.testing.assert_allclose(result.oracle, (1 - result.removed) / 2, rtol=1e-12)
         # All equally sure: the curve is flat, and the area is that between 1/2 and (1 - r)/2, r from 0 to 0.99.
-        np.testing.assert_allclose(found.remaining, 0.5, rtol=1e-12)
-        assert found.random == pytest.approx(0.5, rel=1e-12)
-        assert found.ause == pytest.approx(0.99**2 / 4, rel=1e-12)
-        assert found.ause_over_random == pytest.approx(1, rel=1e-12)
+        np.testing.assert_allclose(result.remaining, 0.5, rtol=1e-12)
+        assert result.random == pytest.approx(0.5, rel=1e-12)
+        assert result.ause == pytest.approx(0.99**2 / 4, rel=1e-12)
+        assert result.ause_over_random == pytest.approx(1, rel=1e-12)
 
 
 def test_upside_down_confidence_is_worse_than_none():
@@ -62,11 +62,11 @@ def test_sparsification_by_hand():
 def test_sparsification_against_sorting(statistic):
     # Without ties, where a share is a whole number of pixels, it is the statistic of the surest.
     error, confidence = RNG.normal(size=(2, 500))
-    found = sparsification(error, confidence, statistic=statistic)
+    result = sparsification(error, confidence, statistic=statistic)
     surest_first = np.abs(error)[np.argsort(-confidence)]
     for i in range(STEPS):
         expected = getattr(np, statistic)(surest_first[: 500 - 5 * i])
-        assert found.remaining[i] == pytest.approx(expected, rel=1e-12)
+        assert result.remaining[i] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("statistic", ["mean", "median"])
@@ -96,9 +96,9 @@ def test_calibration_of_normal_errors():
     sigma = RNG.uniform(0.01, 3, size=n)
     error = RNG.normal(size=n) * sigma
     right = calibration(error, sigma)
-    for found, expected in zip(right.within, EXPECTED_WITHIN, strict=True):
+    for result, expected in zip(right.within, EXPECTED_WITHIN, strict=True):
         # Binomial: four standard deviations.
-        assert abs(found - expected) < 4 * np.sqrt(expected * (1 - expected) / n)
+        assert abs(result - expected) < 4 * np.sqrt(expected * (1 - expected) / n)
     # The median absolute deviation has a relative standard deviation of 1.166/sqrt(n), the median 1.253/sqrt(n).
     assert right.spread == pytest.approx(1, abs=4 * 1.166 / np.sqrt(n))
     assert right.bias == pytest.approx(0, abs=4 * 1.253 / np.sqrt(n))
@@ -112,11 +112,11 @@ def test_expected_shares_are_those_of_the_error_function():
 
 
 def test_calibration_by_hand():
-    found = calibration([1, -3, 5, 7, np.nan, 2, 2], [1, 2, 2, 2, 1, 0, np.inf])
-    assert found.pixels == 4
-    assert found.predicted == pytest.approx(4 / 6)
-    assert found.within == pytest.approx((0.25, 0.5, 0.75))
-    assert found.bias == pytest.approx((1 + 2.5) / 2)
+    result = calibration([1, -3, 5, 7, np.nan, 2, 2], [1, 2, 2, 2, 1, 0, np.inf])
+    assert result.pixels == 4
+    assert result.predicted == pytest.approx(4 / 6)
+    assert result.within == pytest.approx((0.25, 0.5, 0.75))
+    assert result.bias == pytest.approx((1 + 2.5) / 2)
     nothing = calibration([np.nan, 1.0], [1.0, np.nan])
     assert nothing.pixels == 0
     assert nothing.predicted == 0
@@ -129,18 +129,18 @@ flags = hnp.arrays(bool, st.shared(st.integers(1, 40), key="n"))
 
 @given(few, flags, flags)
 def test_area_is_the_share_of_pairs_in_the_right_order(confidence, bad, among):
-    found = roc(confidence, bad, among=among)
+    result = roc(confidence, bad, among=among)
     level = np.nan_to_num(confidence, nan=-1)
     below, above = level[bad & among], level[~bad & among]
-    assert (found.bad, found.good) == (below.size, above.size)
+    assert (result.bad, result.good) == (below.size, above.size)
     if not below.size or not above.size:
-        assert np.isnan(found.auc)
+        assert np.isnan(result.auc)
         return
     pairs = np.sign(above[None, :] - below[:, None])
     # Sums of at most 400 fractions.
-    assert found.auc == pytest.approx(np.mean((pairs + 1) / 2), abs=1e-13)
-    assert found.caught[0] == found.lost[0] == 0
-    assert found.caught[-1] == found.lost[-1] == 1
+    assert result.auc == pytest.approx(np.mean((pairs + 1) / 2), abs=1e-13)
+    assert result.caught[0] == result.lost[0] == 0
+    assert result.caught[-1] == result.lost[-1] == 1
 
 
 def test_roc_of_errors():
@@ -156,9 +156,9 @@ def test_roc_of_two_normal_distributions():
     # Confidence N(1, 1) for good and N(0, 1) for bad pixels: AUC = Phi(1/sqrt 2) = 0.76025.
     n = 20_000
     confidence = np.concatenate([RNG.normal(1, 1, n), RNG.normal(0, 1, n)])
-    found = roc(confidence, np.arange(2 * n) >= n)
+    result = roc(confidence, np.arange(2 * n) >= n)
     # The variance of the area is below auc (1 - auc)/n.
-    assert found.auc == pytest.approx(0.76025, abs=4 * np.sqrt(0.76025 * 0.23975 / n))
+    assert result.auc == pytest.approx(0.76025, abs=4 * np.sqrt(0.76025 * 0.23975 / n))
 
 
 def test_shapes_have_to_fit():

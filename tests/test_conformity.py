@@ -151,21 +151,21 @@ def test_every_check_is_tried() -> None:
 @pytest.mark.parametrize("name", BAD)
 def test_a_matcher_that_breaks_it(name: str, candidate: Write) -> None:
     change, said = BAD[name]
-    found = finding(candidate(change), name)
-    assert found.passed is False
-    assert said in found.text
+    result = finding(candidate(change), name)
+    assert result.passed is False
+    assert said in result.text
 
 
 def test_nothing_else_is_looked_at_without_an_answer(candidate: Write) -> None:
-    found = list(conformity(load_matcher(candidate("raise KeyError('x')"))))
-    assert [each.passed for each in found] == [False] + [None] * (len(CHECKS) - 1)
-    assert "fails: KeyError: 'x' (" in found[0].text
-    assert {each.text for each in found[1:]} == {"not tested: it returns no result"}
+    result = list(conformity(load_matcher(candidate("raise KeyError('x')"))))
+    assert [each.passed for each in result] == [False] + [None] * (len(CHECKS) - 1)
+    assert "fails: KeyError: 'x' (" in result[0].text
+    assert {each.text for each in result[1:]} == {"not tested: it returns no result"}
 
 
 def test_a_blank_answer_without_confidence(candidate: Write) -> None:
-    found = finding(candidate("return pair.alpha_1 + 0.2 * np.sin(pair.alpha_1)"), "blank")
-    assert "and gives no confidence that would mark them" in found.text
+    result = finding(candidate("return pair.alpha_1 + 0.2 * np.sin(pair.alpha_1)"), "blank")
+    assert "and gives no confidence that would mark them" in result.text
 
 
 # --- omnirange check ----------------------------------------------------------------------------------------------
@@ -234,8 +234,8 @@ def test_marks_where_the_terminal_knows_letters_alone(monkeypatch: pytest.Monkey
 
 def plugin() -> list[str]:
     """Its name for pytest, unless it is installed so that pytest finds it."""
-    found = metadata.entry_points(group="pytest11")
-    return [] if any(each.value == "omnirange_pytest" for each in found) else ["-p", "omnirange_pytest"]
+    result = metadata.entry_points(group="pytest11")
+    return [] if any(each.value == "omnirange_pytest" for each in result) else ["-p", "omnirange_pytest"]
 
 
 def run_suite(pytester: pytest.Pytester, call: str) -> pytest.RunResult:

@@ -102,11 +102,11 @@ def test_distance_is_the_least_over_the_plane(xi):
         starts = np.linspace(0, 2 * np.pi, 400)
         apart = [np.linalg.norm(pixel(s) - point) for s in starts]
         best = starts[np.argmin(apart)]
-        found = minimize_scalar(
+        result = minimize_scalar(
             lambda s, p=point: np.linalg.norm(pixel(s) - p), bounds=(best - 0.02, best + 0.02), method="bounded",
             options={"xatol": 1e-10},
         )  # fmt: skip
-        assert conic.distance(point) == pytest.approx(found.fun, rel=1e-6, abs=1e-6)  # of a bounded search
+        assert conic.distance(point) == pytest.approx(result.fun, rel=1e-6, abs=1e-6)  # of a bounded search
 
 
 def test_in_pixels_the_points_are_the_same():

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from boards import MIRROR, seen_boards
+from boards import MIRROR, visible_boards
 
 from harness.calibration.corner_files import corner_tables, corners_csv, read_corners
 from harness.errors import InputError
@@ -13,7 +13,7 @@ from harness.errors import InputError
 
 @pytest.fixture(scope="module")
 def corners():
-    return seen_boards(MIRROR, 3, 20)[0]
+    return visible_boards(MIRROR, 3, 20)[0]
 
 
 def same(one, other):
@@ -51,9 +51,9 @@ class TestRead:
     def test_csv_that_counts_squares(self, tmp_path):
         lines = [f"a.png, {i % 3}, {i // 3}, {100 + 10 * (i % 3)}, {50 + 10 * (i // 3)}" for i in range(6)]
         (tmp_path / "a.csv").write_text("\n".join(["image,column,row,u_px,v_px", *lines]), encoding="utf-8")
-        found = read_corners(tmp_path / "a.csv", square_m=0.03, size=(640, 480))
-        np.testing.assert_allclose(found.points_m[-1], [0.06, 0.03])
-        assert found.pixels[-1].tolist() == [120, 60]
+        corners = read_corners(tmp_path / "a.csv", square_m=0.03, size=(640, 480))
+        np.testing.assert_allclose(corners.points_m[-1], [0.06, 0.03])
+        assert corners.pixels[-1].tolist() == [120, 60]
         with pytest.raises(InputError, match="counts corners in squares; give their side with --square-m"):
             read_corners(tmp_path / "a.csv", size=(640, 480))
         with pytest.raises(InputError, match="does not say how large the images are; give --size"):
@@ -67,19 +67,19 @@ class TestRead:
     def test_npz(self, corners, tmp_path):
         arrays = {"points_m": corners.points_m, "pixels": corners.pixels, "image": corners.image}
         np.savez(tmp_path / "a.npz", size=[640, 480], **arrays)
-        found = read_corners(tmp_path / "a.npz")
-        np.testing.assert_array_equal(found.pixels, corners.pixels)
-        assert found.images == ("0", "1", "2")
+        read = read_corners(tmp_path / "a.npz")
+        np.testing.assert_array_equal(read.pixels, corners.pixels)
+        assert read.images == ("0", "1", "2")
 
     def test_opencv_xml(self, corners, tmp_path):
         (tmp_path / "a.xml").write_text(opencv_xml(corners), encoding="utf-8")
-        found = read_corners(tmp_path / "a.xml", size=(640, 480))
-        np.testing.assert_array_equal(found.pixels, corners.pixels)
-        np.testing.assert_array_equal(found.points_m, corners.points_m)
+        read = read_corners(tmp_path / "a.xml", size=(640, 480))
+        np.testing.assert_array_equal(read.pixels, corners.pixels)
+        np.testing.assert_array_equal(read.points_m, corners.points_m)
         sized = opencv_xml(corners).replace("</opencv_storage>", "<imageSize>\n  640 480</imageSize></opencv_storage>")
         (tmp_path / "b.xml").write_text(sized, encoding="utf-8")
-        found = read_corners(tmp_path / "b.xml")
-        assert (found.width_px, found.height_px) == (640, 480)
+        read = read_corners(tmp_path / "b.xml")
+        assert (read.width_px, read.height_px) == (640, 480)
 
 
 BENT = """<?xml version='1.0'?><opencv_storage>

@@ -58,44 +58,44 @@ class TestFisheye:
     """Equidistant: rho = f theta, so that all is known by hand."""
 
     def test_one_that_looks_up(self):
-        found = coverage(equidistant(**UP))
-        assert found.axis_px == (319.5, 239.5)
-        assert found.blind is None
-        assert found.rim.diameter_px == pytest.approx((100 * np.pi, 100 * np.pi), rel=1e-6)
-        assert found.elevation_deg == pytest.approx((0, 90), abs=0.6)  # half a pixel is 0.3°
-        seen = found.resolution
+        covered = coverage(equidistant(**UP))
+        assert covered.axis_px == (319.5, 239.5)
+        assert covered.blind is None
+        assert covered.rim.diameter_px == pytest.approx((100 * np.pi, 100 * np.pi), rel=1e-6)
+        assert covered.elevation_deg == pytest.approx((0, 90), abs=0.6)  # half a pixel is 0.3°
+        visible = covered.resolution
         per_degree = 100 * np.pi / 180
-        assert seen.radial == pytest.approx(np.full(361, per_degree), rel=1e-9)
-        theta = seen.angle_rad
-        assert seen.tangential == pytest.approx(per_degree * theta / np.sin(theta), rel=1e-9)
-        assert seen.elevation_rad == pytest.approx(np.pi / 2 - theta, abs=1e-12)
+        assert visible.radial == pytest.approx(np.full(361, per_degree), rel=1e-9)
+        theta = visible.angle_rad
+        assert visible.tangential == pytest.approx(per_degree * theta / np.sin(theta), rel=1e-9)
+        assert visible.elevation_rad == pytest.approx(np.pi / 2 - theta, abs=1e-12)
 
     def test_one_that_looks_down(self):
-        found = coverage(equidistant("down", elevation_min_deg=-90.0, elevation_max_deg=10.0))
-        assert np.degrees(found.rim.angle_rad) == pytest.approx(100, abs=1e-6)
-        assert found.resolution.elevation_rad == pytest.approx(found.resolution.angle_rad - np.pi / 2, abs=1e-12)
+        covered = coverage(equidistant("down", elevation_min_deg=-90.0, elevation_max_deg=10.0))
+        assert np.degrees(covered.rim.angle_rad) == pytest.approx(100, abs=1e-6)
+        assert covered.resolution.elevation_rad == pytest.approx(covered.resolution.angle_rad - np.pi / 2, abs=1e-12)
 
     def test_one_that_looks_forward(self):
         field = {"elevation_min_deg": -90.0, "elevation_max_deg": 90.0, "angle_max_deg": 80.0}
-        found = coverage(equidistant("forward", **field))
-        assert np.degrees(found.rim.angle_rad) == pytest.approx(80, abs=1e-6)
-        assert np.isnan(found.resolution.elevation_rad).all()
-        assert found.elevation_deg == pytest.approx((-80, 80), abs=0.6)
-        assert found.sphere == pytest.approx((1 - np.cos(np.radians(80))) / 2, abs=1e-3)
+        covered = coverage(equidistant("forward", **field))
+        assert np.degrees(covered.rim.angle_rad) == pytest.approx(80, abs=1e-6)
+        assert np.isnan(covered.resolution.elevation_rad).all()
+        assert covered.elevation_deg == pytest.approx((-80, 80), abs=0.6)
+        assert covered.sphere == pytest.approx((1 - np.cos(np.radians(80))) / 2, abs=1e-3)
 
     def test_one_whose_circle_is_cut_off(self):
         """The rim at 1.4 times the half height: what is beyond, by the arc's angle on two sides."""
-        found = coverage(equidistant(focal_px=240 * 1.4 / (np.pi / 2), **UP, width_px=800, cx_px=399.5))
-        assert found.rim.sides == ("top", "bottom")
-        assert found.rim.on_image == pytest.approx(1 - 4 * np.arccos(1 / 1.4) / (2 * np.pi), abs=0.01)
+        covered = coverage(equidistant(focal_px=240 * 1.4 / (np.pi / 2), **UP, width_px=800, cx_px=399.5))
+        assert covered.rim.sides == ("top", "bottom")
+        assert covered.rim.on_image == pytest.approx(1 - 4 * np.arccos(1 / 1.4) / (2 * np.pi), abs=0.01)
 
     def test_one_that_is_wider_than_its_image(self):
-        found = coverage(equidistant(focal_px=400.0, **UP))
-        assert found.rim.on_image == 0
-        assert found.used == 1
+        covered = coverage(equidistant(focal_px=400.0, **UP))
+        assert covered.rim.on_image == 0
+        assert covered.used == 1
         corner = np.degrees(np.hypot(319.5, 239.5) / 400)
-        assert found.elevation_deg[0] == pytest.approx(90 - corner, abs=1e-9)
-        assert np.isnan(found.resolution.radial[-1])  # nothing is on the image there
+        assert covered.elevation_deg[0] == pytest.approx(90 - corner, abs=1e-9)
+        assert np.isnan(covered.resolution.radial[-1])  # nothing is on the image there
 
 
 def test_a_sensor_that_sees_nothing_has_no_coverage():

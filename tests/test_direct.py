@@ -39,11 +39,11 @@ def reach(viewpoint, directions):
 
 def image(turn=None, sensor=SENSOR):
     """What view 1 sees, or view 2."""
-    x, seen = pixel_directions(sensor)
+    x, visible = pixel_directions(sensor)
     at = np.zeros(3) if turn is None else BASELINE_M * turn.t
     d = x if turn is None else x @ turn.R
-    grey = np.zeros(seen.shape)
-    grey[seen] = texture(at + reach(at, d[seen])[:, None] * d[seen])
+    grey = np.zeros(visible.shape)
+    grey[visible] = texture(at + reach(at, d[visible])[:, None] * d[visible])
     return grey.astype(np.float32)
 
 
@@ -60,8 +60,8 @@ def noisy(sigma, seed):
 def keypoints(n=300, noise_px=0.2, seed=0):
     """Pairs of points of the walls."""
     draws = np.random.default_rng(seed)
-    x, seen = pixel_directions(SENSOR)
-    x = x[seen][draws.choice(seen.sum(), n, replace=False)]
+    x, visible = pixel_directions(SENSOR)
+    x = x[visible][draws.choice(visible.sum(), n, replace=False)]
     p = reach(np.zeros(3), x)[:, None] * x
     pixels, there = zip(project(SENSOR, p), project(SENSOR, (p - BASELINE_M * TURN.t) @ TURN.R.T), strict=True)
     both = there[0] & there[1]
@@ -85,11 +85,11 @@ def off_deg(turn):
     return np.degrees([rotation, angle_between(turn.t, TURN.t)])
 
 
-def sigmas_off(found, freedom="free"):
-    held = np.vstack(tangents(found.turn, freedom))
-    omega = Rotation.from_matrix(found.turn.R.T @ TURN.R).as_rotvec()
-    error = held.T @ np.concatenate([omega, TURN.t - found.turn.t])
-    return error / np.sqrt(np.diag(held.T @ found.covariance @ held))
+def sigmas_off(fit, freedom="free"):
+    held = np.vstack(tangents(fit.turn, freedom))
+    omega = Rotation.from_matrix(fit.turn.R.T @ TURN.R).as_rotvec()
+    error = held.T @ np.concatenate([omega, TURN.t - fit.turn.t])
+    return error / np.sqrt(np.diag(held.T @ fit.covariance @ held))
 
 
 # --- Normal equations -----------------------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ def test_normal_equations_are_those_of_differences():
     everywhere = _equations(given, tiles, _state(true_planes(given, tiles)))
     tiles = tiles[everywhere.n == SIDE_PX**2][10:40:10]
     planes = true_planes(given, tiles) * 1.02
-    found = _equations(given, tiles, _state(planes))
+    result = _equations(given, tiles, _state(planes))
     step = 1e-5
     for i, tile in enumerate(tiles):
 
@@ -125,12 +125,12 @@ def test_normal_equations_are_those_of_differences():
         J = np.stack([(grey(step * e) - grey(-step * e)) / (2 * step) for e in np.eye(11)], axis=1)
         first = given.grey[tile[0] : tile[0] + SIDE_PX, tile[1] : tile[1] + SIDE_PX].ravel()
         r = first - grey(np.zeros(11))
-        assert found.n[i] == SIDE_PX**2
+        assert result.n[i] == SIDE_PX**2
         size = np.sqrt(np.diag(J.T @ J))
         # Coefficients in single precision (1e-7 of 200 grey levels, beside gradients of some), and step².
-        assert np.allclose(found.H[i] / np.outer(size, size), J.T @ J / np.outer(size, size), atol=2e-4)
-        assert np.allclose(found.g[i] / size, J.T @ r / size, atol=2e-4 * np.linalg.norm(r) + 1e-3)
-        assert found.residual[i] == pytest.approx(r @ r / (SIDE_PX**2 - 5), rel=1e-3)
+        assert np.allclose(result.H[i] / np.outer(size, size), J.T @ J / np.outer(size, size), atol=2e-4)
+        assert np.allclose(result.g[i] / size, J.T @ r / size, atol=2e-4 * np.linalg.norm(r) + 1e-3)
+        assert result.residual[i] == pytest.approx(r @ r / (SIDE_PX**2 - 5), rel=1e-3)
 
 
 @pytest.mark.parametrize("blur_px", [0.0, 0.7])
@@ -170,8 +170,8 @@ def test_inverse_ranges_are_those_of_the_walls():
 def test_first_planes_are_near_those_of_the_walls():
     given = views(pair(), (SENSOR, SENSOR))
     tiles = lay_tiles(given)
-    found, pairs = start()
-    planes, correlation = first_planes(given, tiles, TURN, pairs.at(found.inlier))
+    result, pairs = start()
+    planes, correlation = first_planes(given, tiles, TURN, pairs.at(result.inlier))
     planes, correlation = best_planes(given, tiles, TURN, planes_beside(tiles, planes), (planes, correlation))
     x = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
     w, true = np.sum(planes * x, axis=1), np.sum(true_planes(given, tiles) * x, axis=1)
@@ -193,23 +193,23 @@ def test_the_best_of_some_planes_is_the_true_one():
 
 
 def test_tiles_are_where_view_1_sees_and_there_is_contrast():
-    _, seen = pixel_directions(SENSOR)
+    _, visible = pixel_directions(SENSOR)
     given = views(pair(), (SENSOR, SENSOR))
     for row, column in lay_tiles(given):
-        assert seen[row : row + SIDE_PX, column : column + SIDE_PX].mean() >= 0.8
+        assert visible[row : row + SIDE_PX, column : column + SIDE_PX].mean() >= 0.8
     flat = views((np.full_like(pair()[0], 100), pair()[1]), (SENSOR, SENSOR))
     assert len(lay_tiles(flat)) == 0
-    found, pairs = start()
-    assert fit_direct((np.full_like(pair()[0], 100), pair()[1]), (SENSOR, SENSOR), found, pairs) is None
+    result, pairs = start()
+    assert fit_direct((np.full_like(pair()[0], 100), pair()[1]), (SENSOR, SENSOR), result, pairs) is None
 
 
 # --- The motion -----------------------------------------------------------------------------------------------------
 
 
 def test_without_noise_the_motion_is_exact():
-    found, pairs = start()
-    assert off_deg(found.turn).min() > 0.005  # so that there is something to do
-    direct = fit_direct(pair(), (SENSOR, SENSOR), found, pairs)
+    result, pairs = start()
+    assert off_deg(result.turn).min() > 0.005  # so that there is something to do
+    direct = fit_direct(pair(), (SENSOR, SENSOR), result, pairs)
     # Waves of 15 pixels and longer, interpolated: some 1e-4 of a pixel of half a degree, on tiles by the hundred; tiles
     # on edges are no planes, and weigh little.
     rotation, direction = off_deg(direct.turn)
@@ -221,17 +221,17 @@ def test_without_noise_the_motion_is_exact():
 
 @pytest.mark.slow
 def test_exposure_does_not_matter():
-    found, pairs = start()
+    result, pairs = start()
     first, second = pair()
-    darker = fit_direct((first, (0.6 * second + 25).astype(np.float32)), (SENSOR, SENSOR), found, pairs)
+    darker = fit_direct((first, (0.6 * second + 25).astype(np.float32)), (SENSOR, SENSOR), result, pairs)
     assert max(off_deg(darker.turn)) < 0.005
 
 
 @pytest.mark.slow
 def test_what_is_held_stays():
-    found, pairs = start()
+    result, pairs = start()
     level = Turn(Rotation.from_euler("Z", 70, degrees=True).as_matrix(), normalise([0.8, -0.5, 0.0]))
-    direct = fit_direct(pair(), (SENSOR, SENSOR), Fit(level, found.covariance, 0.2, found.inlier), pairs, "planar")
+    direct = fit_direct(pair(), (SENSOR, SENSOR), Fit(level, result.covariance, 0.2, result.inlier), pairs, "planar")
     if direct is not None:  # the views are tilted by 3 degrees: hardly a tile may look alike
         assert np.allclose(direct.turn.R[2], [0, 0, 1], atol=1e-12)
         assert abs(direct.turn.t[2]) < 1e-12
@@ -241,8 +241,8 @@ def test_what_is_held_stays():
 def test_standard_deviations_are_those_of_repeated_draws():
     off, spread, said = [], [], []
     for seed in range(40):
-        found, pairs = start(seed)
-        direct = fit_direct(noisy(6.0, seed), (SENSOR, SENSOR), found, pairs)
+        result, pairs = start(seed)
+        direct = fit_direct(noisy(6.0, seed), (SENSOR, SENSOR), result, pairs)
         off.append(sigmas_off(direct))
         spread.append(off_deg(direct.turn))
         said.append(np.degrees([direct.sigma_rotation, direct.sigma_direction]))
@@ -256,8 +256,8 @@ def test_standard_deviations_are_those_of_repeated_draws():
 
 @pytest.mark.slow
 def test_where_noise_drowns_gradients_smoothed_images_serve():
-    found, pairs = start()
-    direct = fit_direct(noisy(25.0, 1), (SENSOR, SENSOR), found, pairs)
+    result, pairs = start()
+    direct = fit_direct(noisy(25.0, 1), (SENSOR, SENSOR), result, pairs)
     assert direct.blur_px == 0.7
     assert np.abs(sigmas_off(direct)).max() < 4
 
@@ -266,14 +266,18 @@ def test_where_noise_drowns_gradients_smoothed_images_serve():
 
 
 def test_fits_that_contradict_each_other_are_told():
-    found, pairs = start()
-    direct = fit_direct(pair(), (SENSOR, SENSOR), found, pairs)
-    assert sigmas_apart(found, direct) < 5
+    result, pairs = start()
+    direct = fit_direct(pair(), (SENSOR, SENSOR), result, pairs)
+    assert sigmas_apart(result, direct) < 5
     assert len(direct.tiles) >= 100
-    assert why_weak(found, None, direct, direct.covariance, direct_wanted=True) == []
-    away = moved(found.turn, np.radians([0.0, 0.0, 0.5]), np.zeros(3))
+    assert why_weak(result, None, direct, direct.covariance, direct_wanted=True) == []
+    away = moved(result.turn, np.radians([0.0, 0.0, 0.5]), np.zeros(3))
     reasons = why_weak(
-        Fit(away, found.covariance, found.scale_px, found.inlier), None, direct, direct.covariance, direct_wanted=True
+        Fit(away, result.covariance, result.scale_px, result.inlier),
+        None,
+        direct,
+        direct.covariance,
+        direct_wanted=True,
     )
     assert any("standard deviations apart" in each for each in reasons)
-    assert "do not look alike" in why_weak(found, None, None, found.covariance, direct_wanted=True)[-1]
+    assert "do not look alike" in why_weak(result, None, None, result.covariance, direct_wanted=True)[-1]

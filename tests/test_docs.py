@@ -46,9 +46,9 @@ def test_formulas_show_without_scripts_or_network(tmp_path: Path) -> None:
     subprocess.run(command, check=True, timeout=120)
     page = tmp_path / "html" / "index.html"
     with chromium(tmp_path / "profile", scripts=False) as context:
-        seen = visit(context, page, width=800)
-        assert not [each for each in seen.requests if not each.startswith("file:")]
-        formulas = seen.page.locator("svg[role=img]")
+        visited = visit(context, page, width=800)
+        assert not [each for each in visited.requests if not each.startswith("file:")]
+        formulas = visited.page.locator("svg[role=img]")
         assert formulas.count() == 2
         # TeX for screen readers, and ink: glyphs of a size that is like the text's.
         assert [formulas.nth(i).get_attribute("aria-label") for i in (0, 1)] == [
@@ -56,11 +56,11 @@ def test_formulas_show_without_scripts_or_network(tmp_path: Path) -> None:
             r"\frac{d_2^2}{|t|\,\sin\alpha_1}",
         ]
         inline, block = (formulas.nth(i).bounding_box() for i in (0, 1))
-        line = seen.page.locator("p").first.bounding_box()
+        line = visited.page.locator("p").first.bounding_box()
         assert 0.3 * line["height"] < inline["height"] < 1.1 * line["height"]
         assert block["height"] > 1.5 * inline["height"]
-        assert seen.page.locator("svg path").count() > 5
-        assert seen.page.locator(".formula-block .eqno").inner_text() == "(1)"
+        assert visited.page.locator("svg path").count() > 5
+        assert visited.page.locator(".formula-block .eqno").inner_text() == "(1)"
 
 
 def test_the_theory_page_compares_the_laws_rightly() -> None:

@@ -92,15 +92,15 @@ def test_where_no_camera_is_the_same_there_is_none(first, kind):
 class TestNearest:
     def test_comes_to_the_same_camera_as_the_difference_vanishes(self):
         """EUCM is the unified model but for k1: the residual falls with k1, and xi comes to alpha/(1 - alpha)."""
-        found = {}
+        converted = {}
         for k1 in (1e-3, 1e-5):
             first = optics("unified", PLAIN, Lens(k1=k1), xi=0.9)
-            found[k1] = convert(first, seen(first, 90), Target("eucm"))
-        assert not found[1e-5].is_exact
+            converted[k1] = convert(first, seen(first, 90), Target("eucm"))
+        assert not converted[1e-5].is_exact
         # In proportion, but for what is of second order in the larger one.
-        assert found[1e-3].rms_px / found[1e-5].rms_px == pytest.approx(100, rel=0.05)
-        assert found[1e-5].optics.model.alpha == pytest.approx(0.9 / 1.9, abs=1e-3)
-        assert found[1e-5].optics.camera.focal_px == pytest.approx(290 / 1.9, rel=1e-3)
+        assert converted[1e-3].rms_px / converted[1e-5].rms_px == pytest.approx(100, rel=0.05)
+        assert converted[1e-5].optics.model.alpha == pytest.approx(0.9 / 1.9, abs=1e-3)
+        assert converted[1e-5].optics.camera.focal_px == pytest.approx(290 / 1.9, rel=1e-3)
 
     @pytest.mark.parametrize(
         ("first", "target", "most_px"),
@@ -119,14 +119,14 @@ class TestNearest:
     def test_no_parameter_can_be_bettered(self, first, target, most_px):
         """Along each parameter the sum of squares, of exact angles, is least where the fit ended."""
         pixels = seen(first, 85)
-        found = convert(first, pixels, target)
-        assert found.rms_px < most_px
+        converted = convert(first, pixels, target)
+        assert converted.rms_px < most_px
         rays = first.unproject(pixels)
 
         def worse(camera):
             return np.sum((camera.unproject(pixels) - rays) ** 2)
 
-        best = found.optics
+        best = converted.optics
         least = worse(best)
         for key in ("focal_px", "aspect", "cx_px", "cy_px"):
             if key in best.model.unused:
@@ -144,25 +144,27 @@ class TestNearest:
         """By the angle between their rays, from the cross product, and the distance between their pixels."""
         first = optics("kannala_brandt", PLAIN, k1=0.03, k2=-4e-3, k3=0.0, k4=0.0)
         pixels = seen(first, 80)
-        found = convert(first, pixels, Target("eucm"))
-        one, other = first.unproject(pixels), found.optics.unproject(pixels)
+        converted = convert(first, pixels, Target("eucm"))
+        one, other = first.unproject(pixels), converted.optics.unproject(pixels)
         angles = np.arcsin(np.linalg.norm(np.cross(one, other), axis=-1))
-        apart = np.linalg.norm(found.optics.project(one) - pixels, axis=-1)
-        assert found.largest_rad == pytest.approx(angles.max(), rel=1e-9)
-        assert found.rms_rad == pytest.approx(np.sqrt(np.mean(angles**2)), rel=1e-9)
-        assert (found.largest_px, found.rms_px) == pytest.approx((apart.max(), np.sqrt(np.mean(apart**2))), rel=1e-9)
+        apart = np.linalg.norm(converted.optics.project(one) - pixels, axis=-1)
+        assert converted.largest_rad == pytest.approx(angles.max(), rel=1e-9)
+        assert converted.rms_rad == pytest.approx(np.sqrt(np.mean(angles**2)), rel=1e-9)
+        assert (converted.largest_px, converted.rms_px) == pytest.approx(
+            (apart.max(), np.sqrt(np.mean(apart**2))), rel=1e-9
+        )
         off_axis = np.degrees(np.arccos(one[:, 2]))
-        assert np.degrees(found.angles_rad) == pytest.approx((off_axis.min(), off_axis.max()), rel=1e-9)
-        assert found.pixels == len(pixels)
+        assert np.degrees(converted.angles_rad) == pytest.approx((off_axis.min(), off_axis.max()), rel=1e-9)
+        assert converted.pixels == len(pixels)
 
     @pytest.mark.slow
     def test_a_file_without_skew_gets_a_camera_without(self):
         first = optics("unified", xi=0.9)
-        found = convert(first, seen(first, 90), Target("unified", skew=False))
-        assert not found.is_exact
-        assert found.optics.camera.skew_px == 0
+        converted = convert(first, seen(first, 90), Target("unified", skew=False))
+        assert not converted.is_exact
+        assert converted.optics.camera.skew_px == 0
         # A shear of 2.5/290 over half the image, less what a turned ellipse gives back.
-        assert 0.1 < found.rms_px < 2.5
+        assert 0.1 < converted.rms_px < 2.5
 
     def test_what_no_camera_of_a_model_reaches_is_refused(self):
         """A fisheye's polynomial goes on to 142° in the corners, where the ellipsoid's image has folded back."""

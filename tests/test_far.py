@@ -59,21 +59,21 @@ def expected_ranges(directions):
 @pytest.mark.parametrize("place", PLACES)
 def test_ranges_are_the_closed_form_far_away(place):
     directions, valid = pixel_directions(SMALL)
-    seen = truth(room(*place), view(*place), directions, valid, wrap_columns=False)
+    visible = truth(room(*place), view(*place), directions, valid, wrap_columns=False)
     expected, on_pole = expected_ranges(directions)
     assert on_pole[valid].sum() > 50
     # The step of a float64 at 4e6 m is 4.7e-10 m; the places are exact, so that only the maths could add to it.
-    np.testing.assert_allclose(seen.range_m[valid], expected[valid], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(ranges(room(*place), view(*place), directions, valid), seen.range_m, atol=1e-12)
+    np.testing.assert_allclose(visible.range_m[valid], expected[valid], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ranges(room(*place), view(*place), directions, valid), visible.range_m, atol=1e-12)
 
 
 def test_ranges_of_places_that_a_float64_rounds_are_within_its_step():
     place = (500000.1, 4000000.3, 99.7)
     directions, valid = pixel_directions(SMALL)
-    seen = truth(room(*place), view(*place), directions, valid, wrap_columns=False)
+    visible = truth(room(*place), view(*place), directions, valid, wrap_columns=False)
     expected, _ = expected_ranges(directions)
     # The pole's place is rounded by half a step, 2.3e-10 m, and its sides are seen at up to 70 degrees.
-    off = np.abs(seen.range_m - expected)[valid]
+    off = np.abs(visible.range_m - expected)[valid]
     assert np.quantile(off, 0.999) < 1e-9
     # A pixel within a step of the outline may fall on either side of it: none does here.
     assert off.max() < 1e-8
@@ -110,8 +110,8 @@ def test_a_scaled_scene_far_away():
     # Twice as large: the room stands at (1e6, 8e6) m and measures 12 m.
     directions, valid = pixel_directions(SMALL)
     pose = Pose(position_m=(1e6 + 0.75, 8e6 + 1.25, 202))
-    seen = ranges(room(5e5 + 0.375, 4e6 + 0.625, 100, scale=2.0), pose, directions, valid)
-    np.testing.assert_allclose(seen[valid], 2 * expected_ranges(directions)[0][valid], rtol=0, atol=2e-9)
+    visible = ranges(room(5e5 + 0.375, 4e6 + 0.625, 100, scale=2.0), pose, directions, valid)
+    np.testing.assert_allclose(visible[valid], 2 * expected_ranges(directions)[0][valid], rtol=0, atol=2e-9)
 
 
 def test_things_four_thousand_kilometres_apart_are_each_exact_from_nearby():
@@ -125,8 +125,8 @@ def test_things_four_thousand_kilometres_apart_are_each_exact_from_nearby():
         ),
     )
     directions, valid = pixel_directions(SMALL)
-    seen = ranges(scene, view(x, y, z), directions, valid)
-    np.testing.assert_allclose(seen[valid], expected_ranges(directions)[0][valid], rtol=0, atol=1e-9)
+    visible = ranges(scene, view(x, y, z), directions, valid)
+    np.testing.assert_allclose(visible[valid], expected_ranges(directions)[0][valid], rtol=0, atol=1e-9)
     down = np.array([[[0.0, 0.0, -1.0]]])
     at_origin = ranges(scene, Pose(position_m=(0, 0, 1)), down, np.array([[True]]))
     np.testing.assert_allclose(at_origin, 0.7, rtol=0, atol=1e-15)

@@ -112,14 +112,14 @@ def test_a_texture_edited_in_place_is_another_scene(name, write, tmp_path):
     (tmp_path / name).write_text(write(tmp_path, image.name))
     (tmp_path / "s.toml").write_text(f'name = "s"\nclosed = false\n[[objects]]\nkind = "mesh"\nfile = "{name}"\n')
     scene = load_scene(str(tmp_path / "s.toml"))
-    seen = []
+    visible = []
     for grey in (10, 20, 30, 10):
         Image.fromarray(np.full((4, 4), grey, np.uint8)).save(image)
         os.utime(image, (1, 1))  # the time alone does not tell
-        seen.append((fingerprint(scene), float(geometry_of(scene).textures[0][0, 0])))
-    assert [grey for _, grey in seen] == [10, 20, 30, 10]
-    assert len(set(seen)) == 3
-    assert seen[0] == seen[3]
+        visible.append((fingerprint(scene), float(geometry_of(scene).textures[0][0, 0])))
+    assert [grey for _, grey in visible] == [10, 20, 30, 10]
+    assert len(set(visible)) == 3
+    assert visible[0] == visible[3]
 
 
 def test_files_that_are_not_opened_do_not_count(tmp_path):

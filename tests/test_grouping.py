@@ -13,7 +13,7 @@ from specifications import PLAIN, TEXT
 from sweeps import write_small
 
 from harness.cli.tables import methods_table
-from harness.display import told_apart
+from harness.display import shortened_labels
 from harness.matching.program import Program
 from harness.matching.window.settings import WindowMatcher
 from harness.report import theme
@@ -151,18 +151,18 @@ def test_names_of_methods() -> None:
 
 @given(st.lists(st.text(max_size=90), min_size=1, max_size=6))
 def test_texts_are_told_apart(texts: list[str]) -> None:
-    short = told_apart(texts, 20)
+    short = shortened_labels(texts, 20)
     assert len(set(short)) == len(texts)
     assert all(len(text) <= 20 for text in short)
 
 
 def test_texts_are_cut_to_where_they_differ() -> None:
-    assert told_apart(["short", "x" * 100], 20) == ["short", "x" * 10 + "…" + "x" * 9]
-    assert told_apart(["x" * 50 + "1" + "y" * 50, "x" * 50 + "2" + "y" * 50], 20) == [
+    assert shortened_labels(["short", "x" * 100], 20) == ["short", "x" * 10 + "…" + "x" * 9]
+    assert shortened_labels(["x" * 50 + "1" + "y" * 50, "x" * 50 + "2" + "y" * 50], 20) == [
         "…xxxxxx1yy…yyyyyyyyy",
         "…xxxxxx2yy…yyyyyyyyy",
     ]
-    assert told_apart(["a", "a"], 20) == ["a (1)", "a (2)"]
+    assert shortened_labels(["a", "a"], 20) == ["a (1)", "a (2)"]
 
 
 @given(st.lists(PLAIN.map(checked_plain), min_size=1, max_size=5, unique_by=lambda each: identity_of("x", each)))

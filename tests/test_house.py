@@ -56,8 +56,8 @@ def names(requirements: list[str]) -> set[str]:
 
 
 def test_nothing_tracked_knows_of_a_machine_or_a_registry() -> None:
-    found = {str(path.relative_to(ROOT)): bad for path in tracked() if (bad := offences(text_of(path)))}
-    assert not found
+    result = {str(path.relative_to(ROOT)): bad for path in tracked() if (bad := offences(text_of(path)))}
+    assert not result
 
 
 @pytest.mark.parametrize(

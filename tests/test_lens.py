@@ -77,10 +77,10 @@ def test_what_is_undistorted_lies_within_the_fold_and_distorts_back(lens: Lens, 
     assume(not lens.is_pinhole)
     bent = disc(5.0, 200, seed)  # mostly where the lens shows nothing
     points = undistort(lens, bent)
-    found = ~np.isnan(points[:, 0])
-    assert np.all(np.hypot(*points[found].T) <= fold_radius(lens))
+    result = ~np.isnan(points[:, 0])
+    assert np.all(np.hypot(*points[result].T) <= fold_radius(lens))
     # The solver accepts 1e-13 of the radius, here at most 5.
-    np.testing.assert_allclose(distort(lens, points[found]), bent[found], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(distort(lens, points[result]), bent[result], rtol=0, atol=1e-12)
 
 
 def test_undistort_agrees_with_a_general_root_finder() -> None:

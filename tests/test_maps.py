@@ -135,9 +135,9 @@ def test_a_run_keeps_maps_also_of_trials_that_were_done_before(tmp_path: Path) -
     assert (out / "trials.csv").read_bytes() == rows
     assert (out / "maps" / "README.txt").read_text(encoding="utf-8") == README
     for trial in trials:
-        kept, anew = read_maps(out / "maps", trial), maps_of(run_trial(trial))
-        assert kept is not None
-        assert np.array_equal(kept.range_m, anew.range_m, equal_nan=True)
+        stored, anew = read_maps(out / "maps", trial), maps_of(run_trial(trial))
+        assert stored is not None
+        assert np.array_equal(stored.range_m, anew.range_m, equal_nan=True)
     written = maps_file(out / "maps", trials[0].key).stat().st_mtime_ns
     maps_file(out / "maps", trials[1].key).unlink()
     assert main([*command, "--keep-arrays"]) == 0  # the one that is missing, and no other

@@ -73,11 +73,11 @@ def test_a_masked_pixel_sees_nothing(masked):
     # Between pixels the nearest one decides.
     rng = np.random.default_rng(0)
     pixels = rng.uniform(-3, 163, (20_000, 2))
-    towards, seen = unproject(masked, pixels)
+    towards, visible = unproject(masked, pixels)
     column, row = np.clip(np.rint(pixels).astype(int), 0, 159).T
-    assert np.array_equal(seen, unproject(SENSOR, pixels)[1] & used(masked)[row, column])
-    assert np.array_equal(project(masked, towards)[1][seen], np.ones(seen.sum(), bool))
-    hidden = unproject(SENSOR, pixels)[1] & ~seen
+    assert np.array_equal(visible, unproject(SENSOR, pixels)[1] & used(masked)[row, column])
+    assert np.array_equal(project(masked, towards)[1][visible], np.ones(visible.sum(), bool))
+    hidden = unproject(SENSOR, pixels)[1] & ~visible
     assert hidden.sum() > 100
     assert not project(masked, towards)[1][hidden].any()
 
@@ -85,9 +85,9 @@ def test_a_masked_pixel_sees_nothing(masked):
 def test_what_is_in_use_goes_on_beyond_the_image(masked):
     wide = masked.model_copy(update={"camera": masked.camera.model_copy(update={"focal_px": 400.0})})
     x = directions(GRID)
-    pixels, seen = project(wide, x)
+    pixels, visible = project(wide, x)
     inside = in_use(wide, x)
-    assert (inside & ~seen).any()
+    assert (inside & ~visible).any()
     row, column = (np.rint(pixels[..., i]).astype(int) for i in (1, 0))
     hit = (row >= 96) & (row < 130) & (column >= 70) & (column < 92)
     assert hit.any()

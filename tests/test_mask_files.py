@@ -99,9 +99,9 @@ def test_what_is_written_reads_back_and_needs_no_file_until_it_is_used(small, tm
     with Store() as store:
         record(experiment, store)
         (tmp_path / "arm.png").unlink()
-        kept = recorded(store, tmp_path / "run.sqlite")  # as for somebody else's run
-    assert kept.planned[0].trial == experiment.trial
-    assert kept.planned[0].key == experiment.planned[0].key
+        stored = recorded(store, tmp_path / "run.sqlite")  # as for somebody else's run
+    assert stored.planned[0].trial == experiment.trial
+    assert stored.planned[0].key == experiment.planned[0].key
     used_pixels.cache_clear()
     with pytest.raises(InputError, match=r"experiment\.toml: trial\.sensor\.mask: '.*arm\.png': no such file"):
         load_experiment(written)

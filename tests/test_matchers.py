@@ -13,11 +13,11 @@ from harness.runs.load import load_experiment
 @pytest.fixture(scope="module")
 def run():
     """Run the paper's trial with some settings; trials share what they can."""
-    kept = StageCache()
+    cache = StageCache()
 
     def with_settings(*sets):
         planned = load_experiment("paper", [*sets, "scoring.sample_px=2"], ["seed=1"]).planned
-        return run_trial(planned[0].trial, kept)
+        return run_trial(planned[0].trial, cache)
 
     return with_settings
 
@@ -33,11 +33,11 @@ def density(outcome):
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["box", "corridor"])
 def test_slanted_windows_without_noise(run, scene):
-    found = run(f"scene={scene}", "matching.kind=slanted")
-    assert density(found) >= 0.95
-    assert np.median(errors_px(found)) <= 0.02
-    assert np.mean(errors_px(found) > 1) <= 0.01
-    assert np.median(np.abs(found.errors.range_m[found.reference.domain & found.valid])) <= 0.004
+    result = run(f"scene={scene}", "matching.kind=slanted")
+    assert density(result) >= 0.95
+    assert np.median(errors_px(result)) <= 0.02
+    assert np.mean(errors_px(result) > 1) <= 0.01
+    assert np.median(np.abs(result.errors.range_m[result.reference.domain & result.valid])) <= 0.004
 
 
 @pytest.mark.slow
@@ -58,9 +58,9 @@ def test_slanted_windows_come_near_the_bound_and_know_it(run):
 
 
 def test_semi_global_matching_finds_nearly_everything(run):
-    found = run("matching.kind=sgm", "matching.subpixel=parabola")
-    assert density(found) >= 0.99
-    assert np.mean(errors_px(found) > 1) <= 0.01
+    result = run("matching.kind=sgm", "matching.subpixel=parabola")
+    assert density(result) >= 0.99
+    assert np.mean(errors_px(result) > 1) <= 0.01
 
 
 @pytest.mark.slow
@@ -86,10 +86,10 @@ def test_another_exposure_of_the_second_camera_costs_little(run, sets):
 def test_a_wall_without_texture_is_not_confident_nonsense(run, noise):
     """Hardly any of it gets an answer, and confidence tells what does, beside its borders, from what has texture."""
     blank = 'scene.objects.0.y_max={kind="grey", value=120}'
-    found = run(blank, "matching.kind=slanted", f"noise.sigma_grey={noise}")
-    domain, bare = found.reference.domain, found.truth.textureless
+    result = run(blank, "matching.kind=slanted", f"noise.sigma_grey={noise}")
+    domain, bare = result.reference.domain, result.truth.textureless
     assert (domain & bare).sum() > 10_000
-    assert found.valid[domain & bare].mean() < 0.2
-    assert found.valid[domain & ~bare].mean() > 0.95
-    confidence = np.where(found.valid, confidence_map(found), np.nan)
+    assert result.valid[domain & bare].mean() < 0.2
+    assert result.valid[domain & ~bare].mean() > 0.95
+    confidence = np.where(result.valid, confidence_map(result), np.nan)
     assert roc(confidence, bare, among=domain).auc > 0.95

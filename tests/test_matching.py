@@ -111,18 +111,18 @@ def test_matcher_does_what_its_definition_says(t, sampling, cost):
     first, second = noise(7), noise(8, valid=valid)
     matcher = WindowMatcher(cost=cost, window_px=3, sampling=sampling, pitch_px=0.8, d_min_m=0.9, d_max_m=12)
     whole = match_whole_pixels(first, second, np.array(t), matcher)
-    seen = set()
+    visible = set()
     for row in range(GRID.height_px):
         for column in range(0, GRID.width_px, 3):
             reason, best, around = by_definition(first, second, np.array(t), matcher, row, column)
-            seen.add(reason)
+            visible.add(reason)
             assert Reason(whole.reason[row, column]) == reason, (row, column)
             if reason == Reason.MATCHED:
                 assert whole.k[row, column] == best
                 # Single-precision pixels, summed in another order; 1 - ZNCC in doubles, near 1.
                 np.testing.assert_allclose(whole.costs[row, column], around, rtol=1e-5, atol=1e-12)
     if abs(t[2]) < 0.2 or sampling == "alpha":  # steep curves sampled in phi hold hardly a sample
-        assert {Reason.MATCHED, Reason.CURVE_LEAVES_IMAGE, Reason.WINDOW_LEAVES_IMAGE} <= seen
+        assert {Reason.MATCHED, Reason.CURVE_LEAVES_IMAGE, Reason.WINDOW_LEAVES_IMAGE} <= visible
 
 
 @pytest.mark.parametrize("sampling", ["phi", "alpha"])
@@ -248,16 +248,16 @@ def test_confidence_is_the_contrast_of_the_minimum(kind):
     valid = np.ones(GRID.shape, bool)
     valid[9:11, 20:40] = False  # some minima have one neighbour only, or none
     whole = match_whole_pixels(noise(18), noise(19, valid=valid), np.array([0.5, 0.1, 0]), matcher)
-    found = match(whole, matcher).confidence
+    confidence = match(whole, matcher).confidence
     matched = whole.reason == Reason.MATCHED
-    assert np.isnan(found[~matched]).all()
-    neighbours, seen = whole.costs[..., [2, 4]], set()
+    assert np.isnan(confidence[~matched]).all()
+    neighbours, visible = whole.costs[..., [2, 4]], set()
     for place in map(tuple, np.argwhere(matched)):
         beside = neighbours[place][np.isfinite(neighbours[place])]
-        seen.add(beside.size)
+        visible.add(beside.size)
         expected = 1 - whole.costs[(*place, 3)] / beside.mean() if beside.size else 0
-        assert found[place] == pytest.approx(np.clip(expected, 0, 1), abs=1e-12)
-    assert {1, 2} <= seen
+        assert confidence[place] == pytest.approx(np.clip(expected, 0, 1), abs=1e-12)
+    assert {1, 2} <= visible
 
 
 @settings(deadline=None)

@@ -35,7 +35,7 @@ def refusal(path, **options):
 
 def greys(parts, x=(0.25, 0.75), y=(0.75, 0.25)):
     """Grey at the middles of the quarters of the unit square, top row first, by barycentric coordinates."""
-    seen = np.full((2, 2), np.nan)
+    visible = np.full((2, 2), np.nan)
     for part in parts:
         # glTF's y is our z; the other formats' y is y.
         flat = part.corners[..., [0, 2]] if np.ptp(part.corners[..., 2]) > 0.5 else part.corners[..., :2]
@@ -45,8 +45,8 @@ def greys(parts, x=(0.25, 0.75), y=(0.75, 0.25)):
                     edges = np.stack([corners[1] - corners[0], corners[2] - corners[0]], axis=-1)
                     a, b = np.linalg.solve(edges, np.array([px, py]) - corners[0])
                     if a > -1e-9 and b > -1e-9 and a + b < 1 + 1e-9:
-                        seen[i, j] = lookup(part.texels, (1 - a - b) * uv[0] + a * uv[1] + b * uv[2])
-    return seen
+                        visible[i, j] = lookup(part.texels, (1 - a - b) * uv[0] + a * uv[1] + b * uv[2])
+    return visible
 
 
 ZEROS = {"componentType": 5126, "count": 10**9, "type": "VEC3"}

@@ -66,9 +66,9 @@ def test_noise_is_the_same_for_all_matchers_and_scales_with_sigma(paper):
     for view in (0, 1):
         np.testing.assert_array_equal(window.images[view], column.images[view])
         noise = window.images[view] - quiet.images[view]
-        seen = quiet.images[view] > 0
+        visible = quiet.images[view] > 0
         # 46,000 draws: the standard error of their spread is 0.4 %.
-        assert noise[seen].std() == pytest.approx(2.0, rel=0.02)
+        assert noise[visible].std() == pytest.approx(2.0, rel=0.02)
         # Sums of floats up to 255 in single precision.
         np.testing.assert_allclose(louder.images[view] - quiet.images[view], 2 * noise, atol=1e-4)
         assert np.abs(other_seed.images[view] - window.images[view]).max() > 1

@@ -55,10 +55,10 @@ def nothing_seen(outcome):
 
 
 def test_core_figures_are_their_definitions(outcome):
-    truth, found = outcome.reference, outcome.errors
-    figures = measure(truth.domain, outcome.valid, found)
+    truth, result = outcome.reference, outcome.errors
+    figures = measure(truth.domain, outcome.valid, result)
     pixels = truth.domain & outcome.valid
-    angle, distance = found.alpha_2[pixels] / (2 * np.pi / 720), (outcome.range_m - truth.range_m)[pixels]
+    angle, distance = result.alpha_2[pixels] / (2 * np.pi / 720), (outcome.range_m - truth.range_m)[pixels]
     expected = {
         "density": pixels.sum() / truth.domain.sum(),
         "disparity_median_abs_px": np.median(np.abs(angle)),
@@ -75,10 +75,10 @@ def test_core_figures_are_their_definitions(outcome):
 
 
 def test_more_figures_are_their_definitions(outcome):
-    truth, found = outcome.reference, outcome.errors
+    truth, result = outcome.reference, outcome.errors
     figures = measure_more(errors_of(outcome))
     pixels = truth.domain & outcome.valid
-    absolute = np.abs(found.disparity_px[pixels])
+    absolute = np.abs(result.disparity_px[pixels])
     estimate, true = outcome.range_m[pixels], truth.range_m[pixels]
     ratio = np.maximum(estimate / true, true / estimate)
     assert figures["bad_0.5px"] == pytest.approx(np.mean(absolute > 0.5))
@@ -86,7 +86,7 @@ def test_more_figures_are_their_definitions(outcome):
     assert figures["bad_4px"] == pytest.approx(np.mean(absolute > 4))
     assert figures["disparity_mae_px"] == pytest.approx(np.mean(absolute))
     # The middle of the signed errors, whichever of neighbours that are one in single precision is taken.
-    assert figures["disparity_bias_px"] == pytest.approx(np.median(found.disparity_px[pixels]), rel=1e-6)
+    assert figures["disparity_bias_px"] == pytest.approx(np.median(result.disparity_px[pixels]), rel=1e-6)
     for share in (50, 90, 95, 99):
         # A quantile of 10^5 values, whichever of two neighbours is taken.
         assert figures[f"disparity_a{share}_px"] == pytest.approx(np.quantile(absolute, share / 100), rel=1e-3)
@@ -97,14 +97,14 @@ def test_more_figures_are_their_definitions(outcome):
 
 
 def test_solid_angle_figures_are_those_of_pixels_repeated_by_their_weight(outcome):
-    truth, found, grid = outcome.reference, outcome.errors, outcome.trial.panorama
+    truth, result, grid = outcome.reference, outcome.errors, outcome.trial.panorama
     figures = measure_by_solid_angle(errors_of(outcome))
     weight = np.broadcast_to((1 + grid.z[:, None] ** 2) ** -1.5, grid.shape)
     pixels = truth.domain & outcome.valid
-    w, absolute = weight[pixels], np.abs(found.disparity_px[pixels])
+    w, absolute = weight[pixels], np.abs(result.disparity_px[pixels])
     assert figures["density"] == pytest.approx(w.sum() / weight[truth.domain].sum())
     assert figures["bad_1px"] == pytest.approx(np.average(absolute > 1, weights=w))
-    distance = found.range_m[pixels]
+    distance = result.range_m[pixels]
     assert figures["range_mae_m"] == pytest.approx(np.average(np.abs(distance), weights=w))
     assert figures["range_rmse_m"] == pytest.approx(np.sqrt(np.average(distance**2, weights=w)))
     assert figures["range_bias_m"] == pytest.approx(np.average(distance, weights=w))
@@ -197,8 +197,8 @@ def test_histograms_count_every_pixel(outcome):
     inside = truth.domain & truth.wall & outcome.valid
     expected = np.bincount((np.floor(k[inside] * FRACTION_BINS + 0.5) % FRACTION_BINS).astype(int))
     assert fraction_histograms(errors, k)["wall"] == expected.tolist()
-    seen = truth.domain & outcome.valid
-    assert share_of_estimates(errors, k > 20) == pytest.approx(np.mean(k[seen] > 20))
+    visible = truth.domain & outcome.valid
+    assert share_of_estimates(errors, k > 20) == pytest.approx(np.mean(k[visible] > 20))
 
 
 def labels_of(members, size):
@@ -212,33 +212,33 @@ def test_bins_and_members_are_those_of_plain_comparisons():
     rng = np.random.default_rng(21)
     values, edges = rng.normal(size=(50, 60)), (-1.0, -0.5, 0.25, 1.5)
     values[0, :4], values[1, 0] = edges, np.nan
-    found = bins(values, edges)
+    result = bins(values, edges)
     for i, (low, high) in enumerate(pairwise(edges)):
-        np.testing.assert_array_equal(found == i, (values >= low) & (values < high))
-    for i, part in enumerate(members(found, 5)):
-        np.testing.assert_array_equal(part, np.flatnonzero(found == i))
+        np.testing.assert_array_equal(result == i, (values >= low) & (values < high))
+    for i, part in enumerate(members(result, 5)):
+        np.testing.assert_array_equal(part, np.flatnonzero(result == i))
     assert members(np.full(7, -1, np.int16), 0) == []
 
 
 def test_grouped_statistics_are_those_of_each_group():
     rng = np.random.default_rng(18)
-    values, seen = rng.normal(size=5000), rng.random(5000) < 0.7
+    values, visible = rng.normal(size=5000), rng.random(5000) < 0.7
     parts = [rng.choice(5000, size, replace=False) for size in (1, 2, 17, 400, 401, 3000, 4999, 2999)] + [
         np.array([], int)
     ]
     groups = grouped([labels_of({i: part}, 5000) for i, part in enumerate(parts)], len(parts))
     np.testing.assert_array_equal(groups.sizes, [part.size for part in parts])
     np.testing.assert_array_equal(groups.pixels, np.unique(np.concatenate(parts)))
-    inside, absolute = seen[groups.pixels], np.abs(values[groups.pixels])
-    count = np.array([seen[part].sum() for part in parts])
-    negative = np.array([(seen[part] & (values[part] < 0)).sum() for part in parts])
+    inside, absolute = visible[groups.pixels], np.abs(values[groups.pixels])
+    count = np.array([visible[part].sum() for part in parts])
+    negative = np.array([(visible[part] & (values[part] < 0)).sum() for part in parts])
     order = ascending(inside, absolute)
     strata = (2 * groups.classes + (values[groups.pixels] < 0)).astype(np.int32)
     middles, of_signs = medians(groups, strata, count, negative, order)
     of_absolute = mean_of_middles(middles, absolute)
     of_signed = mean_of_middles(of_signs, values[groups.pixels])
     for i, part in enumerate(parts):
-        chosen = values[part][seen[part]]
+        chosen = values[part][visible[part]]
         if chosen.size:
             assert of_absolute[i] == np.median(np.abs(chosen))
             assert of_signed[i] == np.median(chosen)
@@ -260,20 +260,20 @@ def test_signed_medians_of_one_sign(sign):
 
 def test_medians_of_seen_parts():
     rng = np.random.default_rng(20)
-    values, part, seen = rng.random(3000), rng.integers(-1, 7, 3000), rng.random(3000) < 0.5
-    seen[part == 3] = False
-    count = np.bincount(part[seen & (part >= 0)], minlength=7)
-    found = medians_of_scored(sorted_parts(part, 7, values), seen, count)
-    expected = [np.median(values[seen & (part == i)]) if i != 3 else np.nan for i in range(7)]
-    np.testing.assert_array_equal(found, expected)
+    values, part, visible = rng.random(3000), rng.integers(-1, 7, 3000), rng.random(3000) < 0.5
+    visible[part == 3] = False
+    count = np.bincount(part[visible & (part >= 0)], minlength=7)
+    result = medians_of_scored(sorted_parts(part, 7, values), visible, count)
+    expected = [np.median(values[visible & (part == i)]) if i != 3 else np.nan for i in range(7)]
+    np.testing.assert_array_equal(result, expected)
 
 
 def test_ascending_is_argsort_to_single_precision():
     rng = np.random.default_rng(19)
-    values, seen = 10 ** rng.uniform(-60, 60, 20_000), rng.random(20_000) < 0.8
+    values, visible = 10 ** rng.uniform(-60, 60, 20_000), rng.random(20_000) < 0.8
     values[:5] = 0.0
-    order = indices_of(ascending(seen, values))
-    assert set(order) == set(np.flatnonzero(seen))
+    order = indices_of(ascending(visible, values))
+    assert set(order) == set(np.flatnonzero(visible))
     with np.errstate(over="ignore"):
         single = values[order].astype(np.float32)
     assert (single[1:] >= single[:-1]).all()

@@ -56,8 +56,8 @@ class TestUnified:
         """From the sphere: its point, seen from (0, 0, -xi), meets the plane one unit ahead of there."""
         sensor = random_sensor("unified", seed, lens=True, skew=True)
         d = field_directions(sensor)
-        seen_from = np.array([0, 0, -sensor.model.xi])
-        plane = (d - seen_from)[:, :2] / (d - seen_from)[:, 2:]
+        visible_pairs = np.array([0, 0, -sensor.model.xi])
+        plane = (d - visible_pairs)[:, :2] / (d - visible_pairs)[:, 2:]
         expected = in_pixels(sensor.camera, bent(sensor.lens, plane))
         assert np.abs(project(sensor, d)[0] - expected).max() < PIXELS
 

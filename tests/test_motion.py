@@ -64,8 +64,8 @@ def test_keypoints_have_no_quarter_of_a_pixel_too_much(still):
 
 
 def test_keypoints_keep_off_what_is_not_seen(still):
-    _, seen = unproject(SENSOR, still.pixels)
-    assert seen.all()
+    _, visible = unproject(SENSOR, still.pixels)
+    assert visible.all()
     radius = np.linalg.norm(still.pixels - [SENSOR.camera.cx_px, SENSOR.camera.cy_px], axis=1)
     assert radius.max() < 238 - 3  # three times the smallest scale within the rim
 
@@ -110,23 +110,23 @@ def truth(views):
     return harness.relative_motion(views[0].pose, views[1].pose)
 
 
-def off_deg(found, true):
-    rotation = Rotation.from_matrix(found.R_v2_from_v1.T @ true.R_v2_from_v1).magnitude()
-    cosine = found.t_v1 @ true.t_v1 / found.baseline_m / true.baseline_m
+def off_deg(estimate, true):
+    rotation = Rotation.from_matrix(estimate.R_v2_from_v1.T @ true.R_v2_from_v1).magnitude()
+    cosine = estimate.t_v1 @ true.t_v1 / estimate.baseline_m / true.baseline_m
     return np.degrees(rotation), np.degrees(np.arccos(min(cosine, 1)))
 
 
 @pytest.mark.slow
 def test_the_motion_of_rendered_views_is_found(views):
     first, second = views
-    found = harness.estimate_motion(first.image, second.image, first.sensor, baseline_m=0.45)
-    assert found.status == harness.Status.OK
-    rotation, direction = off_deg(found.motion, truth(views))
+    estimate = harness.estimate_motion(first.image, second.image, first.sensor, baseline_m=0.45)
+    assert estimate.status == harness.Status.OK
+    rotation, direction = off_deg(estimate.motion, truth(views))
     assert rotation < 0.02  # some sigma of keypoints that are good to 0.05 px of 0.2 degrees
     assert direction < 0.05
-    assert found.motion.baseline_m == pytest.approx(0.45)
-    assert repr(found).startswith("MotionEstimate('ok'; yaw 100.")
-    assert len(repr(found)) < 160
+    assert estimate.motion.baseline_m == pytest.approx(0.45)
+    assert repr(estimate).startswith("MotionEstimate('ok'; yaw 100.")
+    assert len(repr(estimate)) < 160
 
 
 @pytest.mark.slow
@@ -201,6 +201,6 @@ def test_a_pair_on_a_desk(tmp_path):
     images = [real / f"VMRImage{i}.jpg" for i in (0, 1, 4, 5)]
     with pytest.warns(Notice, match="mirror"):
         sensor = harness.load_sensor(real / "vmr_sensor.toml")
-    found = harness.estimate_motion(*images[2:], sensor)
-    assert found.angles_deg["yaw"] == pytest.approx(55.14, abs=0.2)
+    estimate = harness.estimate_motion(*images[2:], sensor)
+    assert estimate.angles_deg["yaw"] == pytest.approx(55.14, abs=0.2)
     assert harness.estimate_motion(*images[:2], sensor).status == harness.Status.NO_PARALLAX

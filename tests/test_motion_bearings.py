@@ -34,17 +34,17 @@ def turns(seed):
     return Turn(Rotation.random(rng=draws).as_matrix(), normalise(draws.normal(size=3)))
 
 
-def errors(found, turn):
+def errors(fit, turn):
     """Angles in radians by which rotation and direction are off."""
-    return Rotation.from_matrix(found.R.T @ turn.R).magnitude(), float(angle_between(found.t, turn.t))
+    return Rotation.from_matrix(fit.R.T @ turn.R).magnitude(), float(angle_between(fit.t, turn.t))
 
 
-def sigmas_off(found, turn):
+def sigmas_off(fit, turn):
     """Errors along the five directions of change, in standard deviations."""
-    held = np.vstack(tangents(found.turn, "free"))
-    omega = Rotation.from_matrix(found.turn.R.T @ turn.R).as_rotvec()
-    error = held.T @ np.concatenate([omega, turn.t - found.turn.t])
-    return error / np.sqrt(np.diag(held.T @ found.covariance @ held))
+    held = np.vstack(tangents(fit.turn, "free"))
+    omega = Rotation.from_matrix(fit.turn.R.T @ turn.R).as_rotvec()
+    error = held.T @ np.concatenate([omega, turn.t - fit.turn.t])
+    return error / np.sqrt(np.diag(held.T @ fit.covariance @ held))
 
 
 # --- Residuals ------------------------------------------------------------------------------------------------------
@@ -60,7 +60,7 @@ def test_sampson_distance_is_how_far_pixels_are_from_fitting(which):
     """Brute force: the least change of both pixels that puts the pair onto an epipolar plane."""
     pairs = draw(TURN, 30, noise_px=0.3, seed=5)
     given_px = np.hstack([pairs.pixels_1[which], pairs.pixels_2[which]])
-    found = minimize(
+    result = minimize(
         lambda p: np.sum((p - given_px) ** 2),
         given_px,
         jac=lambda p: 2 * (p - given_px),
@@ -68,7 +68,7 @@ def test_sampson_distance_is_how_far_pixels_are_from_fitting(which):
         options={"ftol": 1e-14},
     )
     # First order: curvature over a third of a pixel, where a pixel is 0.2 degrees, is a few thousandths.
-    assert abs(sampson(pairs, TURN)[which]) == pytest.approx(np.sqrt(found.fun), rel=0.02, abs=1e-4)
+    assert abs(sampson(pairs, TURN)[which]) == pytest.approx(np.sqrt(result.fun), rel=0.02, abs=1e-4)
 
 
 @settings(deadline=None, max_examples=30)  # the first one compiles
@@ -102,9 +102,9 @@ def test_rotation_distance_is_in_standard_deviations_of_pixels():
     pairs = draw(TURN, 4000, noise_px=0.3, baseline=0.0)
     # Both views' noise: each of two axes has a variance of 2 * 0.3²; the mean square of 4000 is known to 2 %.
     assert np.mean(rotation_distance(pairs, R) ** 2) == pytest.approx(0.3**2, rel=0.06)
-    found, median = fit_rotation(pairs, Rotation.from_rotvec([0.02, 0.01, -0.01]).as_matrix() @ R)
+    result, median = fit_rotation(pairs, Rotation.from_rotvec([0.02, 0.01, -0.01]).as_matrix() @ R)
     # A pixel is half a degree: 4000 pairs of 0.2 degrees make 0.003 degrees an axis.
-    assert np.degrees(Rotation.from_matrix(found.T @ R).magnitude()) < 0.015
+    assert np.degrees(Rotation.from_matrix(result.T @ R).magnitude()) < 0.015
     assert median == pytest.approx(0.3 * np.sqrt(np.log(2)), rel=0.06)  # the median of a Rayleigh distribution
 
 
@@ -115,11 +115,11 @@ def test_rotation_distance_is_in_standard_deviations_of_pixels():
 def test_false_pairs_are_left_out(false):
     pairs = draw(TURN, 500, false=false, seed=1)
     consensus = agree(pairs)
-    found = fit(pairs, consensus.turn)
-    assert np.abs(sigmas_off(found, TURN)).max() < 4  # the largest of five normal deviates is, but for 3 in 10,000
+    fitted = fit(pairs, consensus.turn)
+    assert np.abs(sigmas_off(fitted, TURN)).max() < 4  # the largest of five normal deviates is, but for 3 in 10,000
     # Of the true ones all but those 5 sigma off or hidden among false ones; of the false 4/480 a line by chance.
     true = int(500 * (1 - false))
-    assert 0.97 * true <= found.inlier.sum() <= true + 0.05 * 500
+    assert 0.97 * true <= fitted.inlier.sum() <= true + 0.05 * 500
 
 
 def test_the_same_pairs_give_the_same_bits():
@@ -134,15 +134,15 @@ def test_the_same_pairs_give_the_same_bits():
 def test_what_is_held_stays_and_the_rest_is_found(freedom, t):
     turn = Turn(UPRIGHT.R, normalise(t))
     pairs = draw(turn, 300, false=0.6)
-    found = fit(pairs, agree(pairs, freedom=freedom).turn, freedom)
-    assert np.allclose(found.turn.R[2], [0, 0, 1], atol=1e-12)  # rounding
-    assert freedom == "upright" or abs(found.turn.t[2]) < 1e-12
-    rotation, direction = errors(found.turn, turn)
-    assert rotation < 4 * found.sigma_rotation < np.radians(0.2)  # 120 true pairs of 0.2 px, 0.1 degrees each
-    assert direction < 4 * found.sigma_direction < np.radians(0.8)
-    free = fit(pairs, found.turn)
-    assert found.sigma_rotation < free.sigma_rotation
-    assert found.sigma_direction <= free.sigma_direction * 1.05
+    fitted = fit(pairs, agree(pairs, freedom=freedom).turn, freedom)
+    assert np.allclose(fitted.turn.R[2], [0, 0, 1], atol=1e-12)  # rounding
+    assert freedom == "upright" or abs(fitted.turn.t[2]) < 1e-12
+    rotation, direction = errors(fitted.turn, turn)
+    assert rotation < 4 * fitted.sigma_rotation < np.radians(0.2)  # 120 true pairs of 0.2 px, 0.1 degrees each
+    assert direction < 4 * fitted.sigma_direction < np.radians(0.8)
+    free = fit(pairs, fitted.turn)
+    assert fitted.sigma_rotation < free.sigma_rotation
+    assert fitted.sigma_direction <= free.sigma_direction * 1.05
 
 
 # --- Least squares --------------------------------------------------------------------------------------------------
@@ -151,7 +151,7 @@ def test_what_is_held_stays_and_the_rest_is_found(freedom, t):
 def test_poselib_and_plain_least_squares_agree():
     """Five points by PoseLib from the first few true pairs, then angles to epipolar planes, unweighted, all pairs."""
     pairs = draw(TURN, 600, noise_px=0.2, seed=7)
-    found = fit(pairs, agree(pairs).turn)
+    fitted = fit(pairs, agree(pairs).turn)
     starts = [Turn(np.array(p.R), normalise(-p.R.T @ p.t)) for p in poselib.relpose_5pt(pairs.x_1[:5], pairs.x_2[:5])]
     start = min(starts, key=lambda turn: np.median(np.abs(sampson(pairs, turn))))
 
@@ -162,8 +162,8 @@ def test_poselib_and_plain_least_squares_agree():
     best = least_squares(residuals, np.zeros(6), loss="soft_l1", f_scale=1e-3).x
     theirs = Turn(Rotation.from_rotvec(best[:3]).as_matrix() @ start.R, normalise(start.t + best[3:]))
     # Another weighting of the same noise: within two of the standard deviations that are stated.
-    assert np.abs(sigmas_off(found, theirs)).max() < 2
-    assert np.abs(sigmas_off(found, TURN)).max() < 4
+    assert np.abs(sigmas_off(fitted, theirs)).max() < 2
+    assert np.abs(sigmas_off(fitted, TURN)).max() < 4
 
 
 @pytest.mark.slow
@@ -186,17 +186,17 @@ def test_a_pair_of_wild_parallax_does_not_turn_the_rest():
     n = normalise(np.cross(turn.t, wild.x_1)) @ turn.R.T
     wild = pairs_of(wild.pixels_1, project(SENSOR, wild.x_2 + 0.003 * n)[0])
     both = [np.concatenate([a, b]) for a, b in zip(vars(pairs).values(), vars(wild).values(), strict=True)]
-    found = fit(Correspondences(*both), turn)
+    fitted = fit(Correspondences(*both), turn)
     # 15 of them, each at most three times as heavy as a mean pair and cut by the loss: within some sigma of the truth.
-    assert np.abs(sigmas_off(found, clean.turn)).max() < 4
+    assert np.abs(sigmas_off(fitted, clean.turn)).max() < 4
 
 
 @pytest.mark.parametrize("key", ["cx_px", "cy_px", "focal_px"])
 def test_a_wrong_calibration_moves_the_motion_as_predicted(key):
     """The same pixels, read by a sensor whose centre or focal length is a little off, and fitted anew."""
     pairs = draw(TURN, 400, noise_px=0.1)
-    found = fit(pairs, TURN)
-    effects = calibration_effects(pairs, (SENSOR, SENSOR), found, found.turn)
+    fitted = fit(pairs, TURN)
+    effects = calibration_effects(pairs, (SENSOR, SENSOR), fitted, fitted.turn)
     camera = SENSOR.camera
     radius = np.vstack([each - [camera.cx_px, camera.cy_px] for each in (pairs.pixels_1, pairs.pixels_2)])
     outermost = np.linalg.norm(radius, axis=1).max()
@@ -204,8 +204,8 @@ def test_a_wrong_calibration_moves_the_motion_as_predicted(key):
     value = getattr(camera, key) * (1 + shift / outermost) if key == "focal_px" else getattr(camera, key) + shift
     wrong = SENSOR.model_copy(update={"camera": camera.model_copy(update={key: value})})
     again = fit(pairs_of(pairs.pixels_1, pairs.pixels_2, wrong), TURN)
-    omega = Rotation.from_matrix(found.turn.R.T @ again.turn.R).as_rotvec()
-    moved_to = np.concatenate([omega, again.turn.t - found.turn.t])
+    omega = Rotation.from_matrix(fitted.turn.R.T @ again.turn.R).as_rotvec()
+    moved_to = np.concatenate([omega, again.turn.t - fitted.turn.t])
     # First order, in a fiftieth of a pixel, a fifth of the noise: weights of the loss move by some per cent.
     assert np.allclose(moved_to, shift * effects[:, column], atol=0.15 * np.linalg.norm(moved_to))
     assert moved_by(effects, 1.0)[1] >= np.linalg.norm(effects[3:, column])
@@ -227,10 +227,10 @@ def test_the_calibration_is_counted_into_the_covariance():
 
 
 def test_ok():
-    found = estimated(draw(TURN, 500, false=0.2))
-    assert found.status == Status.OK
-    assert found.reasons == ()
-    rotation, direction = np.degrees(errors(Turn(found.R_v2_from_v1, found.direction_v1), TURN))
+    result = estimated(draw(TURN, 500, false=0.2))
+    assert result.status == Status.OK
+    assert result.reasons == ()
+    rotation, direction = np.degrees(errors(Turn(result.R_v2_from_v1, result.direction_v1), TURN))
     assert rotation < 0.05
     assert direction < 0.3
 
@@ -240,31 +240,31 @@ def test_ok():
     [(20, 0.0, "only 20 keypoints"), pytest.param(200, 1.0, "agree on a motion", marks=pytest.mark.slow)],
 )
 def test_failed(n, false, said):
-    found = estimated(draw(TURN, n, false=false))
-    assert found.status == Status.FAILED
-    assert said in found.reasons[0]
-    assert found.R_v2_from_v1 is None
+    result = estimated(draw(TURN, n, false=false))
+    assert result.status == Status.FAILED
+    assert said in result.reasons[0]
+    assert result.R_v2_from_v1 is None
 
 
 @pytest.mark.parametrize("baseline", [0.0, 0.002])
 def test_no_parallax(baseline):
-    found = estimated(draw(TURN, 300, false=0.2, baseline=baseline))
-    assert found.status == Status.NO_PARALLAX
-    assert "a rotation alone leaves" in found.reasons[0]
-    assert found.direction_v1 is None
-    assert np.degrees(Rotation.from_matrix(found.R_v2_from_v1.T @ TURN.R).magnitude()) < 0.05  # 240 pairs of 0.04
+    result = estimated(draw(TURN, 300, false=0.2, baseline=baseline))
+    assert result.status == Status.NO_PARALLAX
+    assert "a rotation alone leaves" in result.reasons[0]
+    assert result.direction_v1 is None
+    assert np.degrees(Rotation.from_matrix(result.R_v2_from_v1.T @ TURN.R).magnitude()) < 0.05  # 240 pairs of 0.04
 
 
 def test_weak_where_few_agree():
-    found = estimated(draw(TURN, 45, noise_px=0.05))
-    assert found.status == Status.WEAK
-    assert "only 45 pairs agree" in found.reasons[0]
+    result = estimated(draw(TURN, 45, noise_px=0.05))
+    assert result.status == Status.WEAK
+    assert "only 45 pairs agree" in result.reasons[0]
 
 
 def test_weak_where_sigma_is_large():
-    found = estimated(draw(TURN, 100, near=15, far=30))
-    assert found.status == Status.WEAK
-    assert "the sigma of the direction of t is" in " ".join(found.reasons)
+    result = estimated(draw(TURN, 100, near=15, far=30))
+    assert result.status == Status.WEAK
+    assert "the sigma of the direction of t is" in " ".join(result.reasons)
 
 
 def test_weak_where_two_motions_explain_a_small_piece_of_a_plane():
@@ -274,6 +274,6 @@ def test_weak_where_two_motions_explain_a_small_piece_of_a_plane():
         return np.column_stack([draws.uniform(1.4, 2.6, n), draws.uniform(-0.6, 0.6, n), np.full(n, -1.0)])
 
     turn = Turn(np.eye(3), normalise([0.5, 0.3, 0.1]))
-    found = estimated(draw(turn, 300, noise_px=0.1, points=points))
-    assert found.status == Status.WEAK
-    assert "two motions explain the pairs alike" in " ".join(found.reasons)
+    result = estimated(draw(turn, 300, noise_px=0.1, points=points))
+    assert result.status == Status.WEAK
+    assert "two motions explain the pairs alike" in " ".join(result.reasons)

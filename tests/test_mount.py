@@ -114,9 +114,9 @@ def test_there_and_back_and_derivatives(sensor: Sensor, mount: Mount) -> None:
     u, v = np.meshgrid(np.arange(0, 160, 13.7), np.arange(0, 120, 11.3))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
     d, valid = unproject(sensor, pixels)
-    again, seen = project(sensor, 3.7 * d)
+    again, visible = project(sensor, 3.7 * d)
     np.testing.assert_allclose(again, pixels, rtol=0, atol=1e-8)
-    assert np.mean(seen == valid) > 0.98  # but for rounding at the edge
+    assert np.mean(visible == valid) > 0.98  # but for rounding at the edge
     step = 1e-4
     for axis in range(3):
         moved = step * np.eye(3)[axis]
@@ -135,15 +135,15 @@ def test_a_turned_mount_is_a_turned_pose(mount: Mount, far: float) -> None:
     turned = PINHOLE.model_copy(update={"mount": mount})
     pose = Pose(**angles)
     d = far * np.random.default_rng(0).normal(size=(2000, 3))
-    pixels, seen = project(turned, d)
+    pixels, visible = project(turned, d)
     expected, seen_so = project(flat, d @ pose.R_world_from_view)
     ahead = np.isfinite(expected).all(axis=-1)
     assert (np.isfinite(pixels).all(axis=-1) == ahead).all()
-    assert (seen == seen_so).all()
-    np.testing.assert_allclose(pixels[seen], expected[seen], rtol=0, atol=1e-10)
+    assert (visible == seen_so).all()
+    np.testing.assert_allclose(pixels[visible], expected[visible], rtol=0, atol=1e-10)
     assert (in_field(turned, d) == in_field(flat, d @ pose.R_world_from_view)).all()
-    assert (on_sensor(turned, Pose(), d) == seen).all()
-    assert (on_sensor(flat, pose, d) == seen).all()
+    assert (on_sensor(turned, Pose(), d) == visible).all()
+    assert (on_sensor(flat, pose, d) == visible).all()
 
 
 @pytest.mark.parametrize("which", AXES)

@@ -59,9 +59,9 @@ def pair(interpolation="bilinear"):
 
 def pixels_of_gaps():
     """Row and column of the mirror pixels in the middle."""
-    found, valid = project(TINY, GAPS)
+    result, valid = project(TINY, GAPS)
     assert valid.all()
-    return tuple(np.rint(found[:, ::-1]).astype(int).T)
+    return tuple(np.rint(result[:, ::-1]).astype(int).T)
 
 
 def damaged(view, value=np.nan):
@@ -92,27 +92,27 @@ def test_no_match_is_made_of_what_is_not_a_number(kind, settings, view):
         pytest.importorskip("cv2")
     matcher = parse(BUILT_IN[kind], {"kind": kind, **settings})
     whole = matcher.match(pair())
-    found = matcher.match(damaged(view))
+    matched = matcher.match(damaged(view))
     looking = directions(GRID)
-    assert np.isfinite(found.alpha_2[found.reasons == Reason.MATCHED]).all()
-    seen_at = looking if view == 0 else direction_in_view_2(pair().motion, looking, found.alpha_2)
+    assert np.isfinite(matched.alpha_2[matched.reasons == Reason.MATCHED]).all()
+    seen_at = looking if view == 0 else direction_in_view_2(pair().motion, looking, matched.alpha_2)
     at, _ = project(TINY, seen_at)
     rows, columns = pixels_of_gaps()
     near = (np.rint(at[..., 1:]) == rows) & (np.rint(at[..., :1]) == columns)
     near = near.any(axis=-1)
     assert near.any() or view == 1
-    assert not (near & ~np.isnan(found.alpha_2)).any()
+    assert not (near & ~np.isnan(matched.alpha_2)).any()
     # Pixels far away have the answers they had: more than window, filter and patch reach, in both views.
     far = angle_to_gaps(looking) > 0.5
-    for each in (whole, found):
+    for each in (whole, matched):
         at = direction_in_view_2(pair().motion, looking, each.alpha_2)
         far &= ~(angle_to_gaps(at) < 0.5)
     both = far & ~np.isnan(whole.alpha_2)
     assert both.sum() > 100
-    lost = both & np.isnan(found.alpha_2)
+    lost = both & np.isnan(matched.alpha_2)
     # A spline through a gap is a little another one: 3.7 times less so at every pixel.
     alike = 1e-6 if kind in SETTINGS else 0.1 * GRID.phi_pitch
-    changed = both & (np.abs(found.alpha_2 - whole.alpha_2) > alike)
+    changed = both & (np.abs(matched.alpha_2 - whole.alpha_2) > alike)
     # A window matcher gives no answer where any sample of the curve has no whole window.
     assert lost.sum() <= (0.1 if kind in SETTINGS and view == 1 else 0.01) * both.sum()
     # Paths of semi-global matching run through the whole picture, and slanted windows hand planes on.
@@ -151,10 +151,10 @@ def test_panorama_and_filter_leave_out_what_is_not_a_number(interpolation, value
 
 def test_gaps_are_closed_by_what_is_nearest():
     image = np.arange(12, dtype=np.float32).reshape(3, 4)
-    seen = np.ones((3, 4), dtype=bool)
-    assert without_gaps(image, seen) == (image, seen) or without_gaps(image, seen)[0] is image
+    visible = np.ones((3, 4), dtype=bool)
+    assert without_gaps(image, visible) == (image, visible) or without_gaps(image, visible)[0] is image
     image[1, 1], image[2, 3] = np.nan, np.inf
-    closed, known = without_gaps(image, seen)
+    closed, known = without_gaps(image, visible)
     assert closed[1, 1] in {1, 4, 6, 9}
     assert closed[2, 3] in {7, 10}
     np.testing.assert_array_equal(~known, [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])

@@ -44,13 +44,13 @@ def test_both_panoramas_have_the_first_views_orientation(pair):
 
 def test_what_was_made_is_shared_and_what_differs_is_not():
     made = []
-    kept = {}
+    stored = {}
 
     def share(stage, key, make):
-        if (stage, key) not in kept:
+        if (stage, key) not in stored:
             made.append(stage)
-            kept[stage, key] = make()
-        return kept[stage, key]
+            stored[stage, key] = make()
+        return stored[stage, key]
 
     image = np.zeros((480, 640), np.float32)
     one, other = (Pair((image, image), (SENSOR, SENSOR), relative_motion(*VIEWS), GRID, share=share) for _ in range(2))
@@ -77,18 +77,18 @@ def test_what_matchers_share_depends_on_how_panoramas_are_made():
 
 def test_exposure_changes_what_the_sensor_sees_and_nothing_else():
     image = np.random.default_rng(1).uniform(0, 255, (480, 640)).astype(np.float32)
-    seen = pixel_directions(SENSOR)[1]
+    visible = pixel_directions(SENSOR)[1]
     changed = with_exposure(image, SENSOR, 1.05, -3.0)
-    assert np.allclose(changed[seen], 1.05 * image[seen] - 3, atol=1e-4)  # single precision
-    assert np.array_equal(changed[~seen], image[~seen])
+    assert np.allclose(changed[visible], 1.05 * image[visible] - 3, atol=1e-4)  # single precision
+    assert np.array_equal(changed[~visible], image[~visible])
     assert with_exposure(image, SENSOR, 1.0, 0.0) is image
 
 
 def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
     """One step of least squares at the true match, whose spread the formula is about, over draws of the noise."""
-    seen = truth(load_scene("box"), VIEWS[0], directions(GRID), np.ones(GRID.shape, bool), pose_2=VIEWS[1])
+    visible = truth(load_scene("box"), VIEWS[0], directions(GRID), np.ones(GRID.shape, bool), pose_2=VIEWS[1])
     t = pair.t_v1
-    alpha_2 = exact_alpha_2(seen.range_m[..., None] * directions(GRID), t)
+    alpha_2 = exact_alpha_2(visible.range_m[..., None] * directions(GRID), t)
     curves = epipolar_curves(GRID, t, d_min_m=1.0, d_max_m=20.0)
     matcher = WindowMatcher(kind="column", window_px=9, d_max_m=20.0)
     draws = np.random.default_rng(3)
@@ -101,8 +101,8 @@ def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
         predicted.append(sigma_alpha_2(noisy, matcher, Matches(alpha_2)))
         steps.append(one_step(noisy, curves, alpha_2, matcher.window_px))
     spread = np.std(steps, axis=0, ddof=1)
-    there = np.isfinite(spread) & np.isfinite(predicted).all(axis=0) & (np.sin(curves.alpha_1) > 0.5) & seen.visible
-    there &= np.abs(seen.normal[..., 2]) < 0.5
+    there = np.isfinite(spread) & np.isfinite(predicted).all(axis=0) & (np.sin(curves.alpha_1) > 0.5) & visible.visible
+    there &= np.abs(visible.normal[..., 2]) < 0.5
     there[:10] = there[-10:] = False
     assert there.sum() > 3000
     # The noise is so strong that what else is in the residuals (interpolation, slant: they make the prediction of weak

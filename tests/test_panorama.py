@@ -23,8 +23,8 @@ def pattern(directions):
 
 
 def picture(sensor):
-    directions, seen = pixel_directions(sensor)
-    return np.where(seen, pattern(np.nan_to_num(directions, nan=1.0)), 0).astype(np.float32)
+    directions, visible = pixel_directions(sensor)
+    return np.where(visible, pattern(np.nan_to_num(directions, nan=1.0)), 0).astype(np.float32)
 
 
 @pytest.mark.parametrize("interpolation", ["bilinear", "cubic"])
@@ -71,10 +71,10 @@ def test_bilinear_samples_are_scipys_beyond_the_border_too():
     rng = np.random.default_rng(5)
     image = rng.uniform(0, 255, (20, 30)).astype(np.float32)
     where = np.concatenate([rng.uniform(-3, 33, (2, 1000)), np.mgrid[-2:21, -2:31].reshape(2, -1)], axis=1)
-    found = np.empty(where.shape[1], np.float32)
-    _kernels.bilinear(image, where[0], where[1], found)
+    result = np.empty(where.shape[1], np.float32)
+    _kernels.bilinear(image, where[0], where[1], result)
     expected = ndimage.map_coordinates(image, where, order=1, mode="nearest", output=np.float64)
-    np.testing.assert_allclose(found, expected, rtol=2e-7)  # single precision
+    np.testing.assert_allclose(result, expected, rtol=2e-7)  # single precision
 
 
 @pytest.mark.parametrize("columns", [1, 90, -250])
@@ -89,8 +89,8 @@ def test_a_turn_by_whole_columns_shifts_the_panorama_exactly(columns):
 
 def test_taking_out_a_rotation_shows_the_world_unrotated():
     rotation = Rotation.from_euler("ZYX", [40, 4, -3], degrees=True).as_matrix()
-    directions, seen = pixel_directions(SENSOR)
-    image = np.where(seen, pattern(np.nan_to_num(directions, nan=1.0) @ rotation.T), 0).astype(np.float32)
+    directions, visible = pixel_directions(SENSOR)
+    image = np.where(visible, pattern(np.nan_to_num(directions, nan=1.0) @ rotation.T), 0).astype(np.float32)
     panorama = unwrap(image, SENSOR, GRID, R_sensor_from_panorama=rotation.T)
     error = (panorama.values - pattern(cylinder(GRID)))[panorama.valid]
     assert np.abs(error).max() < 0.1  # as above
@@ -102,8 +102,8 @@ def test_taking_out_a_rotation_shows_the_world_unrotated():
 def test_valid_pixels_are_made_of_seen_pixels_alone(interpolation):
     tall = Grid(height_px=400, z_max=0.6, z_min=-6.0)
     image = picture(SENSOR)
-    seen = pixel_directions(SENSOR)[1]
-    poisoned = np.where(seen, image, np.float32(1e6))
+    visible = pixel_directions(SENSOR)[1]
+    poisoned = np.where(visible, image, np.float32(1e6))
     clean, dirty = (unwrap(each, SENSOR, tall, interpolation=interpolation) for each in (image, poisoned))
     assert not clean.valid.all()
     np.testing.assert_array_equal(clean.values[clean.valid], dirty.values[clean.valid])

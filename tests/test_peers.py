@@ -87,7 +87,7 @@ def test_opencv_looks_where_the_rectangle_says(cv2, t):
     rectangle = rectangle_for(pair, 1, 32, 9)
     rectified = rectify(pair, rectangle, "linear", cv2)
     looking = rectangle.directions(rectified.R_rect_from_v1)
-    for R, seen in zip((np.eye(3), TURN), rectified.valid, strict=True):
+    for R, valid in zip((np.eye(3), TURN), rectified.valid, strict=True):
         maps = cv2.omnidir.initUndistortRectifyMap(
             *mei(pair.sensor),
             rectified.R_rect_from_v1 @ mirrored_rotation(R).T,
@@ -97,10 +97,10 @@ def test_opencv_looks_where_the_rectangle_says(cv2, t):
             cv2.omnidir.RECTIFY_LONGLATI,
         )
         pixels, visible = project(pair.sensor, looking @ R.T)
-        assert seen.mean() > 0.3
-        assert np.mean(seen != visible) < 1e-4  # those within rounding of the rim
+        assert valid.mean() > 0.3
+        assert np.mean(valid != visible) < 1e-4  # those within rounding of the rim
         # Single precision at 512 .. 1024 is 6e-5 apart.
-        np.testing.assert_allclose(np.stack(maps, axis=-1)[seen], pixels[seen], rtol=0, atol=4e-5)
+        np.testing.assert_allclose(np.stack(maps, axis=-1)[valid], pixels[valid], rtol=0, atol=4e-5)
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1), st.integers(0, 2**32 - 1))
@@ -159,18 +159,18 @@ def test_disparities_are_interpolated_but_across_no_edge():
     rows, columns = np.mgrid[: rectangle.shape[0], : rectangle.shape[1]]
     plane = 5 + 0.2 * columns / 2 - 0.1 * rows / 4
     # Linear in rows and columns: linear interpolation is exact.
-    found = on_panorama(seen_all_over(rectangle, frame), plane, looking)
-    np.testing.assert_allclose(found, 5 + 0.1 * column - 0.025 * row, rtol=0, atol=1e-12)
+    result = on_panorama(seen_all_over(rectangle, frame), plane, looking)
+    np.testing.assert_allclose(result, 5 + 0.1 * column - 0.025 * row, rtol=0, atol=1e-12)
 
     step = np.where(columns < 60, 4.0, 9.0)
-    found = on_panorama(seen_all_over(rectangle, frame), step, looking)
-    np.testing.assert_array_equal(found, np.where(np.floor(column + 0.5) < 60, 4.0, 9.0))
+    result = on_panorama(seen_all_over(rectangle, frame), step, looking)
+    np.testing.assert_array_equal(result, np.where(np.floor(column + 0.5) < 60, 4.0, 9.0))
 
     holes = np.where((rows + columns) % 5 == 0, np.nan, 7.0)
-    found = on_panorama(seen_all_over(rectangle, frame), holes, looking)
+    result = on_panorama(seen_all_over(rectangle, frame), holes, looking)
     nearest = np.floor(row + 0.5).astype(int), np.floor(column + 0.5).astype(int)
-    np.testing.assert_array_equal(np.isnan(found), np.isnan(holes[nearest]))
-    assert np.all(found[~np.isnan(found)] == 7)
+    np.testing.assert_array_equal(np.isnan(result), np.isnan(holes[nearest]))
+    assert np.all(result[~np.isnan(result)] == 7)
 
 
 def test_nothing_is_taken_from_where_a_view_sees_nothing():
@@ -212,13 +212,13 @@ def constant(t, disparity_px, R=None, turned=0.0):
     texture = ndimage.gaussian_filter(noise, 1.5, mode="wrap")
     spline = ndimage.spline_filter(128 + 40 * texture / texture.std(), order=3, mode="grid-wrap")
     back = Rotation.from_euler("z", -turned).as_matrix()
-    looking, seen = pixel_directions(pair.sensor)
+    looking, visible = pixel_directions(pair.sensor)
     images = []
     for view, R_view in enumerate((np.eye(3), pair.motion.R_v2_from_v1)):
         row, column = rectangle.pixels_of(frame, np.nan_to_num(looking, nan=1.0) @ R_view @ back.T)
         pixels_of = [row, column + view * disparity_px]
         values = ndimage.map_coordinates(spline, pixels_of, order=3, mode="grid-wrap", prefilter=False)
-        images.append(np.where(seen, values, 0).astype(np.float32))
+        images.append(np.where(visible, values, 0).astype(np.float32))
     return replace(pair, images=(images[0], images[1]))
 
 
@@ -278,10 +278,10 @@ def test_the_seam_of_the_rectangle_is_no_border(matcher):
 @pytest.mark.usefixtures("cv2")
 def test_no_range_is_outside_the_limits():
     pair = constant((0.5, 0.0, 0.0), 4.15)
-    found = StereoSGBM(d_min_m=3.0, d_max_m=5.0).match(pair).alpha_2
-    range_m, _ = triangulate(alpha_1(GRID, pair.t_v1), found, 0.5)
-    assert np.isfinite(found).mean() > 0.1
-    np.testing.assert_array_equal(np.isnan(range_m), np.isnan(found))
+    matched = StereoSGBM(d_min_m=3.0, d_max_m=5.0).match(pair).alpha_2
+    range_m, _ = triangulate(alpha_1(GRID, pair.t_v1), matched, 0.5)
+    assert np.isfinite(matched).mean() > 0.1
+    np.testing.assert_array_equal(np.isnan(range_m), np.isnan(matched))
     # Rounding of a range of a few metres, a hundred times what it was in the angle.
     assert np.nanmin(range_m) >= 3 - 1e-12
     assert np.nanmax(range_m) <= 5 + 1e-12
@@ -306,35 +306,35 @@ def box():
 @pytest.mark.usefixtures("cv2")
 def test_errors_on_the_papers_box(box, matcher, pixels, metres, density):
     error, range_error = scored(box, matcher)
-    found = np.isfinite(error)
-    assert found.mean() > density
-    assert np.median(np.abs(error[found])) < pixels
-    assert np.median(np.abs(range_error[found])) < metres
+    result = np.isfinite(error)
+    assert result.mean() > density
+    assert np.median(np.abs(error[result])) < pixels
+    assert np.median(np.abs(range_error[result])) < metres
 
 
 @pytest.mark.usefixtures("cv2")
 def test_reconstruct_is_scored_by_its_own_formula(box):
     """`|t| / disparity`, not the sine rule: the ranges are those, and so are far from the truth."""
-    found = StereoReconstruct(block_px=7).match(box.pair)
+    matched = StereoReconstruct(block_px=7).match(box.pair)
     truth = box.reference
-    range_m, _ = triangulate(truth.alpha_1, found.alpha_2, 0.5)
-    seen = truth.domain & np.isfinite(range_m)
-    assert seen.sum() > 0.7 * truth.domain.sum()
+    range_m, _ = triangulate(truth.alpha_1, matched.alpha_2, 0.5)
+    visible = truth.domain & np.isfinite(range_m)
+    assert visible.sum() > 0.7 * truth.domain.sum()
     disparity = truth.alpha_2 - truth.alpha_1
     formula = 0.5 / disparity
     # A median error of its disparities of 0.16 px, of some 20 px.
-    assert np.median(np.abs(range_m / formula - 1)[seen]) < 0.015
-    assert np.median(np.abs(range_m - truth.range_m)[seen]) > 0.1
-    aslant = seen & (np.sin(truth.alpha_2) < 0.6)
+    assert np.median(np.abs(range_m / formula - 1)[visible]) < 0.015
+    assert np.median(np.abs(range_m - truth.range_m)[visible]) > 0.1
+    aslant = visible & (np.sin(truth.alpha_2) < 0.6)
     # sin(alpha_2) is missing: it sees walls aslant at 1/0.6 of their distance and more.
     assert np.median((range_m / truth.range_m)[aslant]) > 1.5
 
 
 def scored(outcome, matcher):
     """Errors over the domain: of the disparity in pixels of the panorama, and of the range in metres."""
-    found, truth = matcher.match(outcome.pair), outcome.reference
-    range_m, _ = triangulate(truth.alpha_1, found.alpha_2, outcome.pair.motion.baseline_m)
-    pixels = (found.alpha_2 - truth.alpha_2) / outcome.pair.grid.phi_pitch
+    matched, truth = matcher.match(outcome.pair), outcome.reference
+    range_m, _ = triangulate(truth.alpha_1, matched.alpha_2, outcome.pair.motion.baseline_m)
+    pixels = (matched.alpha_2 - truth.alpha_2) / outcome.pair.grid.phi_pitch
     return pixels[truth.domain], (range_m - truth.range_m)[truth.domain]
 
 

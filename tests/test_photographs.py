@@ -54,27 +54,27 @@ def true_range():
 
 
 def test_ranges_are_those_of_the_scene(answer):
-    found, seen = np.load(answer / "range.npy"), true_range()
-    wall = seen.visible & (np.abs(seen.normal[..., 2]) < 0.5) & np.isfinite(found)
+    result, visible = np.load(answer / "range.npy"), true_range()
+    wall = visible.visible & (np.abs(visible.normal[..., 2]) < 0.5) & np.isfinite(result)
     assert wall.sum() > 20_000
     # A column window's parabola is good to a few hundredths of a metre at 3 m and half a metre of baseline; a wrong
     # sign, frame or order of rotations leaves nothing of that.
-    assert np.median(np.abs(found - seen.range_m)[wall]) < 0.05
+    assert np.median(np.abs(result - visible.range_m)[wall]) < 0.05
 
 
 def test_files_say_the_same(answer):
-    found = np.load(answer / "range.npy")
-    there = np.isfinite(found)
+    result = np.load(answer / "range.npy")
+    there = np.isfinite(result)
     assert np.array_equal(np.load(answer / "reason.npy") == 0, there)
     millimetres = np.asarray(Image.open(answer / "range_mm.png"))
     assert np.array_equal(millimetres > 0, there)
-    assert np.abs(millimetres[there] / 1000 - found[there]).max() <= 0.0005 + 1e-9  # half a millimetre of rounding
+    assert np.abs(millimetres[there] / 1000 - result[there]).max() <= 0.0005 + 1e-9  # half a millimetre of rounding
     sigma = np.load(answer / "sigma_m.npy")
     assert np.isfinite(sigma[there]).mean() > 0.95
     assert (sigma[np.isfinite(sigma)] >= 0).all()
     cloud = trimesh.load(answer / "points.ply")
     # The file has single precision: 1e-6 of ten metres.
-    assert np.allclose(np.linalg.norm(cloud.vertices, axis=1), found[there], atol=1e-5)
+    assert np.allclose(np.linalg.norm(cloud.vertices, axis=1), result[there], atol=1e-5)
     assert len(cloud.colors) == there.sum()
     assert np.asarray(cloud.colors)[:, :3].std() > 20  # the photograph's, not one colour
 
@@ -90,11 +90,11 @@ def test_points_lie_on_the_box(answer):
 def test_page(answer, tmp_path):
     with chromium(tmp_path / "profile") as context:
         for width in (1200, 390):
-            seen = visit(context, answer / "range.html", width=width)
-            assert seen.complaints == []
-            assert seen.requests == []
-            assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
-            sizes = seen.page.locator("figure img").evaluate_all("all => all.map(one => one.naturalWidth)")
+            visited = visit(context, answer / "range.html", width=width)
+            assert visited.complaints == []
+            assert visited.requests == []
+            assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+            sizes = visited.page.locator("figure img").evaluate_all("all => all.map(one => one.naturalWidth)")
             assert len(sizes) == 6
             assert min(sizes) > 0
 

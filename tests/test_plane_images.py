@@ -57,8 +57,8 @@ def test_what_is_seen_is_on_the_plane():
     sensor = Sensor()
     normal = normalise([0.3, -0.5, 0.6])
     points = plane_points(sensor, normal)
-    x, seen = unproject(sensor, points[np.isfinite(points[:, 0])])
-    assert seen.mean() > 0.95  # but for rounding at the rim
+    x, visible = unproject(sensor, points[np.isfinite(points[:, 0])])
+    assert visible.mean() > 0.95  # but for rounding at the rim
     assert np.abs(x @ normal).max() < 1e-12
 
 

@@ -192,9 +192,9 @@ def test_good_answers_are_copied(answer: object) -> None:
     ],
 )
 def test_bad_answers_are_refused_in_words(answer: object, rule: str, said: str) -> None:
-    found = list(faults(answer, GRID))
-    assert said in found[0].text
-    assert found[0].rule == rule
+    result = list(faults(answer, GRID))
+    assert said in result[0].text
+    assert result[0].rule == rule
     with pytest.raises(InputError) as caught:
         as_matches(answer, GRID, "mine:f")
-    assert str(caught.value) == f"mine:f: {found[0].text}"
+    assert str(caught.value) == f"mine:f: {result[0].text}"

@@ -90,9 +90,9 @@ def test_a_module_edited_after_it_was_loaded_is_refused(tmp_path: Path, monkeypa
     with pytest.raises(InputError, match="has been changed since it was loaded; start the session again"):
         matcher.identity()
     importlib.invalidate_caches()
-    sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
+    sys.dont_write_bytecode, stored = True, sys.dont_write_bytecode
     importlib.reload(sys.modules[name])
-    sys.dont_write_bytecode = kept
+    sys.dont_write_bytecode = stored
     assert matcher.identity() != before
 
 

@@ -151,13 +151,13 @@ def test_looking_straight_up_or_down(pitch: float) -> None:
 def test_arrays_are_read(pair: Pair, tmp_path: Path) -> None:
     more = "alpha[:, 3] = np.nan\nnp.save(target / 'alpha_2.npy', np.asfortranarray(alpha.astype('>f4')))\n"
     more += "np.save(target / 'confidence.npy', alpha * 10)\nnp.save(target / 'sigma_alpha_2.npy', alpha / 100)\n"
-    found = python(tmp_path, ANSWER + more).match(pair)
+    matched = python(tmp_path, ANSWER + more).match(pair)
     expected = np.full((16, 60), 1.5)
     expected[:, 3] = np.nan
-    np.testing.assert_array_equal(found.alpha_2, expected)  # 1.5 is exact in single precision
-    np.testing.assert_array_equal(found.confidence, expected * 10)
-    np.testing.assert_array_equal(found.sigma_alpha_2, expected / 100)
-    assert (found.reasons == np.where(np.isnan(expected), 6, 0)).all()
+    np.testing.assert_array_equal(matched.alpha_2, expected)  # 1.5 is exact in single precision
+    np.testing.assert_array_equal(matched.confidence, expected * 10)
+    np.testing.assert_array_equal(matched.sigma_alpha_2, expected / 100)
+    assert (matched.reasons == np.where(np.isnan(expected), 6, 0)).all()
 
 
 def npy(folder: Path, array: np.ndarray, name: str = "alpha_2.npy") -> str:
@@ -259,13 +259,13 @@ def _sleepers() -> list[psutil.Process]:
     """Processes that one of these tests has left asleep; a killed one may take a moment to go."""
     deadline = time.monotonic() + 5
     while True:
-        found = [
+        result = [
             each
             for each in psutil.process_iter(["cmdline", "status"])
             if each.info["cmdline"] == ["sleep", SLEEP] and each.info["status"] != psutil.STATUS_ZOMBIE
         ]
-        if not found or time.monotonic() > deadline:
-            return found
+        if not result or time.monotonic() > deadline:
+            return result
         time.sleep(0.02)
 
 
@@ -393,14 +393,14 @@ FOLDER = {
 
 def _made_of(folder: Path, program: Program) -> set[str]:
     """The files whose contents change what the program is."""
-    found = set()
+    result = set()
     for name in FOLDER:
         before, old = program.identity(), (folder / name).read_text()
         (folder / name).write_text(f"{old}# more\n")
-        found |= {name} if program.identity() != before else set()
+        result |= {name} if program.identity() != before else set()
         (folder / name).write_text(old)
         assert program.identity() == before
-    return found
+    return result
 
 
 IMPORTED = {"helper.py", "deeper.py"}

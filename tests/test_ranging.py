@@ -86,13 +86,13 @@ def test_ranges_of_arrays_are_the_sine_rule_pixel_by_pixel():
 
 def test_sines_are_numpys_to_the_last_places():
     x = np.concatenate([np.linspace(0, np.pi, 100_001), 10 ** np.random.default_rng(4).uniform(-300, 0, 1000)])
-    found = np.empty(x.size)
-    _kernels.sines(x, found)
-    np.testing.assert_allclose(found, np.sin(x), rtol=4.5e-16, atol=0)  # two units in the last place
+    result = np.empty(x.size)
+    _kernels.sines(x, result)
+    np.testing.assert_allclose(result, np.sin(x), rtol=4.5e-16, atol=0)  # two units in the last place
     near_pi = np.pi - 10 ** np.linspace(-15, -1, 50)
-    found = np.empty(near_pi.size)
-    _kernels.sines(near_pi, found)
-    np.testing.assert_allclose(found, np.sin(near_pi), rtol=4.5e-16, atol=0)
+    result = np.empty(near_pi.size)
+    _kernels.sines(near_pi, result)
+    np.testing.assert_allclose(result, np.sin(near_pi), rtol=4.5e-16, atol=0)
 
 
 def test_the_papers_worked_example():

@@ -68,18 +68,18 @@ def difference_at_corners(first: Sensor, second: Sensor, corners: Corners) -> np
 
 @pytest.mark.parametrize(("corners", "most_px"), [(mirror_corners, 0.12), (desk_corners, 0.34)])
 def test_rms_and_rays_are_those_of_opencv(corners, most_px):
-    found = calibrate_sensor(corners(), "unified")
-    assert found.rms_px < most_px
-    other, rms = opencv_sensor(found.corners)  # those that we left out move its rays by 0.4 px
-    assert found.rms_px == pytest.approx(rms, rel=1e-3)
-    assert difference_at_corners(found.sensor, other, found.corners).max() < 0.1
+    calibration = calibrate_sensor(corners(), "unified")
+    assert calibration.rms_px < most_px
+    other, rms = opencv_sensor(calibration.corners)  # those that we left out move its rays by 0.4 px
+    assert calibration.rms_px == pytest.approx(rms, rel=1e-3)
+    assert difference_at_corners(calibration.sensor, other, calibration.corners).max() < 0.1
 
 
 def test_mistaken_corners_are_the_ones_left_out():
-    found = calibrate_sensor(mirror_corners(), "unified")
-    assert len(found.left_out.image) == 2
-    assert found.rms_px < 0.09
-    assert found.halves.difference_px.max() < 0.6
+    calibration = calibrate_sensor(mirror_corners(), "unified")
+    assert len(calibration.left_out.image) == 2
+    assert calibration.rms_px < 0.09
+    assert calibration.halves.difference_px.max() < 0.6
 
 
 def test_boards_are_found_in_real_mirror_images():
@@ -87,8 +87,8 @@ def test_boards_are_found_in_real_mirror_images():
     search = find_corners(files, TURNED_BOARD)
     assert len(search.corners.images) >= 8
     assert search.circle.radius_px == pytest.approx(454, abs=4)
-    found = calibrate_sensor(search.corners, "unified", circle=search.circle)
-    assert found.rms_px < 0.34
+    calibration = calibrate_sensor(search.corners, "unified", circle=search.circle)
+    assert calibration.rms_px < 0.34
     theirs = desk_corners()
     for i, name in enumerate(search.corners.images):
         own = search.corners.pixels[search.corners.image == i]

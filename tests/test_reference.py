@@ -88,12 +88,12 @@ def test_the_laws_own_coefficient_is_one_once_each_cells_bound_has_another():
 
 
 def test_the_reference_of_the_cameras_is_of_all_trials_and_none_is_always_best():
-    found = json.loads((REFERENCES / "cameras.json").read_text())["cameras"]
+    result = json.loads((REFERENCES / "cameras.json").read_text())["cameras"]
     experiment = load_experiment("cameras")
-    assert {each["sensor"] for each in found} == set(experiment.axes["sensor"])
-    assert {each["seeds"] for each in found} == {len(experiment.axes["seed"])}
-    by = {(each["scene"], each["matcher"], each["surface"], each["sensor"]): each for each in found}
-    assert len(by) == len(found) == 2 * 2 * 3 * 3
+    assert {each["sensor"] for each in result} == set(experiment.axes["sensor"])
+    assert {each["seeds"] for each in result} == {len(experiment.axes["seed"])}
+    by = {(each["scene"], each["matcher"], each["surface"], each["sensor"]): each for each in result}
+    assert len(by) == len(result) == 2 * 2 * 3 * 3
     # What the README says: better over all pixels, and in the box worse on walls, each with its interval.
     for scene in ("box", "room"):
         assert by[scene, "slanted", "all", "fisheye"]["ratio_to_mirror_ci95"][1] < 1

@@ -64,17 +64,17 @@ class Boxes(Spec):
 )
 def test_tables(table: dict, present: dict, places: list[str]) -> None:
     before = json.dumps(table)
-    found, renamed = up_to_date(Box, table)
-    assert found == present
+    result, renamed = up_to_date(Box, table)
+    assert result == present
     assert [each.where for each in renamed] == places
     assert json.dumps(table) == before  # not written to
-    assert list(found) == [{"cover": "lid", "top": "lid"}.get(key, key) for key in table]  # nor put in another order
+    assert list(result) == [{"cover": "lid", "top": "lid"}.get(key, key) for key in table]  # nor put in another order
 
 
 def test_what_has_no_former_name_is_returned_itself() -> None:
     table = {"base": {"lids": [{"size_m": 1}], "free": [1]}, "axes": {"free": [1]}}
-    found, renamed = up_to_date(Boxes, table)
-    assert found["base"] is table["base"]
+    result, renamed = up_to_date(Boxes, table)
+    assert result["base"] is table["base"]
     assert renamed == []
 
 
@@ -82,10 +82,10 @@ def test_dotted_keys_and_the_tables_at_them() -> None:
     table = {"axes": {"cover.width_m": [1, 2], "lids.0.width_m": [3], "top": [{"width_m": 3}], "free": [4]}}
     with pytest.raises(InputError, match=r"^axes\.top: 'top' is now called 'lid'; give only that one"):
         up_to_date(Boxes, {"axes": {"lid": [], **table["axes"]}})
-    found, renamed = up_to_date(Boxes, table)
+    result, renamed = up_to_date(Boxes, table)
     values = {"lid.size_m": [1, 2], "lids.0.size_m": [3], "lid": [{"size_m": 3}], "free": [4]}
-    assert found == {"axes": values}
-    assert list(found["axes"]) == list(values)
+    assert result == {"axes": values}
+    assert list(result["axes"]) == list(values)
     assert len(renamed) == 5
     assert dotted_up_to_date(DottedKeys(Box), {"cover": {"width_m": 3}})[0] == {"lid": {"size_m": 3}}
     assert up_to_date_key(Box, "cover.width_m") == "lid.size_m"

@@ -203,8 +203,8 @@ def test_a_number_that_rounds_to_zero_has_no_sign():
 
 
 def test_worked_example_of_the_law():
-    found = [(each.alpha_1_deg, round(each.exact_m, 3), round(each.short_m, 3)) for each in example.worked_example()]
-    assert found == [(90, 0.323, 0.314), (30, 0.464, 0.314), (15, 0.857, 0.314)]
+    result = [(each.alpha_1_deg, round(each.exact_m, 3), round(each.short_m, 3)) for each in example.worked_example()]
+    assert result == [(90, 0.323, 0.314), (30, 0.464, 0.314), (15, 0.857, 0.314)]
 
 
 def test_pixel_level_errors_lie_within_what_the_law_allows_for_whole_steps(paper):
@@ -216,19 +216,19 @@ def test_pixel_level_errors_lie_within_what_the_law_allows_for_whole_steps(paper
 def test_cost_curve_is_the_matchers(paper):
     methods = methods_of(paper.outcomes)
     row, column = curve.typical_pixel(methods)
-    found = curve.curve_at(methods[0].outcome, row, column)
-    best = np.nanargmin(found.costs)
-    assert found.angle_deg[best] == pytest.approx(found.best_deg)
-    assert found.near.sum() == 7
+    result = curve.curve_at(methods[0].outcome, row, column)
+    best = np.nanargmin(result.costs)
+    assert result.angle_deg[best] == pytest.approx(result.best_deg)
+    assert result.near.sum() == 7
     from harness.matching.window.match import whole_pixels
 
     # The parabola is the one that the sub-pixel step used: its minimum is the estimate.
     refined = methods[1].outcome
     assert refined.matches.refined[row, column]
-    offset = (found.minimum_deg - found.best_deg) / found.step_deg
+    offset = (result.minimum_deg - result.best_deg) / result.step_deg
     whole = whole_pixels(refined.pair, refined.trial.matching)
     assert refined.matches.k[row, column] - whole.k[row, column] == pytest.approx(offset, abs=1e-9)
-    assert -found.fit[1] / (2 * found.fit[0]) == pytest.approx(offset, abs=1e-6)
+    assert -result.fit[1] / (2 * result.fit[0]) == pytest.approx(offset, abs=1e-6)
 
 
 def test_pixel_level_estimates_lie_on_the_levels_that_are_drawn(paper):
@@ -317,10 +317,10 @@ def test_panels_without_data_say_so():
 @pytest.mark.parametrize("width", [1200, 390])
 def test_report_in_chromium(report_file, tmp_path, width):
     with chromium(tmp_path / "profile") as browser:
-        seen = visit(browser, report_file, width=width)
-        page = seen.page
-        assert seen.requests == []
-        assert seen.complaints == []
+        visited = visit(browser, report_file, width=width)
+        page = visited.page
+        assert visited.requests == []
+        assert visited.complaints == []
         assert page.evaluate("document.documentElement.scrollWidth") <= page.evaluate("window.innerWidth")
         sizes = page.evaluate("[...document.images].map(image => [image.naturalWidth, image.clientWidth])")
         assert len(sizes) >= 20
@@ -331,11 +331,11 @@ def test_report_in_chromium(report_file, tmp_path, width):
 @pytest.mark.browser
 def test_report_without_scripts(report_file, tmp_path):
     with chromium(tmp_path / "profile", scripts=False) as browser:
-        seen = visit(browser, report_file, width=1200)
-        assert seen.complaints == []
-        assert seen.page.locator("figure img").count() >= 20
-        assert seen.page.locator("figure img").last.is_visible()
-        assert seen.page.get_by_text("Comparison of methods").last.is_visible()
+        visited = visit(browser, report_file, width=1200)
+        assert visited.complaints == []
+        assert visited.page.locator("figure img").count() >= 20
+        assert visited.page.locator("figure img").last.is_visible()
+        assert visited.page.get_by_text("Comparison of methods").last.is_visible()
 
 
 @pytest.mark.slow
@@ -344,8 +344,8 @@ def test_text_that_users_write_runs_nowhere(tmp_path):
     file = tmp_path / "report.html"
     file.write_text(build_report(run_small(description="<img src=x onerror=alert(1)><b>bold</b>")), encoding="utf-8")
     with chromium(tmp_path / "profile") as browser:
-        seen = visit(browser, file, width=390)
-        assert seen.requests == []
-        assert seen.complaints == []
-        assert seen.page.locator("header .lead").inner_text().endswith("<img src=x onerror=alert(1)><b>bold</b>")
-        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
+        visited = visit(browser, file, width=390)
+        assert visited.requests == []
+        assert visited.complaints == []
+        assert visited.page.locator("header .lead").inner_text().endswith("<img src=x onerror=alert(1)><b>bold</b>")
+        assert visited.page.evaluate("document.documentElement.scrollWidth") <= 390

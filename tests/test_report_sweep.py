@@ -68,13 +68,13 @@ def paper_page(paper: Result) -> str:
 def downloads(html: str) -> dict[str, list[dict[str, str]]]:
     """The tables to download, by name."""
     prefix = "data:text/csv;charset=utf-8;base64,"
-    found = {}
+    rows = {}
     for link in Document(html).every("a"):
         if link.get("download"):
             assert link["href"].startswith(prefix)
             text = base64.b64decode(link["href"].removeprefix(prefix), validate=True).decode()
-            found[link["download"].removesuffix(".csv")] = list(csv.DictReader(io.StringIO(text)))
-    return found
+            rows[link["download"].removesuffix(".csv")] = list(csv.DictReader(io.StringIO(text)))
+    return rows
 
 
 # --- What is there ------------------------------------------------------------------------------------------------
@@ -110,8 +110,8 @@ def test_the_papers_own_experiment_has_regions_figures_and_pixel_locking_but_no_
 
 def test_every_figure_and_table_is_numbered_once(page):
     for what in ("Figure", "Table"):
-        found = [int(number) for number in re.findall(rf"<b>{what} (\d+)\.</b>", page)]
-        assert found == list(range(1, len(found) + 1))
+        result = [int(number) for number in re.findall(rf"<b>{what} (\d+)\.</b>", page)]
+        assert result == list(range(1, len(result) + 1))
 
 
 def test_every_figure_has_its_numbers(page):
@@ -182,14 +182,14 @@ def test_table_of_all_figures_is_the_mean_over_seeds(swept, page):
 
 def test_regions_of_the_base_trial_per_pixel_and_per_solid_angle_are_the_rows(paper, paper_page):
     rows = downloads(paper_page)["regions-base-trial"]
-    found = {(row["method"], row["split"], row["part"]): row for row in rows}
+    result = {(row["method"], row["split"], row["part"]): row for row in rows}
     for outcome, method in zip(paper.rows, ("pixel", "subpixel"), strict=True):
         for region in outcome.payload["regions"]:
             part = region["part"]
-            row = found[method, region["split"], part if "inf" not in part else "over 6 m"]
+            row = result[method, region["split"], part if "inf" not in part else "over 6 m"]
             assert float(row["range_median_abs_m"]) == pytest.approx(region["range_median_abs_m"], rel=1e-4)
         figures = outcome.payload["figures"]
-        whole = found[method, "visibility", "visible in both views"]
+        whole = result[method, "visibility", "visible in both views"]
         for name in ("density", "range_median_abs_m", "disparity_median_abs_px"):
             measured, expected = float(whole[f"{name}_solid_angle"]), figures[f"solid_angle_{name}"]
             assert measured == pytest.approx(expected, rel=1e-3)
@@ -286,14 +286,14 @@ def test_symbols_are_set_as_in_captions_and_nothing_else_becomes_html():
 def test_sweep_in_chromium(page_file, tmp_path, width):
     with chromium(tmp_path / "profile") as browser:
         for scheme in ("light", "dark"):
-            seen = visit(browser, page_file, width=width, scheme=scheme)
-            assert seen.requests == []
-            assert seen.complaints == []
-            assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
-            sizes = seen.page.evaluate("[...document.images].map(image => [image.naturalWidth, image.clientWidth])")
+            visited = visit(browser, page_file, width=width, scheme=scheme)
+            assert visited.requests == []
+            assert visited.complaints == []
+            assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+            sizes = visited.page.evaluate("[...document.images].map(image => [image.naturalWidth, image.clientWidth])")
             assert len(sizes) >= 35
             assert all(natural > 0 and shown > 100 for natural, shown in sizes)
-            background = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
+            background = visited.page.evaluate("getComputedStyle(document.body).backgroundColor")
             assert (background == "rgb(255, 255, 255)") == (scheme == "light")
 
 

@@ -59,8 +59,8 @@ def test_a_trial_survives(trial: Trial) -> None:
 def test_an_experiment_survives(experiment: Experiment) -> None:
     with Store() as store:
         store.set_fact("experiment", as_table(experiment))
-        kept = parse(Experiment, store.fact("experiment"))
-    for again in (parse(Experiment, tomllib.loads(dump_toml(experiment))), kept):
+        stored = parse(Experiment, store.fact("experiment"))
+    for again in (parse(Experiment, tomllib.loads(dump_toml(experiment))), stored):
         assert again.trial == experiment.trial
         # By their text: the order of keys counts, and NaN is not equal to itself.
         assert json.dumps([again.axes, again.cases]) == json.dumps([experiment.axes, experiment.cases])

@@ -42,11 +42,11 @@ def geometry(t, grid=GRID, *, d_min_m=1.0, d_max_m=np.inf, pitch_px=1.0):
     )
 
 
-def any_views(baseline_grid, seed, seen=0.95):
+def any_views(baseline_grid, seed, share=0.95):
     draws = np.random.default_rng(seed)
     shape = (baseline_grid.rows, baseline_grid.columns)
     return tuple(
-        View(draws.integers(0, 256 * 16, shape).astype(np.int32), draws.uniform(size=shape) < seen) for _ in range(2)
+        View(draws.integers(0, 256 * 16, shape).astype(np.int32), draws.uniform(size=shape) < share) for _ in range(2)
     )
 
 
@@ -251,11 +251,11 @@ def test_samples_lie_on_the_epipolar_curve(t, pitch_px):
     asked = 0
     for k in (0, 3, 8):
         inside = (g.curves.k_first <= k) & (k <= g.curves.k_last)
-        found = baseline_grid[g.around[inside], g.along[inside] + k]
+        result = baseline_grid[g.around[inside], g.along[inside] + k]
         phi, z = point_at(g.curves, np.full(inside.sum(), k), (inside,))
-        assert angle_between(found, cylinder_point(phi, z)).max(initial=0) < 0.75 * step
+        assert angle_between(result, cylinder_point(phi, z)).max(initial=0) < 0.75 * step
         # Along the curve no sample is farther from it than half a step, and k steps lie between both views'.
-        to_t = angle_between(found, np.array(t))
+        to_t = angle_between(result, np.array(t))
         assert np.abs(to_t - g.curves.alpha_1[inside] - k * step).max(initial=0) <= step / 2 + 1e-9
         asked += inside.sum()
     assert asked > 1000
@@ -314,13 +314,13 @@ def test_a_sphere_is_found_in_any_direction_of_t(t, subpixel, typical_px):
     """Whole samples are off by 0.25 px in the median, being off by up to 0.5 evenly; a sub-pixel step halves that."""
     grid, t = Grid(width_px=180, height_px=50), np.array(t)
     g = geometry(t, grid)
-    seen = np.ones((g.baseline_grid.rows, g.baseline_grid.columns), bool)
+    visible = np.ones((g.baseline_grid.rows, g.baseline_grid.columns), bool)
     greys = sphere(g.baseline_grid.directions, g.baseline_grid.directions, t, 8)
-    first, second = (View(np.rint(16 * grey).astype(np.int32), seen) for grey in greys)
+    first, second = (View(np.rint(16 * grey).astype(np.int32), visible) for grey in greys)
     matcher = SemiGlobal(subpixel=subpixel)
-    found = match(search((first, second), g, matcher, 2), g, matcher)
+    matched = match(search((first, second), g, matcher, 2), g, matcher)
     truth = exact_alpha_2(RADIUS * directions(grid), t)
-    error_px = np.abs(found.alpha_2 - truth) / grid.phi_pitch
+    error_px = np.abs(matched.alpha_2 - truth) / grid.phi_pitch
     sideways = np.sin(g.curves.alpha_1) > 0.3
     assert np.isfinite(error_px[sideways]).mean() > 0.98
     assert np.nanmean(error_px[sideways] < 1) > 0.995
@@ -330,13 +330,13 @@ def test_a_sphere_is_found_in_any_direction_of_t(t, subpixel, typical_px):
 @pytest.mark.parametrize("t", DIRECTIONS)
 def test_one_image_as_both_views_has_no_parallax(t):
     g = geometry(t)
-    view, _ = any_views(g.baseline_grid, 9, seen=1.0)
+    view, _ = any_views(g.baseline_grid, 9, share=1.0)
     matcher = SemiGlobal(subpixel="none")
-    found = search((view, view), g, matcher, 2)
-    matches = match(found, g, matcher)
+    result = search((view, view), g, matcher, 2)
+    matches = match(result, g, matcher)
     matched = matches.reason == Reason.MATCHED
     assert matched.mean() > 0.9  # but for the directions next to t and -t, where nothing is nearer than infinity
-    assert np.all(found.nearby[matched][:, 1] == 0)
+    assert np.all(result.nearby[matched][:, 1] == 0)
     assert np.all(matches.k[matched] == 0)
     assert np.all(matches.alpha_2[matched] == g.curves.alpha_1[matched])
 
@@ -351,46 +351,46 @@ def test_limits_are_kept(direction, limits, subpixel):
     t = 0.5 * np.array(direction) / np.linalg.norm(direction)
     g = geometry(t, d_min_m=limits[0], d_max_m=limits[1])
     matcher = SemiGlobal(d_min_m=limits[0], d_max_m=limits[1], subpixel=subpixel)
-    found = match(search(any_views(g.baseline_grid, 10), g, matcher, 1), g, matcher)
-    matched = found.reason == Reason.MATCHED
+    answer = match(search(any_views(g.baseline_grid, 10), g, matcher, 1), g, matcher)
+    matched = answer.reason == Reason.MATCHED
     assert matched.any()
-    np.testing.assert_array_equal(matched, np.isfinite(found.alpha_2))
-    np.testing.assert_array_equal(matched, np.isfinite(found.confidence))
-    assert np.all((found.confidence[matched] > 0) & (found.confidence[matched] <= 1))
+    np.testing.assert_array_equal(matched, np.isfinite(answer.alpha_2))
+    np.testing.assert_array_equal(matched, np.isfinite(answer.confidence))
+    assert np.all((answer.confidence[matched] > 0) & (answer.confidence[matched] <= 1))
     x = directions(GRID)
     near, far = (exact_alpha_2(d * x, t) if np.isfinite(d) else g.curves.alpha_1 for d in limits)
     # The search interval is a millionth of a step wider on both sides.
     slack = 2e-6 * GRID.phi_pitch
-    assert np.all(found.alpha_2[matched] <= near[matched] + slack)
-    assert np.all(found.alpha_2[matched] >= far[matched] - slack)
+    assert np.all(answer.alpha_2[matched] <= near[matched] + slack)
+    assert np.all(answer.alpha_2[matched] >= far[matched] - slack)
 
 
 def test_nothing_to_go_by_is_no_match():
     g = geometry((0.5, 0, 0), Grid(width_px=360, height_px=12), d_min_m=2.0)
     shape = (g.baseline_grid.rows, g.baseline_grid.columns)
     blank = View(np.full(shape, 1600, np.int32), np.ones(shape, bool))
-    found = match(search((blank, blank), g, SemiGlobal(), 2), g, SemiGlobal())
+    matched = match(search((blank, blank), g, SemiGlobal(), 2), g, SemiGlobal())
     # At -t there is no label but 0, and paths bring that along: to be far is all that may be claimed.
-    assert np.mean(found.reason == Reason.NO_MATCH) > 0.5
+    assert np.mean(matched.reason == Reason.NO_MATCH) > 0.5
     sideways = np.sin(g.curves.alpha_1) > 0.5
-    assert np.nanmax(found.k[sideways]) < 1
-    assert np.isnan(found.alpha_2[found.reason == Reason.NO_MATCH]).all()
+    assert np.nanmax(matched.k[sideways]) < 1
+    assert np.isnan(matched.alpha_2[matched.reason == Reason.NO_MATCH]).all()
 
 
 def test_what_a_view_does_not_see_is_said():
     g = geometry((0.5, 0, 0))
-    first, second = any_views(g.baseline_grid, 11, seen=1.0)
+    first, second = any_views(g.baseline_grid, 11, share=1.0)
     valid_1, valid_2 = np.ones_like(first.valid), np.ones_like(second.valid)
     valid_1[:, ::7] = False
     valid_2[:, 30:] = False  # all but 30 columns of 36 towards -t are lost
     views = View(first.values, valid_1), View(second.values, valid_2)
     matcher = SemiGlobal(consistency_px=0)
-    found = match(search(views, g, matcher, 1), g, matcher)
-    np.testing.assert_array_equal(found.reason == Reason.WINDOW_LEAVES_IMAGE, ~valid_1[g.around, g.along])
+    answer = match(search(views, g, matcher, 1), g, matcher)
+    np.testing.assert_array_equal(answer.reason == Reason.WINDOW_LEAVES_IMAGE, ~valid_1[g.around, g.along])
     lost = g.along >= 30
-    assert not np.any(lost & (found.reason == Reason.MATCHED))
-    assert np.any(lost & (found.reason == Reason.CURVE_LEAVES_IMAGE))
-    matched = found.reason == Reason.MATCHED
+    assert not np.any(lost & (answer.reason == Reason.MATCHED))
+    assert np.any(lost & (answer.reason == Reason.CURVE_LEAVES_IMAGE))
+    matched = answer.reason == Reason.MATCHED
     assert matched.any()
 
 
@@ -453,12 +453,12 @@ def test_the_largest_path_costs_fit_into_their_numbers():
 def test_mirror_images_of_turned_views_are_matched(interpolation):
     grid, sensor, t = Grid(width_px=180, height_px=50), Sensor(), np.array([0.3, -0.25, 0.1])
     R_v2_from_v1 = Rotation.from_euler("zyx", [70, 8, -5], degrees=True).as_matrix()
-    looking, seen = pixel_directions(sensor)
-    looking = np.where(seen[..., None], looking, [1.0, 0.0, 0.0])
-    images = [np.where(seen, grey, 0).astype(np.float32) for grey in sphere(looking, looking @ R_v2_from_v1, t, 13)]
+    looking, visible = pixel_directions(sensor)
+    looking = np.where(visible[..., None], looking, [1.0, 0.0, 0.0])
+    images = [np.where(visible, grey, 0).astype(np.float32) for grey in sphere(looking, looking @ R_v2_from_v1, t, 13)]
     pair = Pair((images[0], images[1]), (sensor, sensor), Motion(R_v2_from_v1, t), grid, interpolation=interpolation)
-    found = SemiGlobal().match(pair)
-    error_px = np.abs(found.alpha_2 - exact_alpha_2(RADIUS * directions(grid), t)) / grid.phi_pitch
+    matched = SemiGlobal().match(pair)
+    error_px = np.abs(matched.alpha_2 - exact_alpha_2(RADIUS * directions(grid), t)) / grid.phi_pitch
     sideways = np.sin(pair.alpha_1) > 0.3
     # View 2 is turned off the vertical: part of what view 1 sees is above its rim.
     assert np.isfinite(error_px[sideways]).mean() > 0.85

@@ -32,8 +32,8 @@ FISHEYE = {
 def said(capsys, *arguments, code=0):
     """What goes to standard output, or to standard error when something is wrong."""
     assert main(["sensor", *map(str, arguments)]) == code
-    found = capsys.readouterr()
-    return found.err if code else found.out
+    captured = capsys.readouterr()
+    return captured.err if code else captured.out
 
 
 @pytest.fixture
@@ -130,11 +130,11 @@ def test_the_page_is_readable_on_a_desk_and_on_a_phone(tmp_path):
         harness.describe_sensor(sensor).write(tmp_path / f"{name}.html", ("a note",))
         with chromium(tmp_path / f"profile-{name}", scripts=False) as context:
             for width, columns in ((1200, 2), (400, 1)):
-                seen = visit(context, tmp_path / f"{name}.html", width=width)
-                assert not seen.requests
-                assert not seen.complaints
-                assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
-                boxes = [seen.page.locator("figure img").nth(i).bounding_box() for i in (0, 1)]
+                visited = visit(context, tmp_path / f"{name}.html", width=width)
+                assert not visited.requests
+                assert not visited.complaints
+                assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+                boxes = [visited.page.locator("figure img").nth(i).bounding_box() for i in (0, 1)]
                 assert all(box["width"] > 300 for box in boxes)
                 assert len({round(box["x"]) for box in boxes}) == columns  # beside each other, or below
 
@@ -218,12 +218,12 @@ def test_an_exact_conversion_has_the_same_rays(sensor, to, model, tmp_path, caps
 
 def test_a_conversion_that_is_not_exact_says_how_near(fisheye, tmp_path, capsys):
     text = said(capsys, fisheye, "--to", "kalibr", "--model", "double_sphere", "--out", tmp_path / "ds.yaml")
-    found = re.search(
+    result = re.search(
         r"the nearest: RMS (\S+) deg \((\S+) px\), at most (\S+) deg \((\S+) px\), "
         r"over (\d+) pixels, (\S+) to (\S+) deg",
         text,
     )
-    rms_deg, rms_px, most_deg, most_px, pixels, low, high = map(float, found.groups())
+    rms_deg, rms_px, most_deg, most_px, pixels, low, high = map(float, result.groups())
     first = parse(Sensor, FISHEYE)
     second = harness.load_sensor(tmp_path / "ds.yaml", elevation_deg=(-5.0, 90.0))
     v, u = np.nonzero(pixel_directions(first)[1])
@@ -255,10 +255,10 @@ def test_what_is_too_far_is_refused_unless_it_is_allowed(tmp_path, capsys):
 
 def test_the_file_goes_to_standard_output_and_words_beside_it(mirror, capsys):
     assert main(["sensor", str(mirror), "--to", "kalibr"]) == 0
-    found = capsys.readouterr()
-    assert found.out.startswith("cam0:\n  cam_overlaps: []\n  camera_model: omni\n")
-    assert "exact" in found.err
-    assert "read it with --looks down --mirrored --elevation -75 20" in found.err
+    captured = capsys.readouterr()
+    assert captured.out.startswith("cam0:\n  cam_overlaps: []\n  camera_model: omni\n")
+    assert "exact" in captured.err
+    assert "read it with --looks down --mirrored --elevation -75 20" in captured.err
 
 
 @pytest.mark.parametrize(
@@ -284,9 +284,9 @@ def test_what_cannot_be_is_answered_in_one_line(arguments, problem, mirror, caps
 @pytest.mark.parametrize("kind", [kind for kind in BUILT_IN if kind not in ("hyperboloid", "equirectangular")])
 def test_every_model_of_ours_is_near_a_fisheye(kind):
     """The field stays, so that the picture is the same to a fraction of a pixel."""
-    found = harness.convert_sensor(FISHEYE, "toml", model=kind, allow_residual_px=1)
-    assert f'kind = "{kind}"' in found.text
-    assert found.conversion.rms_px < 1
+    converted = harness.convert_sensor(FISHEYE, "toml", model=kind, allow_residual_px=1)
+    assert f'kind = "{kind}"' in converted.text
+    assert converted.conversion.rms_px < 1
 
 
 def test_other_commands_take_the_same_options(tmp_path, capsys):

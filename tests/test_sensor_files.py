@@ -94,11 +94,11 @@ BY_HAND = {
 def test_pixels_are_those_of_the_programs_own_formulas(name, tmp_path):
     text, number, expected = BY_HAND[name]
     sensor = load_sensor(files.write(tmp_path, text), Chosen(camera=number))
-    found, _ = project(sensor, RAYS)
+    result, _ = project(sensor, RAYS)
     # What is outside the domain (a perspective lens's fold) has no pixel; of two rays at least it must be known.
-    known = np.isfinite(found).all(axis=-1)
+    known = np.isfinite(result).all(axis=-1)
     assert known.sum() >= 2
-    assert found[known] == pytest.approx(expected[known], abs=1e-9)  # a dozen roundings of a few hundred pixels
+    assert result[known] == pytest.approx(expected[known], abs=1e-9)  # a dozen roundings of a few hundred pixels
 
 
 def test_rays_of_ocamcalib_are_those_of_its_manual(tmp_path):
@@ -117,12 +117,12 @@ def test_rays_of_ocamcalib_are_those_of_its_manual(tmp_path):
 def test_as_far_as_the_image_or_the_model_reaches(tmp_path):
     """By hand, of an equidistant lens: to the corner that is farthest from the centre."""
     text = "1 FISHEYE 640 480 300 300 320 240\n"
-    found = read_sensor(files.write(tmp_path, text))
+    sensor_file = read_sensor(files.write(tmp_path, text))
     corner = np.degrees(np.hypot(320, 240) / 300)
-    assert found.sensor.field.elevation_min_deg == pytest.approx(90 - corner, abs=2e-6)
-    assert found.sensor.field.elevation_max_deg == 90
-    assert any(f"all that the image allows is taken, {corner:.4g} deg" in note for note in found.notes)
-    assert any("it looks up and is not mirrored" in note for note in found.notes)
+    assert sensor_file.sensor.field.elevation_min_deg == pytest.approx(90 - corner, abs=2e-6)
+    assert sensor_file.sensor.field.elevation_max_deg == 90
+    assert any(f"all that the image allows is taken, {corner:.4g} deg" in note for note in sensor_file.notes)
+    assert any("it looks up and is not mirrored" in note for note in sensor_file.notes)
     wide = read_sensor(files.write(tmp_path, text.replace("300 300", "100 100")))
     assert any("all that the model allows is taken" in note for note in wide.notes)
 
@@ -266,10 +266,10 @@ def test_an_experiment_names_a_calibration(sensor, looks, angle, tmp_path):
     for name, text in files.ALL.items():
         files.write(tmp_path, text, name)
     path = files.write(tmp_path, EXPERIMENT.format(sensor=sensor), "e.toml")
-    found = load_experiment(path).trial.sensor
-    assert (found.looks, found.field.angle_max_deg) == (looks, angle)
-    assert found.model.kind == ("eucm" if looks == "down" else "unified")
-    assert found.mount.yaw_deg == (3 if looks == "down" else 0)
+    result = load_experiment(path).trial.sensor
+    assert (result.looks, result.field.angle_max_deg) == (looks, angle)
+    assert result.model.kind == ("eucm" if looks == "down" else "unified")
+    assert result.mount.yaw_deg == (3 if looks == "down" else 0)
 
 
 @pytest.mark.parametrize(
@@ -326,18 +326,18 @@ def test_a_motion_between_any_two(tmp_path):
 def test_a_spherical_camera_of_colmap_stands_upright(tmp_path):
     """Its Z is forward, X right and Y down: our x, -y and -z."""
     pycolmap = pytest.importorskip("pycolmap", reason="COLMAP's own package is not installed")
-    found = read_sensor(files.write(tmp_path, "1 EQUIRECTANGULAR 720 360 720 360\n"))
-    assert found.notes == ()
+    sensor_file = read_sensor(files.write(tmp_path, "1 EQUIRECTANGULAR 720 360 720 360\n"))
+    assert sensor_file.notes == ()
     camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=720, height=360, params=[720, 360])
     theirs = camera.img_from_cam(RAYS) - 0.5
     X, Y, Z = RAYS.T
-    assert project(found.sensor, np.stack([Z, -X, -Y], axis=-1))[0] == pytest.approx(theirs, abs=1e-9)
-    described = harness.describe_sensor(found.sensor)
+    assert project(sensor_file.sensor, np.stack([Z, -X, -Y], axis=-1))[0] == pytest.approx(theirs, abs=1e-9)
+    described = harness.describe_sensor(sensor_file.sensor)
     assert described.coverage.used == 1
     assert described.coverage.sphere == pytest.approx(1, abs=1e-3)
-    assert harness.convert_sensor(found.sensor, "toml").conversion.is_exact
+    assert harness.convert_sensor(sensor_file.sensor, "toml").conversion.is_exact
     with pytest.raises(InputError, match="an equirectangular image is no camera's, and is near none"):
-        harness.convert_sensor(found.sensor, "kalibr")
+        harness.convert_sensor(sensor_file.sensor, "kalibr")
 
 
 class TestShipped:

@@ -107,7 +107,7 @@ def test_kinds_of_matcher_are_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "found"),
+    ("key", "listed"),
     [
         ("scene.objects.0.size_m", "scene.objects.N.size_m"),
         ("scene.objects[2].texture.tile_m", "scene.objects.N.texture.tile_m"),
@@ -116,8 +116,8 @@ def test_kinds_of_matcher_are_told() -> None:
         ("axes", "axes"),
     ],
 )
-def test_a_key_is_found_as_it_is_written_elsewhere(key: str, found: str) -> None:
-    assert {each.key for each in find_settings(key)} == {found}
+def test_a_key_is_found_as_it_is_written_elsewhere(key: str, listed: str) -> None:
+    assert {each.key for each in find_settings(key)} == {listed}
 
 
 def test_settings_prints_type_unit_default_meaning_and_kinds(capsys: pytest.CaptureFixture[str]) -> None:

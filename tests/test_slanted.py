@@ -48,9 +48,9 @@ def seen_along(directions_v1, viewpoint):
 
 def render(viewpoint, R=None, sensor=SENSOR):
     """A mirror image; R turns from v1 into the view."""
-    x, seen = pixel_directions(sensor)
+    x, visible = pixel_directions(sensor)
     grey = seen_along(x if R is None else x @ R, viewpoint)
-    return np.where(seen, grey, 0).astype(np.float32)
+    return np.where(visible, grey, 0).astype(np.float32)
 
 
 def motion(t=(0.2, 0.05, 0.02), turn=(20.0, 3.0, -2.0)):
@@ -278,7 +278,7 @@ def test_without_texture_there_is_no_answer():
 
 def test_texture_beside_a_blank_place_is_no_answer_for_it():
     there, x = motion(), directions(GRID)
-    x_1, seen = pixel_directions(SENSOR)
+    x_1, visible = pixel_directions(SENSOR)
 
     def contrast(directions_v1, viewpoint):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -287,10 +287,10 @@ def test_texture_beside_a_blank_place_is_no_answer_for_it():
 
     rays_of_both = (x_1, np.zeros(3)), (x_1 @ there.R_v2_from_v1, there.t_v1)
     images = [128 + (image - 128) * contrast(*warp) for image, warp in zip(pair(), rays_of_both, strict=True)]
-    matches = refine(tuple(np.where(seen, image, 0).astype(np.float32) for image in images), there)
+    matches = refine(tuple(np.where(visible, image, 0).astype(np.float32) for image in images), there)
     pixels, _ = project(SENSOR, x)
     row, column = np.moveaxis(np.rint(pixels[..., ::-1]).astype(int), -1, 0)
-    depth = ndimage.distance_transform_edt((contrast(*rays_of_both[0]) == 0) & seen)[row, column]
+    depth = ndimage.distance_transform_edt((contrast(*rays_of_both[0]) == 0) & visible)[row, column]
     # Surroundings of 9 pixels reach 4, corners 5.7; windows of 13 pixels moved by 6 reach 12, so there are planes.
     inside = (depth > 6.5) & (depth < 12)
     assert inside.sum() > 100
@@ -344,7 +344,7 @@ def test_errors_are_near_the_bound_and_as_predicted():
 
 def bound_px(there):
     """sqrt(2/sum (dI_2/dw)²) over each pixel's window, times d alpha_2/dw, in columns."""
-    x, seen = pixel_directions(SENSOR)
+    x, visible = pixel_directions(SENSOR)
     h = 1e-5
 
     def grey(w):
@@ -352,7 +352,7 @@ def bound_px(there):
 
     with np.errstate(invalid="ignore", divide="ignore"):
         w = -x[..., 2] / HEIGHT_M
-        squares = np.where(seen, ((grey(w + h) - grey(w - h)) / (2 * h)) ** 2, 0)
+        squares = np.where(visible, ((grey(w + h) - grey(w - h)) / (2 * h)) ** 2, 0)
     total = ndimage.uniform_filter(squares, SETTINGS.window_px, mode="constant") * SETTINGS.window_px**2
     direction = directions(GRID)
     pixels, _ = project(SENSOR, direction)

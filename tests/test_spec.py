@@ -272,8 +272,8 @@ class TestShipped:
     def test_path_is_relative_to_the_file_that_names_it(self, checkout) -> None:
         experiments = checkout / "experiments"
         experiments.mkdir()
-        found = shipped.find("scenes", "../scenes/room.toml", relative_to=experiments)
-        assert found.resolve() == checkout / "scenes" / "room.toml"
+        result = shipped.find("scenes", "../scenes/room.toml", relative_to=experiments)
+        assert result.resolve() == checkout / "scenes" / "room.toml"
 
     def test_file_of_that_name_comes_before_a_shipped_sensor(self, checkout) -> None:
         """A calibration may have any ending, or none."""

@@ -70,9 +70,9 @@ def test_tables_of_a_run(room: Path) -> None:
     assert not [name for name in trials[0] if name.endswith("_s")]  # what differs from run to run is in timings.csv
     assert [trial["key"] for trial in table(room / "whole" / "timings.csv")] == [trial["key"] for trial in trials]
     with Store(room / "whole" / "run.sqlite") as store:
-        kept = store.finished(trial["key"] for trial in trials)
+        stored = store.finished(trial["key"] for trial in trials)
     for trial in trials:  # every figure reads back to the very number
-        figures = kept[trial["key"]].figures
+        figures = stored[trial["key"]].figures
         assert {name: trial[name] and float(trial[name]) for name in figures} == {
             name: "" if value is None else value for name, value in figures.items()
         }
@@ -287,8 +287,8 @@ def test_a_trial_that_kills_its_worker_is_found_out(tmp_path: Path, monkeypatch:
     backend = Backend(lambda: nullcontext(_Brittle()), workers=2, slots=2, threads=1)
     with Store() as store:
         run.run_plan(run.run_status(experiment, store).plan, store, backend)
-        kept = store.finished(each.key for each in experiment.planned)
-    states = {each.trial.seed: kept[each.key].state for each in experiment.planned}
+        stored = store.finished(each.key for each in experiment.planned)
+    states = {each.trial.seed: stored[each.key].state for each in experiment.planned}
     assert states == {1: "done", 2: "done", 3: "failed", 4: "done", 5: "done"}
-    message = next(row.message for row in kept.values() if row.state == "failed")
+    message = next(row.message for row in stored.values() if row.state == "failed")
     assert message == "the worker that ran this trial died: BrokenProcessPool: gone"

@@ -25,15 +25,15 @@ def fisheye(tmp_path):
 
 
 def sensors(*options: object) -> tuple[Sensor | None, Sensor | None]:
-    told = _parser().parse_args(["motion", "a.png", "b.png", *map(str, options)])
-    return first_sensor(told), second_sensor(told)
+    words = _parser().parse_args(["motion", "a.png", "b.png", *map(str, options)])
+    return first_sensor(words), second_sensor(words)
 
 
 def test_a_sensor_file_keeps_its_own_mount(mirror, fisheye):
     own = harness.load_sensor(fisheye)
     for first, second in ((mirror, fisheye), (fisheye, mirror)):
-        found = sensors("--sensor", first, "--sensor-2", second, *BELOW_A_MIRROR)
-        calibrated, ours = found if first == mirror else found[::-1]
+        result = sensors("--sensor", first, "--sensor-2", second, *BELOW_A_MIRROR)
+        calibrated, ours = result if first == mirror else result[::-1]
         assert ours == own
         assert (calibrated.looks, calibrated.mirrored, calibrated.field.elevation_max_deg) == ("down", True, 20.0)
 

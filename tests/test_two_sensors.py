@@ -176,8 +176,8 @@ def test_the_second_sensors_field_says_what_is_visible():
     low = run_trial(trial(sensor_2={"camera": SMALL, "field": field})).truth
     both, first = run_trial(trial(sensor={"camera": SMALL, "field": field})).truth, run_trial(trial()).truth
     assert np.array_equal(low.range_m, first.range_m, equal_nan=True)
-    seen = np.isfinite(both.range_m)
-    assert np.array_equal(low.in_field_2[seen], both.in_field_2[seen])
+    visible = np.isfinite(both.range_m)
+    assert np.array_equal(low.in_field_2[visible], both.in_field_2[visible])
     assert low.in_field_2.sum() < first.in_field_2.sum()
 
 
@@ -252,19 +252,19 @@ def ranged(folder, *more):
 def test_photographs_by_two_sensors(photographs, capsys):
     folder, true_m = photographs
     assert ranged(folder, "--sensor-2", folder / "right" / "sensor.toml") == 0
-    found = np.load(folder / "out" / "range.npy")
-    assert np.isfinite(found).mean() > 0.8
+    estimate = np.load(folder / "out" / "range.npy")
+    assert np.isfinite(estimate).mean() > 0.8
     # Of 2 degrees a column and 3 m at half a metre of baseline, a tenth of a column is 6 cm.
-    assert np.nanmedian(np.abs(found - true_m)) < 0.08
+    assert np.nanmedian(np.abs(estimate - true_m)) < 0.08
     page = (folder / "out" / "range.html").read_text(encoding="utf-8")
     assert "160 × 160 and 224 × 208 pixels, each with a sensor of its own" in page
     assert "<h3>Sensor of view 1</h3>" in page
     assert "<h3>Sensor of view 2</h3>" in page
-    found = harness.estimate_range(
+    estimate = harness.estimate_range(
         folder / "left" / "omni.png", folder / "right" / "omni.png", SENSOR, (0.5, 0, 0), "sgm",
         sensor_2=OTHER_SENSOR, grid=Grid(width_px=180, height_px=50),
     ).range_m  # fmt: skip
-    assert np.array_equal(found, np.load(folder / "out" / "range.npy"), equal_nan=True)
+    assert np.array_equal(estimate, np.load(folder / "out" / "range.npy"), equal_nan=True)
     capsys.readouterr()
     assert ranged(folder) == 2
     assert "224x208 pixels, the sensor 160x160; give the sensor that took it with --sensor-2" in capsys.readouterr().err

@@ -81,9 +81,9 @@ def test_the_rows_are_seen() -> None:
     image = np.full((120, 160), 128, dtype=np.float32)
     for sensor, share in ((MIRROR, 0.99), (AHEAD, 0.29)):  # 105 of 360 degrees
         grid = with_rows(AUTO, (sensor,))
-        seen = unwrap(image, sensor, grid, interpolation="cubic").valid.mean(axis=1)
-        assert seen.min() > 0.7 * seen.max()  # 0.8, counted at other azimuths around a blind disc of 12 pixels
-        assert seen.mean() > share
+        visible = unwrap(image, sensor, grid, interpolation="cubic").valid.mean(axis=1)
+        assert visible.min() > 0.7 * visible.max()  # 0.8, counted at other azimuths around a blind disc of 12 pixels
+        assert visible.mean() > share
 
 
 def test_one_of_them_alone() -> None:

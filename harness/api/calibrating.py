@@ -128,20 +128,20 @@ def calibrate(
     Examples
     --------
     >>> import harness
-    >>> from harness.simulation.targets import seen_boards
+    >>> from harness.simulation.targets import visible_boards
     >>> room = {"kind": "box", "size_m": [6, 6, 3], "inward": True, "texture": {"kind": "grey", "value": 90}}
     >>> corners = {}
     >>> for yaw in range(0, 360, 45):
     ...     board = {"kind": "chessboard", "position_m": [0.3, 0, 0.9], "pitch_deg": 70 + yaw / 12, "roll_deg": yaw / 9}
     ...     scene, pose = {"name": "target", "objects": [room, board]}, harness.Pose(position_m=(0, 0, 1), yaw_deg=yaw)
-    ...     (one,) = seen_boards(harness.load_scene(scene), harness.Sensor(), pose)
+    ...     (one,) = visible_boards(harness.load_scene(scene), harness.Sensor(), pose)
     ...     corners[f"turned by {yaw}"] = one.points_m, one.pixels
     >>> found = harness.calibrate(corners=corners, size=(640, 480), model="hyperboloid")
     >>> round(found.sensor.camera.focal_px, 2), round(found.sensor.model.b_m, 5)
     (614.12, 0.0234)
     """
     search = _search(images, board, corners, size, tell)
-    found = calibrate_sensor(
+    calibration = calibrate_sensor(
         search.corners,
         model,
         lens=lens,
@@ -153,7 +153,7 @@ def calibrate(
         circle=search.circle,
         tell=tell,
     )
-    return CalibrationResult(**{each.name: getattr(found, each.name) for each in fields(found)})
+    return CalibrationResult(**{each.name: getattr(calibration, each.name) for each in fields(calibration)})
 
 
 def _search(
@@ -183,12 +183,12 @@ def _corners(given: str | Path | Corners | Places, board: Board | None, size: tu
         return read_corners(Path(given), square_m=None if board is None else board.square_m, size=size)
     if size is None:
         raise InputError("say how large the images are: width and height, pixels", key="size")
-    found: list[tuple[str, Array, Array]] = []
+    corners: list[tuple[str, Array, Array]] = []
     try:
         for name, pair in given.items():
             points, pixels = (np.asarray(each, dtype=np.float64).reshape(-1, 2) for each in pair)
-            found.append((str(name), points, pixels))
+            corners.append((str(name), points, pixels))
     except (AttributeError, TypeError, ValueError):
         problem = "must be a file, or points on the board [n, 2] and pixels [n, 2] for each image"
         raise InputError(problem, key="corners") from None
-    return corners_of(found, *size, file="corners")
+    return corners_of(corners, *size, file="corners")

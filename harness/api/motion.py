@@ -16,7 +16,7 @@ from harness.errors import InputError
 from harness.files import write
 from harness.geometry.pose import Motion, Pose
 from harness.io.view_folder import pose_in
-from harness.motion.calibration_error import TOLD_PX, moved_by
+from harness.motion.calibration_error import REPORTED_PX, moved_by
 from harness.motion.estimate import EstimatedMotion, estimate
 from harness.motion.sparse import Freedom
 from harness.motion.verdict import Status
@@ -116,41 +116,41 @@ class MotionEstimate(EstimatedMotion):
 
     def lines(self) -> list[str]:
         """What the command prints: the motion in plain words."""
-        angles, sigmas, told = self.angles_deg, self.sigmas_deg, []
+        angles, sigmas, parts = self.angles_deg, self.sigmas_deg, []
         if angles:
             sigma = f"; sigma {sigmas['rotation']:.2g}" if sigmas else ""
-            told.append(
+            parts.append(
                 f"rotation   yaw {angles['yaw']:.3f}, pitch {angles['pitch']:.3f}, roll {angles['roll']:.3f} degrees"
                 f"{sigma}"
             )
         if "azimuth" in angles:
-            told.append(
+            parts.append(
                 f"direction  azimuth {angles['azimuth']:.2f}, elevation {angles['elevation']:.2f} degrees; "
                 f"sigma {sigmas['direction']:.2g}"
             )
-            told.append(
+            parts.append(
                 f"baseline   {self.baseline_m:g} m, as given"
                 if self.baseline_m is not None
                 else "baseline   not known from images; 1 stands for it, and ranges will be in units of it"
             )
         agreeing = "" if self.sparse is None else f", {self.sparse.inlier.sum()} agree"
         residual = "" if self.sparse is None else f" to {self.sparse.scale_px:.2g} px"
-        told.append(f"pairs      {len(self.pairs)} keypoints look alike{agreeing}{residual}")
+        parts.append(f"pairs      {len(self.pairs)} keypoints look alike{agreeing}{residual}")
         if self.direct is not None:
-            told.append(
+            parts.append(
                 f"direct     {len(self.direct.tiles)} tiles look alike to {self.direct.noise_grey:.2g} grey levels"
             )
-        told.append(f"status     {self.status}")
-        told += [f"           {reason}" for reason in self.reasons]
+        parts.append(f"status     {self.status}")
+        parts += [f"           {reason}" for reason in self.reasons]
         if self.calibration_effects is not None:
             rotation, direction = (math.degrees(each) for each in moved_by(self.calibration_effects))
             exact = "take the calibration for exact"
             counted = f"count {self.calibration_px:g} px of calibration in" if self.calibration_px else exact
-            told.append(
-                f"Sigmas {counted}. One that is {TOLD_PX:g} px off moves the rotation by {rotation:.2g}, the direction "
-                f"by {direction:.2g} degrees, and hardly shows."
+            parts.append(
+                f"Sigmas {counted}. One that is {REPORTED_PX:g} px off moves the rotation by {rotation:.2g}, the "
+                f"direction by {direction:.2g} degrees, and hardly shows."
             )
-        return told
+        return parts
 
     def write(self, path: str | Path) -> None:
         """Write the pose of view 2 in view 1's frame as TOML, which `omnirange range --pose` reads.
@@ -247,10 +247,10 @@ def estimate_motion(
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     first, second = photographs_of(left, right, sensors, bits)
-    found = estimate(
+    estimated = estimate(
         (first.grey, second.grey), sensors, freedom=freedom, direct=direct, calibration_px=calibration_px, seed=seed
     )
-    values = {each.name: getattr(found, each.name) for each in fields(found)}
+    values = {each.name: getattr(estimated, each.name) for each in fields(estimated)}
     baseline = None if baseline_m is None else float(baseline_m)
     return MotionEstimate(**values, baseline_m=baseline, calibration_px=float(calibration_px))
 

@@ -116,8 +116,8 @@ def estimate_range(
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     first, second = photographs_of(left, right, sensors, bits)
-    found = estimate(first, second, sensors, _motion(motion), _matcher(matcher), grid)
-    return RangeEstimate(**{each.name: getattr(found, each.name) for each in fields(found)})
+    estimated = estimate(first, second, sensors, _motion(motion), _matcher(matcher), grid)
+    return RangeEstimate(**{each.name: getattr(estimated, each.name) for each in fields(estimated)})
 
 
 def _matcher(matcher: str | Mapping[str, Any] | MatcherSettings) -> MatcherSettings:

@@ -170,14 +170,14 @@ class RunResult:
         (50, 180)
         """
         planned = self._planned(trial)
-        kept = None if self.folder is None else read_maps(self.folder / FOLDER, planned.trial)
-        if kept is None and planned.trial.matching.runs_foreign_code and not self._run_code:
+        stored = None if self.folder is None else read_maps(self.folder / FOLDER, planned.trial)
+        if stored is None and planned.trial.matching.runs_third_party_code and not self._run_code:
             raise InputError(
                 "its maps are not stored, and its matcher is not part of omnirange; "
                 "open_results(folder, run_code=True) allows it to run",
                 key=planned.key,
             )
-        return kept or maps_of(run_here(planned.trial))
+        return stored or maps_of(run_here(planned.trial))
 
     def report(self, file: str | Path | None = None) -> Path:
         """Write the report: one HTML file that needs nothing else.
@@ -224,23 +224,23 @@ class RunResult:
         if trial is None:
             return every[0]
         if isinstance(trial, str):
-            found = [each for each in every if each.key == trial]
+            matching = [each for each in every if each.key == trial]
         elif isinstance(trial, Mapping):
             chosen, _ = dotted_up_to_date(DottedKeys(Trial), trial)
             for key in chosen.keys() - every[0].coordinates.keys():
                 varied = ", ".join(every[0].coordinates) or "none"
                 raise InputError(f"'{key}' is not a key that varies; those are: {varied}", key="trial")
-            found = [each for each in every if all(each.coordinates[key] == value for key, value in chosen.items())]
+            matching = [each for each in every if all(each.coordinates[key] == value for key, value in chosen.items())]
         else:
             if not -len(every) <= trial < len(every):
                 raise InputError(f"there is no trial {trial}: there are {len(every)}, the first is 0", key="trial")
             return every[trial]
-        if len(found) != 1:
-            count = f"{len(found)} trials match; give more keys" if found else "no trial matches"
+        if len(matching) != 1:
+            count = f"{len(matching)} trials match; give more keys" if matching else "no trial matches"
             raise InputError(
                 f"{count} ({', '.join(every[0].coordinates) or 'one trial'}); found {trial!r}", key="trial"
             )
-        return found[0]
+        return matching[0]
 
 
 def open_results(folder: str | Path, *, run_code: bool = False) -> RunResult:

@@ -97,10 +97,10 @@ def describe_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = Non
     """
     loaded = load_sensor(sensor)
     try:
-        found = coverage(loaded)
+        covered = coverage(loaded)
     except ValueError as error:
         raise InputError(str(error), key="sensor") from error
-    return SensorDescription(title_of(found), facts_of(found), tuple(warnings_of(found)), found)
+    return SensorDescription(title_of(covered), facts_of(covered), tuple(warnings_of(covered)), covered)
 
 
 def convert_sensor(
@@ -143,12 +143,12 @@ def convert_sensor(
     >>> written.conversion.is_exact
     True
     """
-    found = written(load_sensor(sensor), to, model)
-    apart = found.conversion
+    conversion = written(load_sensor(sensor), to, model)
+    apart = conversion.conversion
     if not apart.rms_px <= allow_residual_px:
         raise InputError(
             f"the nearest {apart.optics.model.title} is {apart.rms_px:.2g} px RMS away, {apart.largest_px:.2g} px at "
             "most; --allow-residual PX takes it all the same",
             key="--to",
         )
-    return found
+    return conversion

@@ -70,12 +70,12 @@ def _fit(points: Array, size: int) -> Circle | None:
             best = near
     if best is None or best.sum() < max(12, 0.5 * len(points)):
         return None
-    found = _through(points[best])
-    if found is None:
+    fitted = _through(points[best])
+    if fitted is None:
         return None
-    azimuth = np.arctan2(points[best, 1] - found.v, points[best, 0] - found.u)
+    azimuth = np.arctan2(points[best, 1] - fitted.v, points[best, 0] - fitted.u)
     covered = np.unique(np.floor((azimuth + np.pi) / (2 * np.pi) * 24)).size / 24
-    return found if covered >= 0.3 else None
+    return fitted if covered >= 0.3 else None
 
 
 def _distance(points: Array, circle: Circle) -> Array:

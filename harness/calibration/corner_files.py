@@ -51,18 +51,18 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
     """
     suffix = file.suffix.lower()
     if suffix == ".npz":
-        found, own = _from_npz(file)
+        views, own = _from_npz(file)
     elif suffix in {".csv", ".txt"}:
-        found, own = _from_csv(file, square_m)
+        views, own = _from_csv(file, square_m)
     else:
         content = read_content(file)
-        found, own = _from_table(content) if "images" in content.table else _from_opencv(content)
+        views, own = _from_table(content) if "images" in content.table else _from_opencv(content)
     if own is None and size is None:
         raise InputError("does not say how large the images are; give --size WIDTH HEIGHT", file=file)
     if own is not None and size is not None and own != size:
         raise InputError(f"is of images of {own[0]} x {own[1]} pixels; --size says {size[0]} x {size[1]}", file=file)
     width, height = own or size or (0, 0)
-    corners = corners_of(found, width, height, file=str(file))
+    corners = corners_of(views, width, height, file=str(file))
     outside = ((corners.pixels < -0.5) | (corners.pixels > [width - 0.5, height - 0.5])).any(axis=-1)
     if outside.any():
         u, v = corners.pixels[np.flatnonzero(outside)[0]].tolist()
@@ -85,19 +85,19 @@ def corners_csv(corners: Corners) -> str:
     return stream.getvalue()
 
 
-Found = tuple[list[tuple[str, Array, Array]], tuple[int, int] | None]
+ImageCorners = tuple[list[tuple[str, Array, Array]], tuple[int, int] | None]
 """(name, points, pixels) of each image, and the images' size where it is told."""
 
 
-def _from_csv(file: Path, square_m: float | None) -> Found:
+def _from_csv(file: Path, square_m: float | None) -> ImageCorners:
     try:
         lines = read_regular(file, _LIMIT_BYTES, "corner").decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"cannot be read as a text file ({error})", file=file) from error
     size = None
     if lines and lines[0].startswith("#"):
-        told = re.fullmatch(r"#\s*(\d{1,5})\s*x\s*(\d{1,5})\s*", lines[0])
-        size = (int(told[1]), int(told[2])) if told else None
+        comment = re.fullmatch(r"#\s*(\d{1,5})\s*x\s*(\d{1,5})\s*", lines[0])
+        size = (int(comment[1]), int(comment[2])) if comment else None
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     header = tuple(each.strip() for each in rows[0][1].split(",")) if rows else ()
     if header not in (_OWN, _SQUARES):
@@ -119,7 +119,7 @@ def _from_csv(file: Path, square_m: float | None) -> Found:
     return [(name, each[:, :2], each[:, 2:]) for name, each in arrays.items()], size
 
 
-def _from_npz(file: Path) -> Found:
+def _from_npz(file: Path) -> ImageCorners:
     data = read_regular(file, _LIMIT_BYTES, "corner")
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
@@ -140,15 +140,15 @@ def _from_npz(file: Path) -> Found:
     if not all(np.issubdtype(each.dtype, np.number) for each in (points, pixels)):
         raise InputError("points_m and pixels must be numbers", file=file)
     size = arrays.get("size")
-    told = (int(size[0]), int(size[1])) if size is not None and size.shape == (2,) else None
-    return [(str(each), points[image == each], pixels[image == each]) for each in np.unique(image)], told
+    image_size = (int(size[0]), int(size[1])) if size is not None and size.shape == (2,) else None
+    return [(str(each), points[image == each], pixels[image == each]) for each in np.unique(image)], image_size
 
 
-def _from_table(content: Content) -> Found:
+def _from_table(content: Content) -> ImageCorners:
     images, key = member(content, content.table, "images")
     if not isinstance(images, list):
         raise refusal(content, key, "must be a list of tables")
-    found = []
+    views = []
     for i, entry in enumerate(images):
         if not isinstance(entry, Mapping):
             raise refusal(content, f"{key}[{i}]", "must be a table")
@@ -157,13 +157,13 @@ def _from_table(content: Content) -> Found:
         )
         if points.shape[1] != 2 or points.shape != pixels.shape:
             raise refusal(content, f"{key}[{i}]", "points_m and pixels must be as many pairs of numbers")
-        found.append((str(entry.get("name", i)), points, pixels))
+        views.append((str(entry.get("name", i)), points, pixels))
     size = tuple(content.table.get(each) for each in ("width_px", "height_px"))
     whole = all(isinstance(each, int) and 0 < each < 100_000 for each in size)
-    return found, (size[0], size[1]) if whole else None  # type: ignore[return-value]
+    return views, (size[0], size[1]) if whole else None  # type: ignore[return-value]
 
 
-def _from_opencv(content: Content) -> Found:
+def _from_opencv(content: Content) -> ImageCorners:
     root = content.table.get("opencv_storage", content.table)
     lists = {}
     for name in ("objectPoints", "imagePoints"):
@@ -173,17 +173,17 @@ def _from_opencv(content: Content) -> Found:
         lists[name] = [_points(content, each, f"{key}[{i}]") for i, each in enumerate(value)]
     if len(lists["objectPoints"]) != len(lists["imagePoints"]):
         raise refusal(content, "imagePoints", "must be as many matrices as objectPoints")
-    found = []
+    views = []
     for i, (points, pixels) in enumerate(zip(lists["objectPoints"], lists["imagePoints"], strict=True)):
         if pixels.shape[1] != 2 or len(points) != len(pixels):
             raise refusal(content, f"imagePoints[{i}]", f"must be {len(points)} pairs of numbers")
         if points.shape[1] == 3 and np.ptp(points[:, 2]) > 0:
             raise refusal(content, f"objectPoints[{i}]", "must lie in one plane, z = 0: boards are plane")
-        found.append((str(i), points[:, :2], pixels))
+        views.append((str(i), points[:, :2], pixels))
     if "imageSize" not in root:
-        return found, None
+        return views, None
     size = [int(each) for each in numbers(content, root["imageSize"], "imageSize", "width height")]
-    return found, (size[0], size[1])
+    return views, (size[0], size[1])
 
 
 def _points(content: Content, value: Any, key: str) -> Array:

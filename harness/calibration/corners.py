@@ -70,7 +70,7 @@ class Corners(OneLine):
 
 
 def corners_of(
-    found: Sequence[tuple[str, Array, Array]], width_px: int, height_px: int, *, file: str | None = None
+    views: Sequence[tuple[str, Array, Array]], width_px: int, height_px: int, *, file: str | None = None
 ) -> Corners:
     """Corners from (name, points on the board `[k, 2]`, pixels `[k, 2]`) of each image.
 
@@ -79,9 +79,9 @@ def corners_of(
     InputError
         When an image has fewer than 6 corners, or all of them on one line, or something is not a number.
     """
-    if not found:
+    if not views:
         raise InputError("holds no corners", file=file)
-    for name, points, pixels in found:
+    for name, points, pixels in views:
         if len(points) != len(pixels) or len(points) < 6:
             raise InputError(f"image '{name}' has {len(points)} corners; a board needs at least 6", file=file)
         if not (np.isfinite(points).all() and np.isfinite(pixels).all()):
@@ -89,10 +89,10 @@ def corners_of(
         if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * np.ptp(points)) < 2:
             raise InputError(f"the corners of image '{name}' lie on one line of the board", file=file)
     return Corners(
-        tuple(name for name, _, _ in found),
-        np.repeat(np.arange(len(found)), [len(points) for _, points, _ in found]),
-        np.concatenate([np.asarray(points, dtype=np.float64) for _, points, _ in found]),
-        np.concatenate([np.asarray(pixels, dtype=np.float64) for _, _, pixels in found]),
+        tuple(name for name, _, _ in views),
+        np.repeat(np.arange(len(views)), [len(points) for _, points, _ in views]),
+        np.concatenate([np.asarray(points, dtype=np.float64) for _, points, _ in views]),
+        np.concatenate([np.asarray(pixels, dtype=np.float64) for _, _, pixels in views]),
         width_px,
         height_px,
     )

@@ -50,36 +50,42 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
     images, circle = _read(files)
     height, width = images[0].shape
     sensor = rough_sensor(width, height, circle)
-    found: dict[int, Array] = {}
+    corners_of_image: dict[int, Array] = {}
     with threads(cv2, 1):  # its own threads cost more than they gain on windows of this size
         for i, name in enumerate(names):
-            _look(cv2, images, i, board, sensor, found)
-            tell(f"{name} ({i + 1} of {len(names)}): {_said(found, i, board)}")
-        better = _calibrated(found, names, board, (width, height), circle) if len(found) < len(names) else None
-        for i in (i for i in range(len(names)) if i not in found and better is not None):
+            _look(cv2, images, i, board, sensor, corners_of_image)
+            tell(f"{name} ({i + 1} of {len(names)}): {_said(corners_of_image, i, board)}")
+        better = (
+            _calibrated(corners_of_image, names, board, (width, height), circle)
+            if len(corners_of_image) < len(names)
+            else None
+        )
+        for i in (i for i in range(len(names)) if i not in corners_of_image and better is not None):
             assert better is not None
-            _look(cv2, images, i, board, better, found)
-            tell(f"{names[i]}, looked at again with what the others tell: {_said(found, i, board)}")
-    if not found:
+            _look(cv2, images, i, board, better, corners_of_image)
+            tell(f"{names[i]}, looked at again with what the others tell: {_said(corners_of_image, i, board)}")
+    if not corners_of_image:
         raise InputError(
             f"no board of {board.columns} x {board.rows} inner corners was found in any of {len(files)} images. Count "
             "the corners where four squares meet, not the squares; the whole board with a white margin must be in the "
             "image, sharp and evenly lit, its squares at least 10 pixels wide. Or give corners from elsewhere with "
             "--corners"
         )
-    places = [(names[i], board.points_m, found[i]) for i in sorted(found)]
-    without = tuple(name for i, name in enumerate(names) if i not in found)
+    places = [(names[i], board.points_m, corners_of_image[i]) for i in sorted(corners_of_image)]
+    without = tuple(name for i, name in enumerate(names) if i not in corners_of_image)
     return Search(corners_of(places, width, height), circle, without)
 
 
-def _look(cv2: object, images: Sequence[Grey8], i: int, board: Board, sensor: Sensor, found: dict[int, Array]) -> None:
+def _look(
+    cv2: object, images: Sequence[Grey8], i: int, board: Board, sensor: Sensor, corners_of_image: dict[int, Array]
+) -> None:
     pixels = find_board(cv2, images[i], board, sensor)
     if pixels is not None:
-        found[i] = pixels
+        corners_of_image[i] = pixels
 
 
-def _said(found: dict[int, Array], i: int, board: Board) -> str:
-    return f"{board.columns * board.rows} corners" if i in found else "no board"
+def _said(corners_of_image: dict[int, Array], i: int, board: Board) -> str:
+    return f"{board.columns * board.rows} corners" if i in corners_of_image else "no board"
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -108,12 +114,12 @@ def _read(files: Sequence[Path]) -> tuple[list[Grey8], Circle | None]:
 
 
 def _calibrated(
-    found: dict[int, Array], names: Sequence[str], board: Board, size: tuple[int, int], circle: Circle | None
+    corners_of_image: dict[int, Array], names: Sequence[str], board: Board, size: tuple[int, int], circle: Circle | None
 ) -> Sensor | None:
     """The sensor that the boards found so far tell; None where they tell none."""
-    if len(found) < _ENOUGH:
+    if len(corners_of_image) < _ENOUGH:
         return None
-    corners = corners_of([(names[i], board.points_m, found[i]) for i in sorted(found)], *size)
+    corners = corners_of([(names[i], board.points_m, corners_of_image[i]) for i in sorted(corners_of_image)], *size)
     try:
         return calibrate_sensor(corners, "unified", lens=(), circle=circle).sensor
     except InputError:

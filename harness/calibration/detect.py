@@ -89,10 +89,10 @@ def find_board(cv2: Any, image: Grey8, board: Board, sensor: Sensor) -> Array | 
     for window in _likely_windows(saddles, board, sensor):
         x, y = np.meshgrid(np.arange(window.size, dtype=np.float64), np.arange(window.size, dtype=np.float64))
         at = _pixels(sensor, window.directions(x, y)).astype(np.float32)
-        found = _detect(cv2, cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0), board)
-        if found is None:
+        corners = _detect(cv2, cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0), board)
+        if corners is None:
             continue
-        pixels = _pixels(sensor, window.directions(found[:, 0], found[:, 1]))
+        pixels = _pixels(sensor, window.directions(corners[:, 0], corners[:, 1]))
         if _is_grid(pixels, board) and _is_inside(pixels, image):
             return refine(image, pixels, board)
     return None
@@ -100,8 +100,8 @@ def find_board(cv2: Any, image: Grey8, board: Board, sensor: Sensor) -> Array | 
 
 def _detect(cv2: Any, image: Grey8, board: Board) -> Array | None:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
-    return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if found else None
+    success, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
+    return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if success else None
 
 
 def _pixels(sensor: Sensor, directions: Array) -> Array:

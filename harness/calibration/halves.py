@@ -35,22 +35,22 @@ def compare_halves(adjusted: Adjusted, corners: Corners, grid: RayGrid) -> Halve
         return None
     chosen = [list(range(begin, count, 2)) for begin in (0, 1)]
     halves = [corners.of(each) for each in chosen]
-    found: list[Adjusted] = []
+    fits: list[Adjusted] = []
     for half, own in zip(halves, chosen, strict=True):
         poses = BoardPoses(adjusted.poses.R[own], adjusted.poses.t[own])
         one = adjust(adjusted.parameters, half, adjusted.vector, poses)
         if one is None or not one.converged:
             return None
-        found.append(one)
+        fits.append(one)
     other_rms = []
-    for one, other, own in ((found[0], halves[1], chosen[1]), (found[1], halves[0], chosen[0])):
+    for one, other, own in ((fits[0], halves[1], chosen[1]), (fits[1], halves[0], chosen[0])):
         poses = BoardPoses(adjusted.poses.R[own], adjusted.poses.t[own])
         cost = refine_poses(one.parameters.compiled(one.vector), other, poses)[1]
         other_rms.append(float(np.sqrt(cost.sum() / len(other.image))))
-    first, second = (each.parameters.sensor_at(each.vector) for each in found)
+    first, second = (each.parameters.sensor_at(each.vector) for each in fits)
     return Halves(
         images=(halves[0].images, halves[1].images),
-        rms_px=(_rms(found[0]), _rms(found[1])),
+        rms_px=(_rms(fits[0]), _rms(fits[1])),
         other_rms_px=(other_rms[0], other_rms[1]),
         difference_px=np.linalg.norm(ray_difference(first, second, grid), axis=-1),
     )

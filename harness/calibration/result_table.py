@@ -11,55 +11,55 @@ from harness.spec import as_table
 from harness.version import __version__
 
 
-def record_of(found: SensorCalibration) -> dict[str, Any]:
+def record_of(calibration: SensorCalibration) -> dict[str, Any]:
     """All that a calibration says. Lists `images` and the size are those that `read_corners` reads.
 
     What is not a finite number is None.
     """
-    uncertainty, corners, coverage = found.uncertainty, found.corners, found.coverage
+    uncertainty, corners, coverage = calibration.uncertainty, calibration.corners, calibration.coverage
     ends = [*corners.starts.tolist(), len(corners.image)]
     images = corner_tables(corners)
-    for i, (table, rms) in enumerate(zip(images, found.rms_of_images_px.tolist(), strict=True)):
-        table["residuals_px"] = found.residuals[ends[i] : ends[i + 1]].tolist()
+    for i, (table, rms) in enumerate(zip(images, calibration.rms_of_images_px.tolist(), strict=True)):
+        table["residuals_px"] = calibration.residuals[ends[i] : ends[i + 1]].tolist()
         table["rms_px"] = rms
-        table["R_sensor_from_board"] = found.poses.R[i].tolist()
-        table["t_sensor_m"] = found.poses.t[i].tolist()
+        table["R_sensor_from_board"] = calibration.poses.R[i].tolist()
+        table["t_sensor_m"] = calibration.poses.t[i].tolist()
     table = {
         "program": f"omnirange {__version__}",
         "width_px": corners.width_px,
         "height_px": corners.height_px,
-        "sensor": as_table(found.sensor),
-        "rms_px": found.rms_px,
+        "sensor": as_table(calibration.sensor),
+        "rms_px": calibration.rms_px,
         "sigma_px": uncertainty.sigma_px,
         "corners": len(corners.image),
         "parameters": [
             {"key": key, "value": value, "sigma": sigma}
             for key, value, sigma in zip(
-                found.keys, uncertainty.values.tolist(), uncertainty.sigma.tolist(), strict=True
+                calibration.keys, uncertainty.values.tolist(), uncertainty.sigma.tolist(), strict=True
             )
         ],
         "covariance": uncertainty.covariance.tolist(),
         "correlation": uncertainty.correlation.tolist(),
         "undetermined": list(uncertainty.undetermined),
-        "ray_sigma_px": _summary(found.ray_sigma_px),
-        "ray_sigma_with_turn_px": _summary(found.ray_sigma_fixed_px),
-        "halves": _halves(found),
+        "ray_sigma_px": _summary(calibration.ray_sigma_px),
+        "ray_sigma_with_turn_px": _summary(calibration.ray_sigma_fixed_px),
+        "halves": _halves(calibration),
         "coverage": {
             "share": coverage.share,
             "innermost_deg": coverage.innermost_deg,
             "outermost_deg": coverage.outermost_deg,
             "widest_gap_deg": coverage.widest_gap_deg,
         },
-        "image_circle": None if found.circle is None else vars(found.circle),
-        "notes": list(found.notes),
-        "left_out": [] if found.left_out is None else corner_tables(found.left_out),
+        "image_circle": None if calibration.circle is None else vars(calibration.circle),
+        "notes": list(calibration.notes),
+        "left_out": [] if calibration.left_out is None else corner_tables(calibration.left_out),
         "images": images,
     }
     return {key: _finite(value) for key, value in table.items()}
 
 
-def _halves(found: SensorCalibration) -> dict[str, Any] | None:
-    halves = found.halves
+def _halves(calibration: SensorCalibration) -> dict[str, Any] | None:
+    halves = calibration.halves
     if halves is None:
         return None
     return {

@@ -133,9 +133,9 @@ def calibrate_sensor(
     begin = Start(template, poses_for(corners, template)) if start else find_start(corners, template, keys, circle)
     adjusted, used, left_out = _without_outliers(corners, Parameters(begin.sensor, keys), begin, tell)
     uncertainty = uncertainty_of(adjusted)
-    found = adjusted.parameters.sensor_at(adjusted.vector)
-    found = found.model_copy(update={"mount": mount or (start.mount if start else Mount())})
-    sensor = _with_field(found, field or covered_field(found, used, circle))
+    calibrated = adjusted.parameters.sensor_at(adjusted.vector)
+    calibrated = calibrated.model_copy(update={"mount": mount or (start.mount if start else Mount())})
+    sensor = _with_field(calibrated, field or covered_field(calibrated, used, circle))
     grid = ray_grid(sensor)
     # All that was adjusted is in the model's own frame.
     grid = replace(grid, directions=np.ascontiguousarray(grid.directions @ model_from_sensor(sensor).T))
@@ -179,12 +179,12 @@ def _without_outliers(
 ) -> tuple[Adjusted, Corners, Corners | None]:
     """The plain adjustment of all corners that are no outliers of the robust one."""
     vector, poses, scale = parameters.vector(begin.sensor), begin.poses, _ROUGH_PX
-    seen = visible(corners, begin.sensor, poses)
-    some, poses = corners.of(seen), poses.of(seen)
+    in_view = visible(corners, begin.sensor, poses)
+    some, poses = corners.of(in_view), poses.of(in_view)
     sigma = 0.0
     length = np.zeros(0)
     for _ in range(2):
-        robust = adjust(parameters, some, vector, poses, robust_px=scale) if seen else None
+        robust = adjust(parameters, some, vector, poses, robust_px=scale) if in_view else None
         if robust is None:
             raise InputError("the sensor to start from cannot see the corners; give a better one", key="start")
         vector, poses = robust.vector, robust.poses
@@ -193,13 +193,13 @@ def _without_outliers(
         sigma = max(float(np.median(length)) / 1.1774, _LEAST_SIGMA_PX)
         scale = 3 * sigma
     agrees = length <= _OUTLIER * sigma
-    left = np.bincount(some.image[agrees], minlength=len(seen))
+    left = np.bincount(some.image[agrees], minlength=len(in_view))
     agrees &= (left >= _LEAST_CORNERS)[some.image]
     if not agrees.any():
         raise InputError("no board agrees with the others: are the corners in the board's order?")
     tell(f"{np.count_nonzero(agrees)} of {len(corners.image)} corners agree, about {sigma:.2g} px each way")
     keep = np.zeros(len(corners.image), dtype=bool)
-    keep[np.flatnonzero(np.isin(corners.image, seen))[agrees]] = True
+    keep[np.flatnonzero(np.isin(corners.image, in_view))[agrees]] = True
     final = adjust(parameters, corners.where(keep), vector, poses.of(np.unique(some.image[agrees]).tolist()))
     assert final is not None  # it begins where the robust one has ended
     return final, corners.where(keep), None if keep.all() else corners.where(~keep)

@@ -103,20 +103,20 @@ def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle
             best = tried
     if best is None:
         raise InputError("no guess of the camera could be adjusted to the corners")
-    found = best.parameters.sensor_at(best.vector)
-    starts = [Start(each, poses_for(corners, each)) for each in _converted(template, keys, corners, found)]
+    sensor = best.parameters.sensor_at(best.vector)
+    starts = [Start(each, poses_for(corners, each)) for each in _converted(template, keys, corners, sensor)]
     return starts[0] if len(starts) == 1 else min(starts, key=lambda each: _cost(corners, each, keys))
 
 
 def _cost(corners: Corners, start: Start, keys: tuple[str, ...]) -> float:
     """What is left after an adjustment; infinite where there cannot be one."""
-    seen = visible(corners, start.sensor, start.poses)
-    if not seen:
+    in_view = visible(corners, start.sensor, start.poses)
+    if not in_view:
         return math.inf
     parameters = Parameters(start.sensor, keys)
-    some, poses = corners.of(seen), start.poses.of(seen)
-    found = adjust(parameters, some, parameters.vector(start.sensor), poses, robust_px=_ROUGH_PX)
-    return math.inf if found is None else found.cost / len(seen)
+    some, poses = corners.of(in_view), start.poses.of(in_view)
+    adjusted = adjust(parameters, some, parameters.vector(start.sensor), poses, robust_px=_ROUGH_PX)
+    return math.inf if adjusted is None else adjusted.cost / len(in_view)
 
 
 def poses_for(corners: Corners, sensor: Sensor) -> BoardPoses:
@@ -176,17 +176,17 @@ def unified_sensor(
 
 def _adjusted_unified(corners: Corners, guess: Start, free: tuple[str, ...]) -> Adjusted | None:
     parameters = Parameters(guess.sensor, free)
-    seen = visible(corners, guess.sensor, guess.poses)
-    if not seen:
+    in_view = visible(corners, guess.sensor, guess.poses)
+    if not in_view:
         return None
-    some, poses = corners.of(seen), guess.poses.of(seen)
-    found = adjust(parameters, some, parameters.vector(guess.sensor), poses, robust_px=_ROUGH_PX, rounds=40)
-    if found is None:
+    some, poses = corners.of(in_view), guess.poses.of(in_view)
+    adjusted = adjust(parameters, some, parameters.vector(guess.sensor), poses, robust_px=_ROUGH_PX, rounds=40)
+    if adjusted is None:
         return None
     # Once more with whichever of the two poses of each board is the better one for the sensor that was found.
-    poses = poses_for(some, parameters.sensor_at(found.vector))
-    again = adjust(parameters, some, found.vector, poses, robust_px=_ROUGH_PX, rounds=40)
-    return again if again is not None and again.cost < found.cost else found
+    poses = poses_for(some, parameters.sensor_at(adjusted.vector))
+    again = adjust(parameters, some, adjusted.vector, poses, robust_px=_ROUGH_PX, rounds=40)
+    return again if again is not None and again.cost < adjusted.cost else adjusted
 
 
 def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
@@ -198,17 +198,17 @@ def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
 # --- The models, from a unified one without a lens ---------------------------------------------------------------
 
 
-def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, found: Sensor) -> list[Sensor]:
+def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, unified: Sensor) -> list[Sensor]:
     """Sensors of the template's kind near a unified one; the template's own where a key is not among `keys`."""
-    xi: float = found.model.xi  # type: ignore[attr-defined]
-    axial = found.camera.focal_px / (1 + xi)
-    theta = np.linspace(0, float(np.nanmax(angles_off_axis(found, corners.pixels))), 200)[1:]
+    xi: float = unified.model.xi  # type: ignore[attr-defined]
+    axial = unified.camera.focal_px / (1 + xi)
+    theta = np.linspace(0, float(np.nanmax(angles_off_axis(unified, corners.pixels))), 200)[1:]
     curve = _Curve(xi, theta, axial * (1 + xi) * np.sin(theta) / (np.cos(theta) + xi), axial)
     sensors = []
     for own in _OWN_KEYS[kind_of(template.model)](template.model, curve):
         new = {f"model.{name}": value for name, value in own.items()}
         sensor = with_values(template, {key: value for key, value in new.items() if key in keys})
-        camera = {f"camera.{name}": getattr(found.camera, name) for name in ("cx_px", "cy_px")}
+        camera = {f"camera.{name}": getattr(unified.camera, name) for name in ("cx_px", "cy_px")}
         camera["camera.focal_px"] = axial / axial_slope(sensor.model)
         sensors.append(with_values(sensor, {key: value for key, value in camera.items() if key in keys}))
     return sensors

@@ -123,13 +123,13 @@ def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
     """
     R = _axis_frame(sensor)
 
-    def is_seen(angle_rad: float) -> bool:
+    def is_visible(angle_rad: float) -> bool:
         rays = _cone(angle_rad, 72)[0] @ R
         return bool((in_field(sensor, rays) & np.isfinite(project(sensor, rays)[0]).all(axis=-1)).any())
 
     angles = np.linspace(0, math.pi, 721).tolist()
-    seen = [is_seen(angle) for angle in angles]
-    first, last = seen.index(True), len(seen) - 1 - seen[::-1].index(True)
+    visible = [is_visible(angle) for angle in angles]
+    first, last = visible.index(True), len(visible) - 1 - visible[::-1].index(True)
 
     def edge(outside: int, inside: int) -> float:
         if not 0 <= outside < len(angles):
@@ -137,7 +137,7 @@ def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
         out, into = angles[outside], angles[inside]
         for _ in range(48):
             middle = (out + into) / 2
-            out, into = (out, middle) if is_seen(middle) else (middle, into)
+            out, into = (out, middle) if is_visible(middle) else (middle, into)
         return into
 
     return edge(first - 1, first), edge(last + 1, last)
@@ -191,23 +191,23 @@ def _resolution(sensor: Sensor, least: float, largest: float) -> Resolution:
     nearest = 1e-4 if has_circle(sensor) else _NEAR_POLE
     angles = np.linspace(max(least, nearest), min(largest, math.pi - nearest), _ANGLES)
     R = _axis_frame(sensor)
-    found = np.full((2, 3, len(angles)), np.nan)
+    resolution = np.full((2, 3, len(angles)), np.nan)
     for i, angle in enumerate(angles):
         rays, *moves = (each @ R for each in _cone(angle, 72))
-        seen = project(sensor, rays)[1]
-        if not seen.any():
+        visible = project(sensor, rays)[1]
+        if not visible.any():
             continue
-        slopes = jacobian(sensor, rays[seen])
+        slopes = jacobian(sensor, rays[visible])
         for j, move in enumerate(moves):
-            per_degree = np.linalg.norm(np.einsum("nij,nj->ni", slopes, move[seen]), axis=-1) * (math.pi / 180)
-            found[j, :, i] = np.median(per_degree), per_degree.min(), per_degree.max()
+            per_degree = np.linalg.norm(np.einsum("nij,nj->ni", slopes, move[visible]), axis=-1) * (math.pi / 180)
+            resolution[j, :, i] = np.median(per_degree), per_degree.min(), per_degree.max()
     axis_up = float(R[2, 2])  # the optical axis's z in the sensor's frame
     vertical = abs(axis_up) > 1 - 1e-9
     return Resolution(
         angle_rad=angles,
         elevation_rad=math.copysign(1, axis_up) * (math.pi / 2 - angles) if vertical else np.full_like(angles, np.nan),
-        radial=found[0, 0],
-        tangential=found[1, 0],
-        radial_range=found[0, 1:].T,
-        tangential_range=found[1, 1:].T,
+        radial=resolution[0, 0],
+        tangential=resolution[1, 0],
+        radial_range=resolution[0, 1:].T,
+        tangential_range=resolution[1, 1:].T,
     )

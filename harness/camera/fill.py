@@ -37,21 +37,21 @@ def nearest_known(known: NDArray[np.bool_]) -> Indices:
     return rows, columns
 
 
-def without_gaps(image: Image, seen: Mask, hidden: Mask | None = None) -> tuple[Image, Mask]:
+def without_gaps(image: Image, visible: Mask, hidden: Mask | None = None) -> tuple[Image, Mask]:
     """An image whose gaps, pixels that are not finite or hidden, are closed, and which pixels are known: seen, no gap.
 
     A gap gets the grey level of the nearest known pixel, so that filters and splines have something to go on; nothing
-    may be concluded from it. An image without gaps is returned as it is, with `seen` itself.
+    may be concluded from it. An image without gaps is returned as it is, with `visible` itself.
 
     Parameters
     ----------
     hidden
-        Pixels that show something else, and are not `seen` either.
+        Pixels that show something else, and are not `visible` either.
     """
     finite = np.isfinite(image)
     if finite.all() and hidden is None:
-        return image, seen
-    known = seen & finite
+        return image, visible
+    known = visible & finite
     closed = np.where(finite if hidden is None else finite & ~hidden, image, image[nearest_known(known)])
     return np.where(np.isfinite(closed), closed, np.float32(0)), known
 
@@ -66,12 +66,12 @@ def closed_image(image: Image, sensor: Sensor, seam: int = 0) -> tuple[Image, Ma
     seam
         How many columns all of them go on for across the image's seam; see `across_seam`.
     """
-    seen, masked = across_seam(pixel_directions(sensor)[1], seam), masked_pixels(sensor)
+    visible, masked = across_seam(pixel_directions(sensor)[1], seam), masked_pixels(sensor)
     hidden = None if masked is None else across_seam(masked, seam)
-    closed, known = without_gaps(across_seam(image, seam), seen, hidden)
-    if known is seen:
+    closed, known = without_gaps(across_seam(image, seam), visible, hidden)
+    if known is visible:
         return closed, known, None
-    gaps = seen & ~known
+    gaps = visible & ~known
     return closed, known, gaps if hidden is None else gaps | hidden
 
 

@@ -80,9 +80,9 @@ def used_pixels(mask: MaskImage, width_px: int, height_px: int) -> NDArray[np.bo
         data, mask.file, size=(width_px, height_px), size_hint=f"the sensor that it masks {width_px}x{height_px}"
     ).levels
     if levels.dtype != np.uint8 or levels.ndim != 2:
-        found = "colours" if levels.ndim != 2 else "more than 8 bits"
+        unsuitable = "colours" if levels.ndim != 2 else "more than 8 bits"
         raise InputError(
-            f"a mask must be an 8-bit grey image, white where pixels are used; it has {found}", file=mask.file
+            f"a mask must be an 8-bit grey image, white where pixels are used; it has {unsuitable}", file=mask.file
         )
     used = levels >= USED_FROM
     used.flags.writeable = False

@@ -114,10 +114,10 @@ def _nearest(optics: Optics, pixels: Array, target: Target) -> Optics:
     problem = _Problem(optics, pixels, target)
     if target.kind == "ocam":
         return _nearest_polynomial(problem)
-    found = problem.solved(problem.starts())
-    if found is None:
+    solution = problem.solved(problem.starts())
+    if solution is None:
         raise InputError(f"no {MODELS[target.kind].title} comes near")
-    return found
+    return solution
 
 
 def _nearest_polynomial(problem: "_Problem") -> Optics:
@@ -125,12 +125,12 @@ def _nearest_polynomial(problem: "_Problem") -> Optics:
     least = math.inf
     for degree in OCAM_DEGREES:
         problem.degree = degree
-        found = problem.solved([problem.polynomial_start()])
-        if found is None:
+        solution = problem.solved([problem.polynomial_start()])
+        if solution is None:
             continue
-        rms = _rms(np.linalg.norm(found.project(problem.rays) - problem.pixels, axis=-1))
+        rms = _rms(np.linalg.norm(solution.project(problem.rays) - problem.pixels, axis=-1))
         if rms < 0.9 * least:
-            best, least = found, rms
+            best, least = solution, rms
         if least < _OCAM_ENOUGH_PX:
             break
     if best is None:
@@ -197,7 +197,7 @@ class _Problem:
     def _made(self, vector: Array) -> Optics | None:
         """The camera of a vector; None where there is none."""
         given = dict(zip(self._bounds(), vector.tolist(), strict=True))
-        place = {
+        pixels = {
             "width_px": int(self.size[0]),
             "height_px": int(self.size[1]),
             "cx_px": given["cx"],
@@ -209,14 +209,14 @@ class _Problem:
                 powers = range(2, self.degree + 1)
                 terms = [given["a0"] * self.reach, 0.0, *(given[f"a{i}"] * self.reach ** (1 - i) for i in powers)]
                 keys = {"coefficients": terms} | {each: given[each] for each in "cde"}
-                return Optics(MODELS[kind].model_validate({"kind": kind} | keys), Camera.model_validate(place), Lens())
+                return Optics(MODELS[kind].model_validate({"kind": kind} | keys), Camera.model_validate(pixels), Lens())
             focal = math.exp(given["log_f"])
-            place |= {
+            pixels |= {
                 "focal_px": focal,
                 "aspect": math.exp(given["log_aspect"]),
                 "skew_px": given.get("skew", 0) * focal,
             }
-            camera = Camera.model_validate(place)
+            camera = Camera.model_validate(pixels)
             own = {name: given[name] for name in self._own()}
             if kind in ("unified", "hyperboloid"):
                 model = MODELS["unified"].model_validate({"kind": "unified", "xi": own.pop("xi")})
@@ -250,8 +250,8 @@ class _Problem:
         # -f(rho) sin = rho cos on every ray; over rho it is an angle.
         weight = 1 / np.maximum(rho, 1.0)
         columns = np.stack([(rho / self.reach) ** i * self.reach * sine * weight for i in powers], axis=-1)
-        found = np.linalg.lstsq(columns, -rho * cosine * weight, rcond=None)[0]
-        start = {f"a{i}": value for i, value in zip(powers, found.tolist(), strict=True)}
+        coefficients = np.linalg.lstsq(columns, -rho * cosine * weight, rcond=None)[0]
+        start = {f"a{i}": value for i, value in zip(powers, coefficients.tolist(), strict=True)}
         return start | {"cx": self.centre[0], "cy": self.centre[1], "c": self.aspect, "d": 0.0, "e": e}
 
     # --- Solution --------------------------------------------------------------------------------------------------
@@ -277,10 +277,10 @@ class _Problem:
         """The vector at which at most so many steps from a start end, and the sum of squares there."""
         low, high = np.array(list(self._bounds().values())).T
         begin = np.clip(begin, low + 1e-9, high - 1e-9)
-        found = least_squares(
+        minimum = least_squares(
             self.residuals, begin, bounds=(low, high), x_scale="jac", ftol=1e-10, xtol=1e-12, gtol=1e-14, max_nfev=steps
         )
-        return found.x, float(found.cost)
+        return minimum.x, float(minimum.cost)
 
     def _thinned(self, count: int) -> "_Problem":
         """The same fit to about so many of the pixels."""

@@ -52,5 +52,5 @@ def plane_points(sensor: Sensor, normal: ArrayLike, count: int = 720) -> Array:
     other = np.eye(3)[np.argmin(np.abs(normal))]
     first = normalise(np.cross(normal, other))
     angle = 2 * np.pi * np.arange(count)[:, None] / count
-    pixels, seen = project(sensor, np.cos(angle) * first + np.sin(angle) * np.cross(normal, first))
-    return np.where(seen[:, None], pixels, np.nan)
+    pixels, visible = project(sensor, np.cos(angle) * first + np.sin(angle) * np.cross(normal, first))
+    return np.where(visible[:, None], pixels, np.nan)

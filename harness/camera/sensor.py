@@ -209,10 +209,10 @@ def in_field(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
     with np.errstate(invalid="ignore", divide="ignore"):
         norm = np.linalg.norm(directions, axis=-1)
         sine = _along(directions, field.up_x, field.up_y, field.up_z) / norm
-        seen = (sine >= field.lowest) & (sine <= field.highest)
+        inside = (sine >= field.lowest) & (sine <= field.highest)
         if field.nearest > -1:
-            seen &= _along(directions, field.axis_x, field.axis_y, field.axis_z) / norm >= field.nearest
-        return seen
+            inside &= _along(directions, field.axis_x, field.axis_y, field.axis_z) / norm >= field.nearest
+        return inside
 
 
 def _along(directions: Array, x: float, y: float, z: float) -> Array:
@@ -231,8 +231,8 @@ def in_use(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
 
     Unlike what `project` says, beyond the borders of the image too.
     """
-    seen = in_field(sensor, directions)
-    return seen if sensor.mask is None else seen & _not_masked(sensor, project(sensor, directions)[0])
+    inside = in_field(sensor, directions)
+    return inside if sensor.mask is None else inside & _not_masked(sensor, project(sensor, directions)[0])
 
 
 def used(sensor: Sensor) -> np.ndarray | None:

@@ -70,7 +70,7 @@ def can_be_sampled(sensor: Sensor, directions: Array, order: int = 3) -> NDArray
     pixels that an interpolation of this order takes.
     """
     coordinates, in_view = _coordinates(sensor, directions)
-    return in_view & _all_taps_seen(_seen(sensor), coordinates, order)
+    return in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order)
 
 
 def _coordinates(sensor: Sensor, directions: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -90,19 +90,19 @@ def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> 
     """
     R = np.frombuffer(rotation).reshape(3, 3)
     coordinates, in_view = _coordinates(sensor, cylinder(grid) @ R.T)
-    valid = in_view & _all_taps_seen(_seen(sensor), coordinates, order)
+    valid = in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order)
     coordinates.flags.writeable = False
     valid.flags.writeable = False
     return coordinates, valid
 
 
 @lru_cache(maxsize=8)
-def _seen(sensor: Sensor) -> NDArray[np.bool_]:
+def _visible_pixels(sensor: Sensor) -> NDArray[np.bool_]:
     """The pixels that the sensor sees, continued across the image's seam if it has one."""
     return across_seam(pixel_directions(sensor)[1], seam_px(sensor))
 
 
-def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
+def _all_taps_visible(visible: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
     """Whether every pixel that an interpolation at `coordinates` (rows, columns) touches is seen by the sensor."""
     # What lies far off the image is cut off, as it may be too large for an integer.
     first = np.floor(np.clip(coordinates, -1e6, 1e6)).astype(np.intp) - (order // 2)
@@ -110,10 +110,12 @@ def _all_taps_seen(seen: NDArray[np.bool_], coordinates: Array, order: int) -> N
     for row in range(order + 1):
         for column in range(order + 1):
             v, u = first[0] + row, first[1] + column
-            inside = (v >= 0) & (v < seen.shape[0]) & (u >= 0) & (u < seen.shape[1])
+            inside = (v >= 0) & (v < visible.shape[0]) & (u >= 0) & (u < visible.shape[1])
             # A tap with weight zero may lie outside: the last row and column of a bilinear sample at an integer.
             weightless = ((coordinates[0] == v - 1) & (row == order == 1)) | (
                 (coordinates[1] == u - 1) & (column == order == 1)
             )
-            result &= weightless | (inside & seen[np.clip(v, 0, seen.shape[0] - 1), np.clip(u, 0, seen.shape[1] - 1)])
+            result &= weightless | (
+                inside & visible[np.clip(v, 0, visible.shape[0] - 1), np.clip(u, 0, visible.shape[1] - 1)]
+            )
     return result

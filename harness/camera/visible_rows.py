@@ -48,10 +48,10 @@ def with_rows(grid: Grid, sensors: tuple[Sensor, ...], R_v2_from_v1: Array | Non
         return grid
     words = {key: "auto" for key in ("z_min", "z_max") if "auto" in (getattr(grid, key), given_of(grid).get(key))}
     rotation = np.eye(3) if R_v2_from_v1 is None else np.asarray(R_v2_from_v1, dtype=np.float64)
-    found = _rows(sensors, rotation.tobytes())
-    if found is None:
+    rows = _rows(sensors, rotation.tobytes())
+    if rows is None:
         raise ValueError('"auto": no direction within 75 deg of the horizon is seen; give z_min and z_max as numbers')
-    z = {key: value for key, value in zip(("z_min", "z_max"), found, strict=True) if key in words}
+    z = {key: value for key, value in zip(("z_min", "z_max"), rows, strict=True) if key in words}
     return remember(Grid(**grid.model_dump() | z), words)
 
 
@@ -64,13 +64,13 @@ def _rows(sensors: tuple[Sensor, ...], rotation: bytes) -> tuple[float, float] |
     level = np.cos(elevations)[:, None]
     x, y = level * np.cos(azimuths), level * np.sin(azimuths)
     around = np.stack([x, y, np.broadcast_to(np.sin(elevations)[:, None], x.shape)], axis=-1)
-    seen = np.ones(x.shape, dtype=bool)
+    visible = np.ones(x.shape, dtype=bool)
     for sensor, turn in zip(sensors, (None, np.frombuffer(rotation).reshape(3, 3)), strict=False):
-        seen &= can_be_sampled(sensor, around if turn is None else around @ turn.T)
-    azimuths_seen = seen.sum(axis=1)
-    if not azimuths_seen.any():
+        visible &= can_be_sampled(sensor, around if turn is None else around @ turn.T)
+    visible_azimuths = visible.sum(axis=1)
+    if not visible_azimuths.any():
         return None
-    counts = azimuths_seen >= MOSTLY * azimuths_seen.max()
+    counts = visible_azimuths >= MOSTLY * visible_azimuths.max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], counts, [False]])))
     first, end = edges[0::2], edges[1::2]
     longest = np.argmax(end - first)

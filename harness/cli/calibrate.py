@@ -102,7 +102,7 @@ def run(options: Namespace) -> None:
         raise InputError("say what the board is, as 9x6 for 9 by 6 inner corners", file="--board")
     mount = {"looks": options.looks, "mirrored": options.mirrored}
     try:
-        found = harness.calibrate(
+        calibration = harness.calibrate(
             options.images,
             board=board,
             corners=options.corners,
@@ -121,11 +121,11 @@ def run(options: Namespace) -> None:
             raise
         file = options.start if error.key == "start" else None
         raise InputError(error.problem, file=file, key=f"--{error.key}") from error
-    print("\n".join(_summary(found)))
+    print("\n".join(_summary(calibration)))
     if options.out is None:
-        print(f"\n{dump_toml(found.sensor)}")
+        print(f"\n{dump_toml(calibration.sensor)}")
     else:
-        print(", ".join(str(each) for each in found.write(options.out)))
+        print(", ".join(str(each) for each in calibration.write(options.out)))
 
 
 def _field(options: Namespace) -> dict[str, float] | None:
@@ -137,45 +137,45 @@ def _field(options: Namespace) -> dict[str, float] | None:
     return {"elevation_min_deg": low, "elevation_max_deg": high, "angle_max_deg": angle}
 
 
-def _summary(found: "CalibrationResult") -> list[str]:
+def _summary(calibration: "CalibrationResult") -> list[str]:
     """The numbers, what is left of the corners, how sure the rays are, and what should be known."""
     import numpy as np
 
-    values, sigmas = found.uncertainty.values.tolist(), found.uncertainty.sigma.tolist()
+    values, sigmas = calibration.uncertainty.values.tolist(), calibration.uncertainty.sigma.tolist()
     lines = [
         f"  {key:<20} {value:>12.6g}  ± {sigma:.2g}"
-        for key, value, sigma in zip(found.keys, values, sigmas, strict=True)
+        for key, value, sigma in zip(calibration.keys, values, sigmas, strict=True)
     ]
-    worst = int(np.argmax(found.rms_of_images_px))
+    worst = int(np.argmax(calibration.rms_of_images_px))
     lines.append(
-        f"{found.sensor.model.title}: RMS {found.rms_px:.3f} px over {len(found.corners.image)} corners of "
-        f"{len(found.corners.images)} images; the worst is {found.corners.images[worst]} with "
-        f"{found.rms_of_images_px[worst]:.3f} px"
+        f"{calibration.sensor.model.title}: RMS {calibration.rms_px:.3f} px over "
+        f"{len(calibration.corners.image)} corners of {len(calibration.corners.images)} images; "
+        f"the worst is {calibration.corners.images[worst]} with {calibration.rms_of_images_px[worst]:.3f} px"
     )
     lines.append(
-        f"standard deviation of rays, a turn of the sensor apart: {np.median(found.ray_sigma_px):.2g} px (median), "
-        f"{found.ray_sigma_px.max():.2g} px (largest)"
+        f"standard deviation of rays, a turn of the sensor apart: {np.median(calibration.ray_sigma_px):.2g} px "
+        f"(median), {calibration.ray_sigma_px.max():.2g} px (largest)"
     )
-    if found.halves is not None:
-        known = found.halves.difference_px[np.isfinite(found.halves.difference_px)]
+    if calibration.halves is not None:
+        known = calibration.halves.difference_px[np.isfinite(calibration.halves.difference_px)]
         lines.append(
             f"two halves of the images differ by {np.median(known):.2g} px (median), {known.max():.2g} px (largest)"
         )
-    coverage = found.coverage
+    coverage = calibration.coverage
     lines.append(
         f"corners lie {coverage.innermost_deg:.0f}° to {coverage.outermost_deg:.0f}° off the axis, in "
         f"{coverage.share:.0%} of the field"
     )
-    mirrored = "a mirror image" if found.sensor.mirrored else "no mirror image"
-    lines.append(f"taken for granted: the camera looks {found.sensor.looks}, {mirrored} (--looks, --mirrored)")
-    return lines + [f"note: {each}" for each in found.notes]
+    mirrored = "a mirror image" if calibration.sensor.mirrored else "no mirror image"
+    lines.append(f"taken for granted: the camera looks {calibration.sensor.looks}, {mirrored} (--looks, --mirrored)")
+    return lines + [f"note: {each}" for each in calibration.notes]
 
 
 def _board(text: str) -> tuple[int, int]:
-    told = re.fullmatch(r"(\d{1,3})\s*[xX×,]\s*(\d{1,3})", text)
-    if not told:
+    size = re.fullmatch(r"(\d{1,3})\s*[xX×,]\s*(\d{1,3})", text)
+    if not size:
         raise argparse.ArgumentTypeError(f"must be two numbers of inner corners, as 9x6; found '{text}'")
-    return int(told[1]), int(told[2])
+    return int(size[1]), int(size[2])
 
 
 def _words(text: str) -> list[str]:

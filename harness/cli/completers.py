@@ -41,14 +41,14 @@ def files(*endings: str) -> Completer:
     def complete(prefix: str, **_: Any) -> list[str]:
         stem, slash, _name = prefix.rpartition("/")
         folder = Path(f"{stem}{slash}" or ".").expanduser()
-        found = []
+        names = []
         for path in sorted(folder.iterdir()) if folder.is_dir() else ():
             word = f"{stem}{slash}{path.name}"
             if path.is_dir():
-                found.append(f"{word}/")
+                names.append(f"{word}/")
             elif not endings or path.suffix in endings:
-                found.append(word)
-        return _beginning(prefix, found)
+                names.append(word)
+        return _beginning(prefix, names)
 
     return complete
 

@@ -59,7 +59,7 @@ def run(options: Namespace) -> int:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
     sensor = first_sensor(options)
     assert sensor is not None
-    found = harness.estimate_motion(
+    estimate = harness.estimate_motion(
         options.left,
         options.right,
         sensor,
@@ -71,13 +71,13 @@ def run(options: Namespace) -> int:
         bits=options.bits,
         seed=options.seed,
     )
-    for line in found.lines():
+    for line in estimate.lines():
         print(line)
     if options.json is not None:
-        found.write_json(options.json)
-    if found.direction_v1 is None:
+        estimate.write_json(options.json)
+    if estimate.direction_v1 is None:
         return FAILED
     if options.out is not None:
-        found.write(options.out)
+        estimate.write(options.out)
         print(f"{options.out}: view 2's pose in view 1's frame")
     return OK

@@ -62,77 +62,77 @@ def run(options: Namespace) -> None:
 
     from harness.io.calibrations.sensors import read_sensor
 
-    found = read_sensor(options.file, chosen(options, options.camera))
+    read = read_sensor(options.file, chosen(options, options.camera))
     if options.to is None:
-        _describe(found, options)
+        _describe(read, options)
     else:
-        _convert(found, options)
+        _convert(read, options)
 
 
-def _describe(found: "SensorFile", options: Namespace) -> None:
+def _describe(read: "SensorFile", options: Namespace) -> None:
     import harness
 
-    described = harness.describe_sensor(found.sensor)
-    print(f"{options.file}: {_origin(found)}")
+    described = harness.describe_sensor(read.sensor)
+    print(f"{options.file}: {_origin(read)}")
     print(described)
-    for note in found.notes:
+    for note in read.notes:
         print(f"  note: {note}")
-    for line in _motion(found):
+    for line in _motion(read):
         print(f"  {line}")
     page = options.out or _PAGE
-    described.write(page, found.notes)
+    described.write(page, read.notes)
     print(f"picture: {page}")
 
 
-def _origin(found: "SensorFile") -> str:
+def _origin(read: "SensorFile") -> str:
     """What kind of file it is, and which camera of it."""
     from harness.io.calibrations import FORMATS as KNOWN
 
-    if found.calibration is None or found.camera is None:
+    if read.calibration is None or read.camera is None:
         return "a sensor file"
-    cameras = found.calibration.cameras
-    number = cameras.index(found.camera)
-    title = KNOWN[found.calibration.format].title
+    cameras = read.calibration.cameras
+    number = cameras.index(read.camera)
+    title = KNOWN[read.calibration.format].title
     if len(cameras) == 1:
         return title
-    name = f" ({found.camera.name})" if found.camera.name not in ("", f"camera {number}") else ""
+    name = f" ({read.camera.name})" if read.camera.name not in ("", f"camera {number}") else ""
     return f"{title}, camera {number}{name} of {len(cameras)}"
 
 
-def _motion(found: "SensorFile") -> list[str]:
+def _motion(read: "SensorFile") -> list[str]:
     """Where the camera is, seen from the file's first one, as `omnirange range` takes it."""
     from harness.io.calibrations.rigs import motion_between
     from harness.io.view_folder import pose_in
 
-    if found.calibration is None or found.camera is None or found.camera.T_cam_from_first is None:
+    if read.calibration is None or read.camera is None or read.camera.T_cam_from_first is None:
         return []
-    number = found.calibration.cameras.index(found.camera)
+    number = read.calibration.cameras.index(read.camera)
     if number == 0:
         return []
-    sensor = found.sensor
-    pose = pose_in(motion_between(found.calibration, 0, number, sensor.looks, mirrored=sensor.mirrored))
+    sensor = read.sensor
+    pose = pose_in(motion_between(read.calibration, 0, number, sensor.looks, mirrored=sensor.mirrored))
     # Adding 0 takes the sign off a -0.
-    place = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in pose.position_m)
+    position = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in pose.position_m)
     turn = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in (pose.yaw_deg, pose.pitch_deg, pose.roll_deg))
-    return [f"motion from camera 0, if both look {sensor.looks}: --baseline {place} --rotation-deg {turn}"]
+    return [f"motion from camera 0, if both look {sensor.looks}: --baseline {position} --rotation-deg {turn}"]
 
 
-def _convert(found: "SensorFile", options: Namespace) -> None:
+def _convert(read: "SensorFile", options: Namespace) -> None:
     import harness
     from harness.api.sensors import LARGEST_RESIDUAL_PX
     from harness.files import write
 
     allowed = LARGEST_RESIDUAL_PX if options.allow_residual is None else options.allow_residual
-    written = harness.convert_sensor(found.sensor, options.to, model=options.model, allow_residual_px=allowed)
+    written = harness.convert_sensor(read.sensor, options.to, model=options.model, allow_residual_px=allowed)
     if options.out is None:
         print(written.text, end="")
     else:
         write(options.out, written.text)
-    for line in _said_of(written, found, options.out):
+    for line in _said_of(written, read, options.out):
         print(line, file=sys.stdout if options.out else sys.stderr)
 
 
-def _said_of(written: "WrittenSensor", found: "SensorFile", out: Path | None) -> list[str]:
+def _said_of(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> list[str]:
     """How near the written camera is, and what its file does not hold."""
     apart = written.conversion
     low, high = (math.degrees(each) for each in apart.angles_rad)
@@ -147,15 +147,15 @@ def _said_of(written: "WrittenSensor", found: "SensorFile", out: Path | None) ->
         )
     lines = [f"{out or written.format}: {title}, {nearness}"]
     if written.format != "toml":
-        lines.append(f"mount and field are not in it; read it with {_reading(found)}")
-        if found.sensor.mask is not None:
-            lines.append(f"the mask is not in it either: {found.sensor.mask.file}")
+        lines.append(f"mount and field are not in it; read it with {_reading(read)}")
+        if read.sensor.mask is not None:
+            lines.append(f"the mask is not in it either: {read.sensor.mask.file}")
     return lines
 
 
-def _reading(found: "SensorFile") -> str:
+def _reading(read: "SensorFile") -> str:
     """The options that give a file, read back, the sensor's mount and field."""
-    sensor = found.sensor
+    sensor = read.sensor
     words = [f"--looks {sensor.looks}", *(["--mirrored"] if sensor.mirrored else [])]
     if sensor.field.angle_max_deg < 180:
         words.append(f"--angle-max {sensor.field.angle_max_deg:g}")

@@ -95,7 +95,7 @@ class MatcherSettings(Spec, ABC):
         return ""
 
     @property
-    def runs_foreign_code(self) -> bool:
+    def runs_third_party_code(self) -> bool:
         """Whether matching runs code that is not part of this program."""
         return False
 
@@ -161,7 +161,7 @@ class Parametrised(MatcherSettings):
         return type(self) is type(other) and self._text == other._text
 
     @property
-    def runs_foreign_code(self) -> bool:
+    def runs_third_party_code(self) -> bool:
         """Always true: only third-party functions and programs take parameters."""
         return True
 

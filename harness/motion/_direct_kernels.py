@@ -37,7 +37,7 @@ def _sampled(x, w, R, t, camera, coefficients):
 
 
 @kernel
-def try_planes(tiles, side, stride, least, seen, x, grey, R, t, camera, coefficients, planes, share, best, score):
+def try_planes(tiles, side, stride, least, view, x, grey, R, t, camera, coefficients, planes, share, best, score):
     """For each tile the plane, of some, whose grey levels in view 2 correlate best with view 1's.
 
     tiles : `[T, 2]`, row and column of the first pixel. stride : every so many pixels are looked at.
@@ -54,7 +54,7 @@ def try_planes(tiles, side, stride, least, seen, x, grey, R, t, camera, coeffici
             for row in range(tiles[i, 0], tiles[i, 0] + side, stride):
                 for column in range(tiles[i, 1], tiles[i, 1] + side, stride):
                     all_pixels += 1.0
-                    if not seen[row, column]:
+                    if not view[row, column]:
                         continue
                     d = x[row, column]
                     w = m[0] * d[0] + m[1] * d[1] + m[2] * d[2]
@@ -81,7 +81,7 @@ def try_planes(tiles, side, stride, least, seen, x, grey, R, t, camera, coeffici
 
 @kernel
 def normal_equations(
-    tiles, side, least, seen, x, grey, R, t, camera, coefficients, planes, gain, offset, H, N, g, sums
+    tiles, side, least, view, x, grey, R, t, camera, coefficients, planes, gain, offset, H, N, g, sums
 ):  # fmt: skip
     """Write the normal equations of every tile, for I_1 = a I_2 + b at the planes, gains and offsets given.
 
@@ -100,7 +100,7 @@ def normal_equations(
         sums[i, :] = 0.0
         for row in range(tiles[i, 0], tiles[i, 0] + side):
             for col in range(tiles[i, 1], tiles[i, 1] + side):
-                if not seen[row, col]:
+                if not view[row, col]:
                     continue
                 d = x[row, col]
                 w = m[0] * d[0] + m[1] * d[1] + m[2] * d[2]

@@ -13,19 +13,19 @@ from harness.motion.features import Correspondences, spreads
 from harness.motion.residuals import Turn, sampson, sampson_jacobian
 from harness.motion.sparse import CAUCHY, Fit, Freedom, leverage_weight, tangents
 
-TOLD_PX = 0.5
-"""The error of calibration whose effect is told: what calibrations of real mirrors and fisheyes often leave."""
+REPORTED_PX = 0.5
+"""The error of calibration whose effect is reported: what calibrations of real mirrors and fisheyes often leave."""
 _STEP = 1e-3
 
 
 def calibration_effects(
-    pairs: Correspondences, sensors: tuple[Sensor, Sensor], found: Fit, turn: Turn, freedom: Freedom = "free"
+    pairs: Correspondences, sensors: tuple[Sensor, Sensor], fit: Fit, turn: Turn, freedom: Freedom = "free"
 ) -> Array:
     """How the motion moves with errors of the calibration, `[6, k]`, radians per pixel.
 
     Parameters
     ----------
-    found
+    fit
         Fitted to the pairs.
     turn
         The motion about which the change is taken.
@@ -36,12 +36,12 @@ def calibration_effects(
         Rows as in `Fit.covariance`. Columns: the centre along u and along v, a focal length and a radial lens term
         (r³) that move the outermost pair by 1 px; once where both views have one sensor, else for each view.
     """
-    true = pairs.at(found.inlier)
+    true = pairs.at(fit.inlier)
     e, full = sampson_jacobian(true, turn)
     held = np.vstack(tangents(turn, freedom))
     J = full @ held
     leverage = leverage_weight(J)
-    weighted = J * (leverage / (1 + leverage * (e / (CAUCHY * found.scale_px)) ** 2))[:, None]
+    weighted = J * (leverage / (1 + leverage * (e / (CAUCHY * fit.scale_px)) ** 2))[:, None]
     views = [
         _changes(true, sensors[0], "x_1", true.pixels_1, turn),
         _changes(true, sensors[1], "x_2", true.pixels_2, turn),
@@ -50,7 +50,7 @@ def calibration_effects(
     return np.asarray(-held @ np.linalg.pinv(weighted.T @ J) @ weighted.T @ changes)
 
 
-def moved_by(effects: Array, pixels: float = TOLD_PX) -> tuple[float, float]:
+def moved_by(effects: Array, pixels: float = REPORTED_PX) -> tuple[float, float]:
     """Angles, radians, by which rotation and direction of t move when each number is off by so many pixels (root of
     the sum of squares).
     """

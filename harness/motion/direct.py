@@ -109,15 +109,15 @@ def fit_direct(
     if len(tiles) < _LEAST_TILES:
         return None
     true = pairs.at(start.inlier)
-    found = first_planes(given, tiles, start.turn, true)
+    planes = first_planes(given, tiles, start.turn, true)
     for _ in range(2):
-        state = _planes_fitted(given, tiles, start.turn, found[0])
-        found = best_planes(given, tiles, start.turn, state.planes[:, None], found)
-        found = best_planes(given, tiles, start.turn, planes_beside(tiles, found[0]), found)
-    good = found[1] > _CORRELATION
+        state = _planes_fitted(given, tiles, start.turn, planes[0])
+        planes = best_planes(given, tiles, start.turn, state.planes[:, None], planes)
+        planes = best_planes(given, tiles, start.turn, planes_beside(tiles, planes[0]), planes)
+    good = planes[1] > _CORRELATION
     if good.sum() < _LEAST_TILES:
         return None
-    state = _planes_fitted(given, tiles[good], start.turn, found[0][good])
+    state = _planes_fitted(given, tiles[good], start.turn, planes[0][good])
     plain = _adjusted(given, tiles[good], state, freedom)
     if plain is None or plain.noise_share < NOISY:
         return plain
@@ -152,7 +152,7 @@ def _equations(given: Views, tiles: NDArray[np.int64], state: _State) -> _Equati
     H, N = np.zeros((count, 11, 11)), np.zeros((count, 9, 9))
     g, sums = np.zeros((count, 11)), np.zeros((count, 4))
     _kernels.normal_equations(
-        tiles, SIDE_PX, LEAST_W, given.seen, given.x, given.grey, *state.turn, given.camera, given.coefficients,
+        tiles, SIDE_PX, LEAST_W, given.known, given.x, given.grey, *state.turn, given.camera, given.coefficients,
         state.planes, state.gain, state.offset, H, N, g, sums,
     )  # fmt: skip
     H, N = (a + np.triu(a, 1).transpose(0, 2, 1) for a in (H, N))

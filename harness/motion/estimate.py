@@ -87,7 +87,7 @@ def estimate(
         freedom=freedom,
         calibration_px=calibration_px,
         seed=seed,
-        refine=(lambda found: fit_direct(images, sensors, found, pairs, freedom)) if direct else None,
+        refine=(lambda views: fit_direct(images, sensors, views, pairs, freedom)) if direct else None,
     )
 
 
@@ -117,21 +117,21 @@ def estimate_from_pairs(
     consensus = agree(pairs, freedom=freedom, seed=seed)
     if consensus is None:
         return _failed(pairs, "no sample of pairs gives a motion", 0)
-    found = fit(pairs, consensus.turn, freedom)
-    if reason := why_failed(len(pairs), int(found.inlier.sum())):
+    fitted = fit(pairs, consensus.turn, freedom)
+    if reason := why_failed(len(pairs), int(fitted.inlier.sum())):
         return _failed(pairs, reason, consensus.iterations)
-    R_alone, rotation_px = fit_rotation(pairs.at(found.inlier), found.turn.R)
-    if reason := why_no_parallax(found, rotation_px):
+    R_alone, rotation_px = fit_rotation(pairs.at(fitted.inlier), fitted.turn.R)
+    if reason := why_no_parallax(fitted, rotation_px):
         return EstimatedMotion(
-            Status.NO_PARALLAX, (reason,), R_alone, None, None, None, pairs, found, None, rotation_px,
+            Status.NO_PARALLAX, (reason,), R_alone, None, None, None, pairs, fitted, None, rotation_px,
             consensus.iterations,
         )  # fmt: skip
-    direct = refine(found) if refine is not None else None
-    rival = rival_of(pairs, consensus, found, freedom)
-    best = direct or found
-    effects = calibration_effects(pairs, sensors, found, best.turn, freedom)
+    direct = refine(fitted) if refine is not None else None
+    rival = rival_of(pairs, consensus, fitted, freedom)
+    best = direct or fitted
+    effects = calibration_effects(pairs, sensors, fitted, best.turn, freedom)
     covariance = best.covariance + calibration_px**2 * effects @ effects.T
-    reasons = why_weak(found, rival, direct, covariance, direct_wanted=refine is not None)
+    reasons = why_weak(fitted, rival, direct, covariance, direct_wanted=refine is not None)
     return EstimatedMotion(
         status=Status.WEAK if reasons else Status.OK,
         reasons=tuple(reasons),
@@ -140,7 +140,7 @@ def estimate_from_pairs(
         covariance=covariance,
         calibration_effects=effects,
         pairs=pairs,
-        sparse=found,
+        sparse=fitted,
         direct=direct,
         rotation_px=rotation_px,
         iterations=consensus.iterations,

@@ -111,17 +111,17 @@ def find_features(image: Image, sensor: Sensor, *, flip: bool = False) -> Featur
     if flip:
         pixels[:, 0] = image.shape[1] - 1 - pixels[:, 0]
     descriptors = np.zeros((0, 128), np.float32) if descriptors is None else descriptors
-    bearings, seen = unproject(sensor, pixels)
+    bearings, visible = unproject(sensor, pixels)
     inside = ndimage.distance_transform_edt(known)
     row, column = (np.clip(np.rint(pixels[:, i]), 0, image.shape[1 - i] - 1).astype(np.intp) for i in (1, 0))
-    kept = seen & (inside[row, column] >= _BORDER * scale)
-    sigma = np.clip(_CONTRAST_OF_ONE / np.maximum(contrast[kept], 1e-6), *_SIGMAS)
+    usable = visible & (inside[row, column] >= _BORDER * scale)
+    sigma = np.clip(_CONTRAST_OF_ONE / np.maximum(contrast[usable], 1e-6), *_SIGMAS)
     return Features(
-        pixels=pixels[kept],
+        pixels=pixels[usable],
         sigma_px=sigma,
-        descriptors=_root(descriptors[kept]),
-        bearings=bearings[kept],
-        spreads=spreads(sensor, bearings[kept]) * sigma[:, None, None],
+        descriptors=_root(descriptors[usable]),
+        bearings=bearings[usable],
+        spreads=spreads(sensor, bearings[usable]) * sigma[:, None, None],
     )
 
 
@@ -140,8 +140,8 @@ def spreads(sensor: Sensor, bearings: Array) -> Array:
 
 def is_mirrored(sensor: Sensor) -> bool:
     """Whether the sensor's image shows right and left exchanged, as a mirror does."""
-    directions, seen = pixel_directions(sensor)
-    some = directions[seen][:: max(1, int(seen.sum()) // 100)]
+    directions, visible = pixel_directions(sensor)
+    some = directions[visible][:: max(1, int(visible.sum()) // 100)]
     J = jacobian(sensor, some)
     # From inside, u to the right and v down turn clockwise about the line of sight as x and y of a camera do.
     return bool(np.nanmedian(np.einsum("ni,ni->n", np.cross(J[:, 0], J[:, 1]), some)) < 0)

@@ -121,37 +121,37 @@ class _Search:
     def __init__(self, pairs: Correspondences) -> None:
         self._bearings = bearings_of(pairs)
         self._slack = slack(pairs)
-        self._found: list[tuple[float, Turn]] = []
+        self._ranked: list[tuple[float, Turn]] = []
 
     @property
     def best(self) -> Any:
         """The motion of least cost; None at first."""
-        return self._found[0][1] if self._found else None
+        return self._ranked[0][1] if self._ranked else None
 
     @property
     def cost(self) -> float:
         """Its cost."""
-        return self._found[0][0] if self._found else math.inf
+        return self._ranked[0][0] if self._ranked else math.inf
 
     def tried(self, turn: Turn) -> bool:
         """Keep a motion if it is among the best; whether it is the best of all."""
-        full = len(self._found) > _RIVALS
-        most = self._found[-1][0] if full else math.inf
+        full = len(self._ranked) > _RIVALS
+        most = self._ranked[-1][0] if full else math.inf
         cost = _kernels.truncated_cost(*self._bearings, self._slack, turn.R, turn.t, LIMIT_PX, most * LIMIT_PX**2)
         cost /= LIMIT_PX**2
         if cost > most:
             return False
         is_best = cost < self.cost
         if is_best:
-            self._found = [(c, each) for c, each in self._found if not alike(each, turn)]
-        elif any(alike(each, turn) and c <= cost for c, each in self._found):
+            self._ranked = [(c, each) for c, each in self._ranked if not alike(each, turn)]
+        elif any(alike(each, turn) and c <= cost for c, each in self._ranked):
             return False
-        self._found = sorted([*self._found, (cost, turn)], key=lambda each: each[0])[: _RIVALS + 1]
+        self._ranked = sorted([*self._ranked, (cost, turn)], key=lambda each: each[0])[: _RIVALS + 1]
         return is_best
 
     def rivals(self) -> list[tuple[float, Turn]]:
         """The others."""
-        return [each for each in self._found[1:] if not alike(each[1], self.best)]
+        return [each for each in self._ranked[1:] if not alike(each[1], self.best)]
 
 
 def alike(one: Turn, other: Turn) -> bool:

@@ -121,7 +121,7 @@ def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: flo
     def jacobian(p: Array) -> Array:
         return np.asarray(weight[:, None] * (sampson_jacobian(near, at(p))[1] @ held))
 
-    found = least_squares(
+    minimum = least_squares(
         lambda p: weight * sampson(near, at(p)),
         np.zeros(turns.shape[1]),
         jac=jacobian,
@@ -130,7 +130,7 @@ def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: flo
         x_scale="jac",
         max_nfev=30,
     )
-    return at(found.x)
+    return at(minimum.x)
 
 
 def leverage_weight(J: Array) -> Array:

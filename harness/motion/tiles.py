@@ -41,7 +41,7 @@ class Views:
 
     grey: Image
     """`[height, width]`, view 1."""
-    seen: NDArray[np.bool_]
+    known: NDArray[np.bool_]
     """`[height, width]`, pixels of view 1 that are seen and finite."""
     x: Array
     """`[height, width, 3]`, unit directions of view 1's pixels."""
@@ -69,14 +69,14 @@ def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: 
             smooth = ndimage.gaussian_filter(smooth, blur_px, mode="nearest")
             known = ndimage.binary_erosion(known, iterations=round(3 * blur_px))
         prepared.append((smooth, known))
-    (first, seen), (second, seen_2) = prepared
+    (first, known_1), (second, known_2) = prepared
     seam = seam_px(sensors[1])
     spline = ndimage.spline_filter(across_seam(second, seam), 3, output=np.float32, mode="mirror")
     return Views(
         grey=np.ascontiguousarray(first, dtype=np.float32),
-        seen=np.ascontiguousarray(seen),
+        known=np.ascontiguousarray(known_1),
         x=pixel_directions(sensors[0])[0],
-        coefficients=np.where(across_seam(seen_2, seam), spline, np.float32(np.nan)),
+        coefficients=np.where(across_seam(known_2, seam), spline, np.float32(np.nan)),
         camera=(parameters_of(sensors[1]), float(seam)),
         blur_px=blur_px,
     )
@@ -84,14 +84,14 @@ def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: 
 
 def lay_tiles(given: Views) -> NDArray[np.int64]:
     """First row and column `[T, 2]` of the tiles that view 1 sees enough of, and that have any contrast."""
-    rows, columns = (np.arange(0, size - SIDE_PX + 1, SIDE_PX) for size in given.seen.shape)
+    rows, columns = (np.arange(0, size - SIDE_PX + 1, SIDE_PX) for size in given.known.shape)
 
     def mean(values: NDArray[Any]) -> Array:
         cut = values[: rows.size * SIDE_PX, : columns.size * SIDE_PX].astype(np.float64)
         return cut.reshape(rows.size, SIDE_PX, columns.size, SIDE_PX).mean(axis=(1, 3))
 
-    share = mean(given.seen)
-    first = np.where(given.seen, given.grey, 0.0)
+    share = mean(given.known)
+    first = np.where(given.known, given.grey, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = mean(first**2) / share - (mean(first) / share) ** 2
     chosen = np.argwhere((share >= LEAST_SHARE) & (variance > _LEAST_CONTRAST**2))
@@ -136,7 +136,7 @@ def best_planes(
     planes, score = before or (np.full((len(tiles), 3), np.nan), np.full(len(tiles), -1.0))
     planes, score = planes.copy(), score.copy()
     _kernels.try_planes(
-        tiles, SIDE_PX, _STRIDE, LEAST_W, given.seen, given.x, given.grey, turn.R, turn.t, given.camera,
+        tiles, SIDE_PX, _STRIDE, LEAST_W, given.known, given.x, given.grey, turn.R, turn.t, given.camera,
         given.coefficients, np.ascontiguousarray(tried), LEAST_SHARE, planes, score,
     )  # fmt: skip
     return planes, score

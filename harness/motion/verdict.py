@@ -66,24 +66,24 @@ def why_failed(pairs: int, agreeing: int | None) -> str | None:
     return None
 
 
-def why_no_parallax(found: Fit, rotation_px: float) -> str | None:
+def why_no_parallax(fit: Fit, rotation_px: float) -> str | None:
     """Why a rotation alone is as good a motion; None where it is not."""
-    if rotation_px >= PARALLAX * found.scale_px:
+    if rotation_px >= PARALLAX * fit.scale_px:
         return None
     return (
-        f"a rotation alone leaves {rotation_px:.2g} px, the motion {found.scale_px:.2g} px: the views are too close to "
+        f"a rotation alone leaves {rotation_px:.2g} px, the motion {fit.scale_px:.2g} px: the views are too close to "
         "each other, or all is too far away, to tell where view 2 stands"
     )
 
 
 def why_weak(
-    found: Fit, rival: Fit | None, direct: DirectFit | None, covariance: Array, *, direct_wanted: bool
+    fit: Fit, rival: Fit | None, direct: DirectFit | None, covariance: Array, *, direct_wanted: bool
 ) -> list[str]:
     """Reasons not to trust a motion that was found; none where it can be trusted.
 
     Parameters
     ----------
-    found
+    fit
         Fitted to keypoints.
     rival
         Another motion that explains the pairs as well.
@@ -93,7 +93,7 @@ def why_weak(
         `[6, 6]`, of the answer, the calibration's share included.
     """
     reasons = []
-    agreeing = int(found.inlier.sum())
+    agreeing = int(fit.inlier.sum())
     if agreeing < SURE_AGREEING:
         reasons.append(f"only {agreeing} pairs agree on it; below {SURE_AGREEING} the sigmas are not to be relied on")
     reasons += too_uncertain(*(math.sqrt(np.trace(covariance[part, part])) for part in (slice(3), slice(3, 6))))
@@ -101,7 +101,7 @@ def why_weak(
         reasons.append(
             f"only {len(direct.tiles)} tiles of the images look alike; {LEAST_TILES} are needed to trust them"
         )
-    if direct is not None and (apart := sigmas_apart(found, direct)) > MOST_APART:
+    if direct is not None and (apart := sigmas_apart(fit, direct)) > MOST_APART:
         reasons.append(f"keypoints and grey levels give motions that are {apart:.0f} standard deviations apart")
     if direct is None and direct_wanted:
         reasons.append("the images do not look alike enough to be fitted; the motion is that of the keypoints alone")
@@ -115,11 +115,11 @@ def why_weak(
     return reasons
 
 
-def sigmas_apart(found: Fit, direct: DirectFit) -> float:
+def sigmas_apart(fit: Fit, direct: DirectFit) -> float:
     """How far two fits differ along any axis of rotation or t, in standard deviations of the difference."""
-    omega = Rotation.from_matrix(found.turn.R.T @ direct.turn.R).as_rotvec()
-    difference = np.concatenate([omega, direct.turn.t - found.turn.t])
-    variance = np.diag(found.covariance) + np.diag(direct.covariance) + math.radians(_ALIKE_DEG) ** 2
+    omega = Rotation.from_matrix(fit.turn.R.T @ direct.turn.R).as_rotvec()
+    difference = np.concatenate([omega, direct.turn.t - fit.turn.t])
+    variance = np.diag(fit.covariance) + np.diag(direct.covariance) + math.radians(_ALIKE_DEG) ** 2
     return float(np.max(np.abs(difference) / np.sqrt(variance)))
 
 
@@ -132,24 +132,24 @@ def too_uncertain(sigma_rotation: float, sigma_direction: float) -> list[str]:
     ):
         degrees = math.degrees(sigma)
         if not degrees <= most:
-            told = f"{degrees:.2g} degrees" if math.isfinite(degrees) else "not known"
-            reasons.append(f"the sigma of {name} is {told}; up to {most:g} is trusted")
+            figure = f"{degrees:.2g} degrees" if math.isfinite(degrees) else "not known"
+            reasons.append(f"the sigma of {name} is {figure}; up to {most:g} is trusted")
     return reasons
 
 
-def rival_of(pairs: Correspondences, consensus: Consensus, found: Fit, freedom: Freedom) -> Fit | None:
+def rival_of(pairs: Correspondences, consensus: Consensus, best: Fit, freedom: Freedom) -> Fit | None:
     """Another motion that explains the pairs as well as the one that was found, if there is any."""
-    least = _loss(pairs, found, found.scale_px)
+    least = _loss(pairs, best, best.scale_px)
     for _, turn in consensus.rivals:
         other = fit(pairs, turn, freedom)
         # Twice the difference of log-likelihoods is a chi square: 25 is beyond doubt, but neighbours share noise.
-        if not alike(other.turn, found.turn) and _loss(pairs, other, found.scale_px) < 1.05 * least + 25:
+        if not alike(other.turn, best.turn) and _loss(pairs, other, best.scale_px) < 1.05 * least + 25:
             return other
     return None
 
 
-def _loss(pairs: Correspondences, found: Fit, scale: float) -> float:
-    e = sampson(pairs, found.turn)
-    behind = ~found.inlier & (np.abs(e) < 3 * scale)  # near its line, and behind a view
+def _loss(pairs: Correspondences, fit: Fit, scale: float) -> float:
+    e = sampson(pairs, fit.turn)
+    behind = ~fit.inlier & (np.abs(e) < 3 * scale)  # near its line, and behind a view
     ratio = np.where(behind, 10 * scale, e) / (CAUCHY * scale)
     return float(CAUCHY**2 * np.sum(np.log1p(np.minimum(ratio, 20.0) ** 2)))

@@ -118,17 +118,17 @@ class RenderCache:
 
     def _files(self) -> list[tuple[float, Path, int]]:
         """When last used, where, and bytes."""
-        found = []
+        files = []
         for path in self.folder.glob("*") if self.folder else ():
             try:
                 status = path.stat()
             except OSError:  # another process has just removed it
                 continue
             if path.suffix == ".npy":
-                found.append((status.st_mtime, path, status.st_size))
+                files.append((status.st_mtime, path, status.st_size))
             elif path.suffix == PARTIAL and time.time() - status.st_mtime > _STALE_S:
                 _remove(path)
-        return found
+        return files
 
 
 def _remove(path: Path) -> None:

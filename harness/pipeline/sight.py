@@ -111,8 +111,8 @@ def _z(sensor: Sensor) -> str:
         elevations, azimuths = np.radians(np.arange(-90, 90.5, 0.5))[:, None], np.radians(np.arange(0, 360, 5))
         x, y = np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths)
         around = np.stack([x, y, np.broadcast_to(np.sin(elevations), x.shape)], axis=-1)
-        seen = np.degrees(elevations[in_field(sensor, around).any(axis=1), 0])
-        lowest, highest = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
+        visible_deg = np.degrees(elevations[in_field(sensor, around).any(axis=1), 0])
+        lowest, highest = (float(visible_deg.min()), float(visible_deg.max())) if visible_deg.size else (0.0, 0.0)
     return " .. ".join(f"{np.tan(np.radians(np.clip(each, -89.9, 89.9))):.2f}" for each in (lowest, highest))
 
 

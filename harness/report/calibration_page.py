@@ -12,38 +12,42 @@ from harness.spec import dump_toml
 _UNITS = {"_px": "px", "_m": "m", "_deg": "°"}
 
 
-def build_page(found: SensorCalibration) -> str:
+def build_page(calibration: SensorCalibration) -> str:
     """The page, one self-contained HTML file."""
     with theme.style():
         pictures = {
-            "residuals": [figures.residual_vectors(found), figures.residual_scatter(found)],
-            "by_angle": [figures.residuals_by_angle(found)],
-            "images": [figures.rms_of_images(found)],
-            "rays": [figures.coverage_map(found), figures.ray_map(found)],
-            "halves": [figures.halves_map(found), figures.halves_ratio(found)] if found.halves else [],
-            "correlations": [figures.correlations(found)],
+            "residuals": [figures.residual_vectors(calibration), figures.residual_scatter(calibration)],
+            "by_angle": [figures.residuals_by_angle(calibration)],
+            "images": [figures.rms_of_images(calibration)],
+            "rays": [figures.coverage_map(calibration), figures.ray_map(calibration)],
+            "halves": [figures.halves_map(calibration), figures.halves_ratio(calibration)]
+            if calibration.halves
+            else [],
+            "correlations": [figures.correlations(calibration)],
         }
-    halves = found.halves
+    halves = calibration.halves
     return template("calibration.html.j2").render(
-        found=found,
+        calibration=calibration,
         pictures=pictures,
-        title=found.sensor.model.title,
-        numbers=_numbers(found),
-        rays=_summary(found.ray_sigma_px),
-        with_turn=_summary(found.ray_sigma_fixed_px),
+        title=calibration.sensor.model.title,
+        numbers=_numbers(calibration),
+        rays=_summary(calibration.ray_sigma_px),
+        with_turn=_summary(calibration.ray_sigma_fixed_px),
         difference=None if halves is None else _summary(halves.difference_px),
-        rms_of_images=found.rms_of_images_px.tolist(),
-        left_out=0 if found.left_out is None else len(found.left_out.image),
-        field=found.sensor.field,
-        sensor=dump_toml(found.sensor),
+        rms_of_images=calibration.rms_of_images_px.tolist(),
+        left_out=0 if calibration.left_out is None else len(calibration.left_out.image),
+        field=calibration.sensor.field,
+        sensor=dump_toml(calibration.sensor),
     )
 
 
-def _numbers(found: SensorCalibration) -> list[dict[str, object]]:
-    uncertainty = found.uncertainty
+def _numbers(calibration: SensorCalibration) -> list[dict[str, object]]:
+    uncertainty = calibration.uncertainty
     return [
         {"key": key, "value": value, "sigma": sigma if np.isfinite(sigma) else None, "unit": _unit(key)}
-        for key, value, sigma in zip(found.keys, uncertainty.values.tolist(), uncertainty.sigma.tolist(), strict=True)
+        for key, value, sigma in zip(
+            calibration.keys, uncertainty.values.tolist(), uncertainty.sigma.tolist(), strict=True
+        )
     ]
 
 

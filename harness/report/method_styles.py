@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.display import told_apart
+from harness.display import shortened_labels
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.report import theme
@@ -71,7 +71,7 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], Look]:
         steps.append(short)
     return {
         pair: Look(label, step, colours[name])
-        for pair, label, step, name in zip(pairs, told_apart(labels, _LONGEST), steps, drawn_as, strict=True)
+        for pair, label, step, name in zip(pairs, shortened_labels(labels, _LONGEST), steps, drawn_as, strict=True)
     }
 
 

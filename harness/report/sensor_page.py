@@ -21,14 +21,14 @@ from harness.report.theme import FAINT, HALF, INK, SPARE, Picture
 from harness.report.words import typeset
 from harness.spec import dump_toml
 
-_SEEN, _UNUSED = "#DCEAF4", "#E2E2E2"
+_USED, _UNUSED = "#DCEAF4", "#E2E2E2"
 _RIM, _BLIND, _AXIS = theme.SUBPIXEL, theme.PIXEL, SPARE[0]
 _ELEVATION_STEPS = (5, 10, 15, 30)
 _HEIGHT = 430
 
 
 def build_page(
-    found: Coverage, title: str, facts: dict[str, str], warnings: Sequence[str], notes: Sequence[str]
+    coverage: Coverage, title: str, facts: dict[str, str], warnings: Sequence[str], notes: Sequence[str]
 ) -> str:
     """The page, one self-contained HTML file.
 
@@ -44,16 +44,16 @@ def build_page(
         How its file was read.
     """
     with theme.style():
-        pictures = [_image(found), _resolution(found)]
+        pictures = [_image(coverage), _resolution(coverage)]
     return template("sensor.html.j2").render(
-        found=found,
+        coverage=coverage,
         title=title,
         facts={name: _typeset(text) for name, text in facts.items()},
         warnings=[_typeset(text) for text in warnings],
         notes=[_typeset(f"{text[:1].upper()}{text[1:]}.") for text in notes],
         pictures=pictures,
-        sensor=dump_toml(found.sensor),
-        vertical=bool(np.isfinite(found.resolution.elevation_rad).all()),
+        sensor=dump_toml(coverage.sensor),
+        vertical=bool(np.isfinite(coverage.resolution.elevation_rad).all()),
     )
 
 
@@ -62,12 +62,12 @@ def _typeset(text: str) -> str:
     return re.sub(r" deg\b", "°", typeset(text)).replace("px/deg", "px/°")
 
 
-def build_picture(found: Coverage, kind: str) -> bytes:
+def build_picture(coverage: Coverage, kind: str) -> bytes:
     """The same picture by itself, as `svg` or `png`."""
     with theme.style():
         fig = theme.figure(2 * HALF, _HEIGHT)
-        _draw_image(found, fig, 0)
-        _draw_resolution(found, fig, HALF)
+        _draw_image(coverage, fig, 0)
+        _draw_resolution(coverage, fig, HALF)
         stream = io.BytesIO()
         metadata = {"Date": None} if kind == "svg" else None
         fig.savefig(stream, format=kind, dpi=192, metadata=metadata)
@@ -75,54 +75,54 @@ def build_picture(found: Coverage, kind: str) -> bytes:
 
 
 @theme.panel
-def _image(found: Coverage) -> Picture:
+def _image(coverage: Coverage) -> Picture:
     fig = theme.figure(HALF, _HEIGHT)
-    _draw_image(found, fig, 0)
-    camera = found.sensor.camera
-    low, high = found.elevation_deg
+    _draw_image(coverage, fig, 0)
+    camera = coverage.sensor.camera
+    low, high = coverage.elevation_deg
     alt = (
-        f"The image of {camera.width_px} by {camera.height_px} pixels, of which {found.used:.0%} are used, with lines "
-        f"of equal elevation from {low:.0f} to {high:.0f} degrees."
+        f"The image of {camera.width_px} by {camera.height_px} pixels, of which {coverage.used:.0%} are used, with "
+        f"lines of equal elevation from {low:.0f} to {high:.0f} degrees."
     )
     return theme.picture(fig, alt, "(a) the image")
 
 
 @theme.panel
-def _resolution(found: Coverage) -> Picture:
+def _resolution(coverage: Coverage) -> Picture:
     fig = theme.figure(HALF, _HEIGHT)
-    _draw_resolution(found, fig, 0)
-    seen = found.resolution
+    _draw_resolution(coverage, fig, 0)
+    resolution = coverage.resolution
     alt = (
-        f"Pixels per degree: radially {np.nanmin(seen.radial):.2f} to {np.nanmax(seen.radial):.2f}, "
-        f"tangentially {np.nanmin(seen.tangential):.2f} to {np.nanmax(seen.tangential):.2f}."
+        f"Pixels per degree: radially {np.nanmin(resolution.radial):.2f} to {np.nanmax(resolution.radial):.2f}, "
+        f"tangentially {np.nanmin(resolution.tangential):.2f} to {np.nanmax(resolution.tangential):.2f}."
     )
     return theme.picture(fig, alt, "(b) the resolution")
 
 
-def _draw_image(found: Coverage, fig: Figure, left: float) -> None:
-    camera = found.sensor.camera
+def _draw_image(coverage: Coverage, fig: Figure, left: float) -> None:
+    camera = coverage.sensor.camera
     width, height = camera.width_px, camera.height_px
-    low, high = _window(found)
+    low, high = _window(coverage)
     scale = min((HALF - 66) / (high[0] - low[0]), (_HEIGHT - 90) / (high[1] - low[1]))
     w, h = scale * (high - low)
     ax = theme.axes(fig, left + 54 + (HALF - 66 - w) / 2, 40 + (_HEIGHT - 90 - h) / 2, w, h)
     fewer = max(1, math.ceil(max(width, height) / 512))
     ax.imshow(
-        found.valid[::fewer, ::fewer],
-        cmap=ListedColormap([_UNUSED, _SEEN]),
+        coverage.valid[::fewer, ::fewer],
+        cmap=ListedColormap([_UNUSED, _USED]),
         vmin=0,
         vmax=1,
         extent=(-0.5, width - 0.5, height - 0.5, -0.5),
         aspect="auto",
     )
     ax.add_patch(Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=INK, linewidth=1.0))
-    _draw_elevations(found, ax)
-    shows_rim = has_circle(found.sensor) and found.rim.on_image > HARDLY
-    handles = [_draw_ring(ax, found.rim, _RIM, "edge of the field")] if shows_rim else []
-    if found.blind is not None:
-        handles.append(_draw_ring(ax, found.blind, _BLIND, "blind spot"))
-    if has_circle(found.sensor) and np.isfinite(found.axis_px).all():
-        handles += ax.plot(*found.axis_px, "o", color=_AXIS, markersize=5, label="optical axis", linestyle="none")
+    _draw_elevations(coverage, ax)
+    shows_rim = has_circle(coverage.sensor) and coverage.rim.on_image > HARDLY
+    handles = [_draw_ring(ax, coverage.rim, _RIM, "edge of the field")] if shows_rim else []
+    if coverage.blind is not None:
+        handles.append(_draw_ring(ax, coverage.blind, _BLIND, "blind spot"))
+    if has_circle(coverage.sensor) and np.isfinite(coverage.axis_px).all():
+        handles += ax.plot(*coverage.axis_px, "o", color=_AXIS, markersize=5, label="optical axis", linestyle="none")
     handles += ax.plot(
         (width - 1) / 2, (height - 1) / 2, "+", color=INK, markersize=9, label="middle of the image", linestyle="none"
     )
@@ -138,25 +138,25 @@ def _draw_image(found: Coverage, fig: Figure, left: float) -> None:
     )  # fmt: skip
 
 
-def _window(found: Coverage) -> tuple[np.ndarray, np.ndarray]:
+def _window(coverage: Coverage) -> tuple[np.ndarray, np.ndarray]:
     """What is drawn: the image, and the field's edge unless it is far outside."""
-    size = np.array([found.sensor.camera.width_px, found.sensor.camera.height_px], dtype=np.float64)
+    size = np.array([coverage.sensor.camera.width_px, coverage.sensor.camera.height_px], dtype=np.float64)
     low, high = np.full(2, -0.5), size - 0.5
-    ring = found.rim.pixels[np.isfinite(found.rim.pixels).all(axis=-1)]
-    if found.rim.on_image > HARDLY and len(ring):
+    ring = coverage.rim.pixels[np.isfinite(coverage.rim.pixels).all(axis=-1)]
+    if coverage.rim.on_image > HARDLY and len(ring):
         low = np.maximum(np.minimum(low, ring.min(axis=0)), -0.35 * size)
         high = np.minimum(np.maximum(high, ring.max(axis=0)), 1.35 * size)
     room = 0.02 * (high - low)
     return low - room, high + room
 
 
-def _draw_elevations(found: Coverage, ax: Axes) -> None:
-    camera = found.sensor.camera
+def _draw_elevations(coverage: Coverage, ax: Axes) -> None:
+    camera = coverage.sensor.camera
     fewer = max(1, math.ceil(max(camera.width_px, camera.height_px) / 320))
-    directions = pixel_directions(found.sensor)[0][::fewer, ::fewer]
-    valid = found.valid[::fewer, ::fewer]
+    directions = pixel_directions(coverage.sensor)[0][::fewer, ::fewer]
+    valid = coverage.valid[::fewer, ::fewer]
     elevation = np.where(valid, np.degrees(np.arcsin(np.clip(directions[..., 2], -1, 1))), np.nan)
-    low, high = found.elevation_deg
+    low, high = coverage.elevation_deg
     step = next((each for each in _ELEVATION_STEPS if (high - low) / each <= 8), _ELEVATION_STEPS[-1])
     levels = np.arange(math.ceil(low / step) * step, high, step)
     u, v = np.arange(0, camera.width_px, fewer), np.arange(0, camera.height_px, fewer)
@@ -174,19 +174,19 @@ def _draw_ring(ax: Axes, ring: Ring, colour: str, label: str) -> Line2D:
     return ax.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=1.6, label=label)[0]
 
 
-def _draw_resolution(found: Coverage, fig: Figure, left: float) -> None:
-    seen = found.resolution
-    vertical = bool(np.isfinite(seen.elevation_rad).all())
-    x = np.degrees(seen.elevation_rad if vertical else seen.angle_rad)
+def _draw_resolution(coverage: Coverage, fig: Figure, left: float) -> None:
+    resolution = coverage.resolution
+    vertical = bool(np.isfinite(resolution.elevation_rad).all())
+    x = np.degrees(resolution.elevation_rad if vertical else resolution.angle_rad)
     ax = theme.axes(fig, left + 54, 40, HALF - 72, _HEIGHT - 90)
     ax.grid(color="#E8E8E8", linewidth=0.5)
     for middle, ends, colour, label in (
-        (seen.radial, seen.radial_range, theme.SUBPIXEL, "radial"),
-        (seen.tangential, seen.tangential_range, theme.PIXEL, "tangential"),
+        (resolution.radial, resolution.radial_range, theme.SUBPIXEL, "radial"),
+        (resolution.tangential, resolution.tangential_range, theme.PIXEL, "tangential"),
     ):
         ax.fill_between(x, ends[:, 0], ends[:, 1], color=colour, alpha=0.18, linewidth=0)
         ax.plot(x, middle, color=colour, label=label)
-    most = np.nanpercentile(np.concatenate([seen.radial_range[:, 1], seen.tangential_range[:, 1]]), 99)
+    most = np.nanpercentile(np.concatenate([resolution.radial_range[:, 1], resolution.tangential_range[:, 1]]), 99)
     ax.set_ylim(0, 1.15 * most)
     ax.set_xlabel("elevation (°)" if vertical else "angle off the optical axis (°)")
     ax.set_ylabel("pixels per degree")

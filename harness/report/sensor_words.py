@@ -15,55 +15,55 @@ _EVEN = 0.02
 """Two diameters that differ by a smaller share are given as one."""
 
 
-def title_of(found: Coverage) -> str:
+def title_of(coverage: Coverage) -> str:
     """Model and size in one line."""
-    camera = found.sensor.camera
-    model = found.sensor.model.title
+    camera = coverage.sensor.camera
+    model = coverage.sensor.model.title
     return f"{model[0].upper()}{model[1:]}, {camera.width_px} x {camera.height_px} pixels"
 
 
-def facts_of(found: Coverage) -> dict[str, str]:
+def facts_of(coverage: Coverage) -> dict[str, str]:
     """What there is to say, by name."""
-    low, high = found.elevation_deg
-    rim = found.rim
+    low, high = coverage.elevation_deg
+    rim = coverage.rim
     outer = _number(math.degrees(rim.angle_rad))
-    inner = math.degrees(found.blind.angle_rad) if found.blind else 0.0
+    inner = math.degrees(coverage.blind.angle_rad) if coverage.blind else 0.0
     said = {
-        "model": _model(found.sensor),
-        "mount": _mount(found.sensor),
-        "field": (f"{_number(inner)} to {outer} deg off the optical axis; " if has_circle(found.sensor) else "")
-        + f"the image has elevations {_number(low)} to {_number(high)} deg, {found.sphere:.1%} of all directions",
-        "image circle": _circle(found),
-        "blind spot": _blind(found),
-        "resolution": _resolution(found),
-        "used": f"{found.used:.1%} of the image's pixels see something{_hidden(found.sensor)}",
+        "model": _model(coverage.sensor),
+        "mount": _mount(coverage.sensor),
+        "field": (f"{_number(inner)} to {outer} deg off the optical axis; " if has_circle(coverage.sensor) else "")
+        + f"the image has elevations {_number(low)} to {_number(high)} deg, {coverage.sphere:.1%} of all directions",
+        "image circle": _circle(coverage),
+        "blind spot": _blind(coverage),
+        "resolution": _resolution(coverage),
+        "used": f"{coverage.used:.1%} of the image's pixels see something{_hidden(coverage.sensor)}",
     }
     return {name: text for name, text in said.items() if text}
 
 
-def warnings_of(found: Coverage) -> list[str]:
+def warnings_of(coverage: Coverage) -> list[str]:
     """What does not fit, a sentence each; empty where all does."""
-    camera = found.sensor.camera
+    camera = coverage.sensor.camera
     smaller = min(camera.width_px, camera.height_px)
     middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
-    away = np.array(found.axis_px) - middle
-    if not has_circle(found.sensor):
+    away = np.array(coverage.axis_px) - middle
+    if not has_circle(coverage.sensor):
         return []
     said = []
     if np.isfinite(away).all() and np.hypot(*away) > _OFF_CENTRE * smaller:
-        u, v = found.axis_px
+        u, v = coverage.axis_px
         said.append(
             f"The optical axis meets the image at ({u:.1f}, {v:.1f}), {np.hypot(*away):.0f} px from its middle "
             f"({middle[0]:g}, {middle[1]:g}): {_whither(away)}. If the image was cut or scaled after the calibration, "
             "the centre has to be moved with it."
         )
-    rim = found.rim
+    rim = coverage.rim
     if HARDLY < rim.on_image < 1 and rim.sides:
         said.append(
             f"The edge of the field leaves the image at the {_listed(rim.sides)}: {1 - rim.on_image:.0%} of its "
             "directions are cut off there."
         )
-    if found.used < _LITTLE_USED:
+    if coverage.used < _LITTLE_USED:
         longest = rim.diameter_px[1]
         if rim.on_image == 1 and longest < 0.6 * smaller:
             where = np.array(rim.centre_px) - middle
@@ -71,11 +71,11 @@ def warnings_of(found: Coverage) -> list[str]:
             said.append(
                 f"The image circle is {longest:.0f} px across in an image of {camera.width_px} x {camera.height_px}"
                 + (f", and lies {_whither(where)} of its middle" if corner else "")
-                + f": only {found.used:.1%} of the pixels are used. Is the focal length that of another resolution?"
+                + f": only {coverage.used:.1%} of the pixels are used. Is the focal length that of another resolution?"
             )
         else:
-            said.append(f"Only {found.used:.1%} of the image's pixels see something.")
-    if found.blind and found.blind.on_image == 0:
+            said.append(f"Only {coverage.used:.1%} of the image's pixels see something.")
+    if coverage.blind and coverage.blind.on_image == 0:
         said.append("The blind spot lies outside the image.")
     return said
 
@@ -127,9 +127,9 @@ def _hidden(sensor: Sensor) -> str:
     return "" if pixels is None else f"; the mask hides {1 - pixels.mean():.1%} of them all"
 
 
-def _circle(found: Coverage) -> str:
-    rim = found.rim
-    if not has_circle(found.sensor):
+def _circle(coverage: Coverage) -> str:
+    rim = coverage.rim
+    if not has_circle(coverage.sensor):
         return "none: a panorama in longitude and latitude"
     if rim.on_image <= HARDLY or not np.isfinite(rim.diameter_px).all():
         return "none: the image ends before the field does, on all sides"
@@ -139,10 +139,10 @@ def _circle(found: Coverage) -> str:
     )
 
 
-def _blind(found: Coverage) -> str:
-    if found.blind is None:
+def _blind(coverage: Coverage) -> str:
+    if coverage.blind is None:
         return "none"
-    blind = found.blind
+    blind = coverage.blind
     u, v = blind.centre_px
     angle = _number(math.degrees(blind.angle_rad))
     return f"{_across(blind)} across, around ({u:.1f}, {v:.1f}): up to {angle} deg off the axis"
@@ -153,24 +153,24 @@ def _across(ring: Ring) -> str:
     return f"{long:.0f} px" if long - short < _EVEN * long else f"{short:.0f} to {long:.0f} px"
 
 
-def _resolution(found: Coverage) -> str:
-    seen = found.resolution
-    vertical = bool(np.isfinite(seen.elevation_rad).all())
-    x = np.degrees(seen.elevation_rad if vertical else seen.angle_rad)
-    both = seen.radial + seen.tangential
+def _resolution(coverage: Coverage) -> str:
+    resolution = coverage.resolution
+    vertical = bool(np.isfinite(resolution.elevation_rad).all())
+    x = np.degrees(resolution.elevation_rad if vertical else resolution.angle_rad)
+    both = resolution.radial + resolution.tangential
     if not np.isfinite(both).any():
         return ""
-    best, worst = int(np.nanargmax(seen.radial)), int(np.nanargmin(seen.radial))
+    best, worst = int(np.nanargmax(resolution.radial)), int(np.nanargmin(resolution.radial))
     unit = "deg of elevation" if vertical else "deg off the axis"
-    least = f"{seen.radial[worst]:.2f} (at {_number(x[worst])} {unit})"
+    least = f"{resolution.radial[worst]:.2f} (at {_number(x[worst])} {unit})"
     parts = [
-        f"radially {least} to {seen.radial[best]:.2f} px/deg (at {_number(x[best])})",
-        f"tangentially {np.nanmin(seen.tangential):.2f} to {np.nanmax(seen.tangential):.2f} px/deg",
+        f"radially {least} to {resolution.radial[best]:.2f} px/deg (at {_number(x[best])})",
+        f"tangentially {np.nanmin(resolution.tangential):.2f} to {np.nanmax(resolution.tangential):.2f} px/deg",
     ]
     if vertical and x.min() < 0 < x.max():
         level = int(np.argmin(np.abs(x)))
         if np.isfinite(both[level]):
-            parts.append(f"at the horizon {seen.radial[level]:.2f} and {seen.tangential[level]:.2f}")
+            parts.append(f"at the horizon {resolution.radial[level]:.2f} and {resolution.tangential[level]:.2f}")
     return "; ".join(parts)
 
 

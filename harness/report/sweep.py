@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.display import told_apart
+from harness.display import shortened_labels
 from harness.report import theme
 from harness.report.method_styles import looks
 from harness.runs.analysis import law_condition, noise_condition
@@ -192,7 +192,7 @@ def texts_of(values: Sequence[Any]) -> list[str]:
     texts = [value_text(value) for value in values]
     if len(set(texts)) < len(texts):  # a rounded number is exact where that tells it apart
         texts = [text_of(value) if texts.count(text) > 1 else text for value, text in zip(values, texts, strict=True)]
-    return told_apart(texts)
+    return shortened_labels(texts)
 
 
 def value_text(value: Any) -> str:

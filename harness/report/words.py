@@ -53,7 +53,7 @@ _SYMBOLS = {
 def symbols(text: str) -> Markup:
     """Plain text as HTML, its symbols set as in the captions."""
     pattern = r"α[₁₂]|\|t\||\bd²/(?=\|t\|)|(?<=\|t\|)/d\b"
-    return Markup(re.sub(pattern, lambda found: _SYMBOLS[found[0]], escape(text)))  # noqa: S704  # escaped before
+    return Markup(re.sub(pattern, lambda match: _SYMBOLS[match[0]], escape(text)))  # noqa: S704  # escaped before
 
 
 def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator[str]:

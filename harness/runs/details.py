@@ -118,12 +118,12 @@ class _Stored:
         self._scenes = experiment.scene_fingerprints
         fact = store.fact(_FACT) if store else None
         self.comparison: dict[str, Any] | None = None
-        self._kept: list[tuple[Trial, str, str]] = []
+        self._keys_of_trials: list[tuple[Trial, str, str]] = []
         with contextlib.suppress(KeyError, TypeError, InputError):  # a file that was meddled with: nothing is kept
             # Another plan may have been made since with other files of a matcher.
             if fact and (not self._recorded or fact["plan"] == _plan_hash(experiment)):
                 tables = [up_to_date(Trial, each["trial"])[0] for each in fact["trials"]]
-                self._kept = [
+                self._keys_of_trials = [
                     (parse(Trial, table), each["key"], each["scene"])
                     for table, each in zip(tables, fact["trials"], strict=True)
                 ]
@@ -132,14 +132,14 @@ class _Stored:
     def outcome_of(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:
         """A trial's key and outcome, or why there is none."""
         name = " ".join(each for each in method_of(trial.matching) if each not in {"own", "none"})
-        earlier = next(((key, scene) for each, key, scene in self._kept if each == trial), None)
+        earlier = next(((key, scene) for each, key, scene in self._keys_of_trials if each == trial), None)
         try:
             scene = fingerprint(trial.scene)
             if self._recorded and (scene != earlier[1] if earlier else scene not in self._scenes):
                 return LeftOut(name, "the files of its scene have changed since the run was made")
             key = earlier[0] if earlier and self._recorded else trial.key
             answer = self._answer(key, trial.panorama) if earlier and earlier[0] == key else None
-            if answer is None and trial.matching.runs_foreign_code and not run_code:
+            if answer is None and trial.matching.runs_third_party_code and not run_code:
                 why = "its matcher is not part of omnirange and its result is not stored; --run-code allows it to run"
                 return LeftOut(name, why)
             return key, worker.run_here(trial, answer=answer)

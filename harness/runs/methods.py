@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
 
-from harness.display import told_apart
+from harness.display import shortened_labels
 from harness.matching.interface import MatcherSettings
 
 MethodId = tuple[str, str, tuple[str, ...]]
@@ -28,7 +28,7 @@ def method_names(matchers: Iterable[MatcherSettings]) -> Mapping[MethodId, Metho
         alike.setdefault((kind, step), {})[identity] = None
     names: dict[MethodId, MethodName] = {}
     for (kind, step), identities in alike.items():
-        words = [""] if len(identities) == 1 else told_apart(_differing([command for *_, command in identities]))
+        words = [""] if len(identities) == 1 else shortened_labels(_differing([command for *_, command in identities]))
         names |= {each: (f"{kind} {word}".rstrip(), step) for each, word in zip(identities, words, strict=True)}
     return names
 

@@ -176,7 +176,7 @@ class Store:
             When one of them is not as it was written.
         """
         wanted = set(keys)
-        found = {}
+        trials = {}
         for key, *values, seal in self._rows(
             "SELECT key, scene, state, payload, seconds, message, traceback, seal FROM trials WHERE code = ?",
             self._read,
@@ -184,8 +184,8 @@ class Store:
             if key in wanted:
                 if seal != _seal(key, self._read, *values):
                     raise self._changed(f"the row of trial {key}")
-                found[key] = Finished(key, *values)
-        return found
+                trials[key] = Finished(key, *values)
+        return trials
 
     def states(self, keys: Iterable[str]) -> dict[str, str]:
         """Only the states, which is quicker."""

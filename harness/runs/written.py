@@ -33,7 +33,7 @@ def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
     InputError
         When the folder cannot be written to.
     """
-    hashes = dict(_hashes_kept(store) or {})
+    hashes = dict(_stored_hashes(store) or {})
     for name, text in files.items():
         data = encoded(text)
         write(folder / name, data)
@@ -71,7 +71,7 @@ def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes]
     hashes = None
     if database.exists() or database.is_symlink():
         with Store(database, read_only=True) as store:
-            hashes = _hashes_kept(store)
+            hashes = _stored_hashes(store)
     if hashes is None:
         return files, False
     for name, data in files.items():
@@ -84,7 +84,7 @@ def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes]
     return files, True
 
 
-def _hashes_kept(store: Store) -> dict[str, Any] | None:
+def _stored_hashes(store: Store) -> dict[str, Any] | None:
     """Those that the database has; None where it has none, as of a run that has not come to an end yet."""
     hashes: dict[str, Any] | None = store.fact(_FACT)
     reported = store.fact(_FACT_OF_REPORT)

@@ -120,7 +120,7 @@ def settle_hits(
         )
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         nearest = _range(normals, offsets, hit, cx, cy, cz, dx, dy, dz)
-        latest, seen = hit, triangle[i]
+        latest, shown = hit, triangle[i]
         # First how near the nearest is, then who is there.
         for turn in range(2):
             for at in range(starts[hit], starts[hit + 1]):
@@ -136,14 +136,14 @@ def settle_hits(
                         if turn == 0:
                             nearest = s
                         else:
-                            latest, seen = f, order[k]
+                            latest, shown = f, order[k]
                         break
             if turn == 0:
                 s = _range(normals, offsets, hit, cx, cy, cz, dx, dy, dz)
                 slope = abs(normals[hit, 0] * dx + normals[hit, 1] * dy + normals[hit, 2] * dz) / length
                 if (s - nearest) * length * slope > tolerance:
                     latest = -1
-        triangle[i] = seen
+        triangle[i] = shown
 
 
 @kernel(inline=True)

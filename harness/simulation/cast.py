@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.simulation._rendering_kernels import verify_hits
-from harness.simulation.coincident import seen_from, settle
+from harness.simulation.coincident import settle, visible_pairs
 from harness.simulation.scene_geometry import Geometry, Ints
 from harness.threads import in_threads
 
@@ -107,7 +107,7 @@ def _settled(geometry: Geometry, origin: Array, directions: NDArray[Any], triang
     rivals = geometry.rivals
     if not len(rivals.pairs):
         return triangle
-    pairs = seen_from(rivals, geometry.normals, geometry.offsets, origin)
+    pairs = visible_pairs(rivals, geometry.normals, geometry.offsets, origin)
     if not len(pairs):
         return triangle
     settled = triangle.copy()

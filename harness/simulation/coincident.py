@@ -69,8 +69,8 @@ def rivals_of(
         When more than `MOST_PAIRS` pairs of triangles overlap.
     """
     size = float(np.abs(corners).max())
-    found = _overlapping(corners, face_of_triangle, normals, offsets, NEAR * size, scene)
-    pairs = np.unique(found, axis=0).astype(np.int32).reshape(-1, 2)
+    overlapping = _overlapping(corners, face_of_triangle, normals, offsets, NEAR * size, scene)
+    pairs = np.unique(overlapping, axis=0).astype(np.int32).reshape(-1, 2)
     visible = _visible_from(np.unique(pairs), corners, face_of_triangle, normals, inside_of_face)[pairs]
     pairs.flags.writeable = False
     visible.flags.writeable = False
@@ -120,7 +120,7 @@ def _visible_from(
     return sides
 
 
-def seen_from(rivals: Rivals, normals: Array, offsets: Array, viewpoint: Array) -> Ints:
+def visible_pairs(rivals: Rivals, normals: Array, offsets: Array, viewpoint: Array) -> Ints:
     """The pairs `[n, 2]` of which a viewpoint is on the right side of both faces.
 
     The bottom of a box on a floor is not: it is seen from below, and the floor from above.
@@ -146,7 +146,7 @@ def settle(
     Parameters
     ----------
     pairs
-        From `seen_from`.
+        From `visible_pairs`.
     face_of_triangle
         `[triangles]` or more.
     directions

@@ -68,14 +68,14 @@ def _chunks(data: bytes, path: Path) -> Iterator[tuple[bytes, bytes]]:
     """Kind and contents of a GLB's chunks, the first of each kind last."""
     if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != 2:
         raise InputError("cannot be read as a mesh: it is not GLB version 2", file=path)
-    found, at = [], 12
+    chunks, at = [], 12
     while at + 8 <= len(data):
         length, kind = struct.unpack_from("<I4s", data, at)
         if at + 8 + length > len(data):
             raise InputError("cannot be read as a mesh: it is cut short", file=path)
-        found.append((kind, data[at + 8 : at + 8 + length]))
+        chunks.append((kind, data[at + 8 : at + 8 + length]))
         at += 8 + length
-    return reversed(found)
+    return reversed(chunks)
 
 
 def _parsed(tree: Any, path: Path) -> Gltf:
@@ -240,10 +240,10 @@ class _Reader:
                 self._refuse(key, f"wrap modes {wraps[0]} and {wraps[1]} are not known")
             if sampler.magFilter == _NEAREST:
                 self._refuse(f"{key}.magFilter", "textures are interpolated, NEAREST is not rendered")
-        kept = (source, wraps)
-        if kept not in self._pictures:
-            self._pictures[kept] = _laid_out(self._image(source), wraps)
-        return self._pictures[kept], wraps
+        picture = (source, wraps)
+        if picture not in self._pictures:
+            self._pictures[picture] = _laid_out(self._image(source), wraps)
+        return self._pictures[picture], wraps
 
     def _image(self, index: int) -> Picture:
         image, key = self._one("images", index), f"images[{index}]"

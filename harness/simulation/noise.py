@@ -47,13 +47,13 @@ def words_of(sensor: Sensor) -> str:
             continue
         table = part.model_dump(mode="json")
         always = _NAMED.get(name, ()) if name != "model" or isinstance(part, Mirror) else tuple(table)
-        kept = {
+        given = {
             key: value
             for key, value in table.items()
             if key in always or getattr(part, key) != type(part).model_fields[key].default
         }
-        if kept:
-            words["mirror" if name == "model" else name] = kept
+        if given:
+            words["mirror" if name == "model" else name] = given
     return to_json(words).decode()
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.errors import InputError, Notice
 from harness.geometry.angles import Array
 from harness.simulation._rendering_kernels import face_maps
-from harness.simulation.coincident import Rivals, encloses, rivals_of, seen_from
+from harness.simulation.coincident import Rivals, encloses, rivals_of, visible_pairs
 from harness.simulation.content_cache import cached_by_content
 from harness.simulation.mesh_file import read_mesh
 from harness.simulation.scene import BOX_SIDES, Box, Chessboard, Mesh, Plane, Scene, SceneObject
@@ -260,7 +260,7 @@ def _coincident_objects(geometry: Geometry, viewpoint: Array) -> list[list[str]]
     """The names of the objects whose faces overlap in one plane as seen from a viewpoint, two by two, or alone where an
     object does so with itself and the two faces look different.
     """
-    pairs = seen_from(geometry.rivals, geometry.normals, geometry.offsets, viewpoint)
+    pairs = visible_pairs(geometry.rivals, geometry.normals, geometry.offsets, viewpoint)
     objects = geometry.object_of_face[pairs]
     a, b = pairs.T
     same_object = objects[:, 0] == objects[:, 1]

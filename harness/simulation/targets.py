@@ -30,27 +30,29 @@ class SeenBoard(OneLine):
     """`[n]`: in the field, on the image, and with nothing in front."""
 
 
-def seen_boards(scene: Scene, sensor: Sensor, pose: Pose) -> tuple[SeenBoard, ...]:
+def visible_boards(scene: Scene, sensor: Sensor, pose: Pose) -> tuple[SeenBoard, ...]:
     """The chessboards of a scene as a view sees them, in the scene's order."""
     boards = [(i, each) for i, each in enumerate(scene.objects) if isinstance(each, Chessboard)]
     if not boards:
         return ()
     geometry = geometry_near(scene, pose.position_m)
-    return tuple(_seen(geometry, sensor, pose, scene.scale, board, i) for i, board in boards)
+    return tuple(_visible_board(geometry, sensor, pose, scene.scale, board, i) for i, board in boards)
 
 
-def _seen(geometry: Geometry, sensor: Sensor, pose: Pose, scale: float, board: Chessboard, index: int) -> SeenBoard:
+def _visible_board(
+    geometry: Geometry, sensor: Sensor, pose: Pose, scale: float, board: Chessboard, index: int
+) -> SeenBoard:
     x, y = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     points = (np.stack([x, y], axis=-1).reshape(-1, 2) * board.square_m).astype(np.float64)
     flat = points - points[-1] / 2  # about the middle
     turned = flat @ board.pose.R_world_from_view[:, :2].T
     world = (turned + board.position_m) * scale
     # Counted from the viewpoint, in this order, so that nothing is lost far from the world's origin.
-    seen = turned * scale + (np.multiply(board.position_m, scale) - pose.position_m)
-    pixels, valid = project(sensor, seen @ pose.R_world_from_view)
-    distance = np.linalg.norm(seen, axis=-1)
+    in_frame = turned * scale + (np.multiply(board.position_m, scale) - pose.position_m)
+    pixels, valid = project(sensor, in_frame @ pose.R_world_from_view)
+    distance = np.linalg.norm(in_frame, axis=-1)
     visible = valid & (distance > 0)
     viewpoint = np.subtract(pose.position_m, geometry.centre)
-    hits = cast(geometry, viewpoint, seen[visible] / distance[visible, None])
+    hits = cast(geometry, viewpoint, in_frame[visible] / distance[visible, None])
     visible[visible] = hits.range_m >= distance[visible] * (1 - OCCLUSION_TOLERANCE)
     return SeenBoard(board.name or f"object {index}", points * scale, world, pixels, visible)

@@ -87,7 +87,7 @@ def truth(
     geometry = geometry_near(scene, pose_1.position_m)
     pixel = np.flatnonzero(valid)
     rays = rotated(directions.reshape(-1, 3)[pixel], pose_1.R_world_from_view)
-    range_hit, face_hit = _seen(geometry, pose_1, rays, threads)
+    range_hit, face_hit = _first_hits(geometry, pose_1, rays, threads)
 
     range_m = np.full(valid.shape, np.nan)
     face = np.full(valid.shape, -1, dtype=np.int32)
@@ -154,7 +154,7 @@ def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *,
     valid = np.asarray(valid, dtype=bool)
     range_m = np.full(valid.shape, np.nan)
     rays = rotated(np.asarray(directions, dtype=np.float64)[valid], pose.R_world_from_view)
-    range_m[valid], _ = _seen(geometry_near(scene, pose.position_m), pose, rays, threads)
+    range_m[valid], _ = _first_hits(geometry_near(scene, pose.position_m), pose, rays, threads)
     return range_m
 
 
@@ -183,7 +183,7 @@ def _from_centre(geometry: Geometry, pose: Pose) -> Array:
     return np.asarray(pose.position_m, dtype=np.float64) - geometry.centre
 
 
-def _seen(geometry: Geometry, pose: Pose, rays: Array, threads: int | None) -> tuple[Array, Ints]:
+def _first_hits(geometry: Geometry, pose: Pose, rays: Array, threads: int | None) -> tuple[Array, Ints]:
     origin = _from_centre(geometry, pose)
     check_viewpoint(geometry, origin)
     hits = cast(geometry, origin, rays, threads=threads)

@@ -264,14 +264,14 @@ def _keeps(rule: str, good: str) -> Callable[[Subject], str]:
 
     def check(subject: Subject) -> str:
         try:
-            found = subject.faults("easy")
+            faults = subject.faults("easy")
         except InputError as error:
             raise NotReached("it returns no result") from error
-        for fault in found:
+        for fault in faults:
             if fault.rule == rule:
                 raise Broken(fault.text)
         before = ("form",) if rule in {"shape", "dtype"} else ("form", "shape", "dtype")
-        if any(fault.rule in before for fault in found):
+        if any(fault.rule in before for fault in faults):
             raise NotReached("its result is not an array of the right shape and type")
         return good
 

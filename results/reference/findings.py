@@ -65,17 +65,17 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
 
 
 def _cameras(cameras: list[dict[str, Any]]) -> list[str]:
-    found = {(each["scene"], each["matcher"], each["surface"], each["sensor"]): each for each in cameras}
+    rows = {(each["scene"], each["matcher"], each["surface"], each["sensor"]): each for each in cameras}
 
     def ratios(surface: str, sensor: str) -> str:
-        box, room = (found[scene, "slanted", surface, sensor] for scene in ("box", "room"))
+        box, room = (rows[scene, "slanted", surface, sensor] for scene in ("box", "room"))
         return f"{_ratio(box)} in the box and {_ratio(room)} in the room"
 
-    mirrors = [found[scene, "slanted", "all", "mirror"] for scene in ("box", "room")]
+    mirrors = [rows[scene, "slanted", "all", "mirror"] for scene in ("box", "room")]
     columns = [each for each in cameras if each["matcher"] == "column"]
     off = max(abs(each["ratio_to_mirror"] - 1) for each in columns)
     densities = [
-        abs(each["density"] - found[each["scene"], each["matcher"], "all", "mirror"]["density"]) for each in cameras
+        abs(each["density"] - rows[each["scene"], each["matcher"], "all", "mirror"]["density"]) for each in cameras
     ]
     return [
         _one_line(f"""

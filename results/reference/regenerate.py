@@ -63,14 +63,14 @@ def cameras(folder: Path | None = None) -> dict[str, Any]:
         result = run_experiment(load_experiment("cameras"), folder or Path(temporary))
     table = pd.DataFrame([row.coordinates | row.payload["figures"] for row in result.rows])
     table["scene"] = [Path(each).stem for each in table["scene"]]
-    found = []
+    rows = []
     for (scene, matcher), part in table.groupby(["scene", "matching.kind"], sort=False):
         density = part.groupby("sensor")["density"].mean()
         for surface, prefix in (("all", ""), ("wall", "wall_"), ("floor", "floor_")):
             errors = part.pivot_table(f"{prefix}range_median_abs_m", index="seed", columns="sensor")
             ratios = errors.div(errors["mirror"], axis=0)
             absolute, relative = (mean_over_seeds(each, logarithmic=True) for each in (errors, ratios))
-            found += [
+            rows += [
                 {
                     "scene": scene,
                     "matcher": matcher,
@@ -85,7 +85,7 @@ def cameras(folder: Path | None = None) -> dict[str, Any]:
                 }
                 for i, sensor in enumerate(absolute.x)
             ]
-    return {"cameras": found}
+    return {"cameras": rows}
 
 
 def main() -> None:

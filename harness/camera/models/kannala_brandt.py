@@ -141,12 +141,12 @@ def _angle(r, camera):
     least, most = 0.0, camera.last
     theta = min(r, 0.5 * most)
     for _ in range(100):
-        found, slope = _radius(theta, camera)
-        if found < r:
+        radius, slope = _radius(theta, camera)
+        if radius < r:
             least = theta
         else:
             most = theta
-        theta_next = theta - (found - r) / slope
+        theta_next = theta - (radius - r) / slope
         if not least <= theta_next <= most:
             theta_next = 0.5 * (least + most)
         step, theta = abs(theta_next - theta), theta_next

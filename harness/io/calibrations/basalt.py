@@ -39,17 +39,19 @@ def read(content: Content) -> Calibration:
     sizes = _list(content, *member(content, root, "resolution", "value0"))
     if len(sizes) != len(entries):
         raise refusal(content, "value0.resolution", f"must be a list of {len(entries)}; found a list of {len(sizes)}")
-    places: list[Array | None] = [None] * len(entries)
+    transforms: list[Array | None] = [None] * len(entries)
     if "T_imu_cam" in root:
         poses = _list(content, root["T_imu_cam"], "value0.T_imu_cam")
         if len(poses) != len(entries):
             problem = f"must be a list of {len(entries)}; found a list of {len(poses)}"
             raise refusal(content, "value0.T_imu_cam", problem)
         T_imu_cam = [_pose(content, pose, f"value0.T_imu_cam[{i}]") for i, pose in enumerate(poses)]
-        places = [np.linalg.inv(each) @ T_imu_cam[0] for each in T_imu_cam]
+        transforms = [np.linalg.inv(each) @ T_imu_cam[0] for each in T_imu_cam]
     cameras = [
-        _camera(content, entry, f"value0.intrinsics[{i}]", pixels(content, size, f"value0.resolution[{i}]"), place, i)
-        for i, (entry, size, place) in enumerate(zip(entries, sizes, places, strict=True))
+        _camera(
+            content, entry, f"value0.intrinsics[{i}]", pixels(content, size, f"value0.resolution[{i}]"), transform, i
+        )
+        for i, (entry, size, transform) in enumerate(zip(entries, sizes, transforms, strict=True))
     ]
     return Calibration(content.file, "basalt", tuple(cameras))
 
@@ -61,7 +63,7 @@ def _list(content: Content, value: Any, key: str) -> list[Any]:
 
 
 def _camera(
-    content: Content, entry: Any, key: str, size: tuple[int, int], place: Array | None, index: int
+    content: Content, entry: Any, key: str, size: tuple[int, int], T_cam_from_first: Array | None, index: int
 ) -> CalibratedCamera:
     kind, kind_key = member(content, table(content, entry, key), "camera_type", key)
     if kind not in _OWN:
@@ -83,23 +85,23 @@ def _camera(
         | {"camera.cx_px": f"{above}.cx", "camera.cy_px": f"{above}.cy", "camera.focal_px": f"{above}.fx"}
         | dict.fromkeys(("camera.width_px", "camera.height_px"), f"value0.resolution[{index}]"),
         notes=(_NOTES[kind],) if kind in _NOTES else (),
-        T_cam_from_first=place,
+        T_cam_from_first=T_cam_from_first,
     )
 
 
 def _pose(content: Content, value: Any, key: str) -> Array:
     """`[4, 4]` of a position and a quaternion."""
     inside = table(content, value, key)
-    found = {
+    values = {
         name: number(content, *member(content, inside, name, key))
         for name in ("px", "py", "pz", "qx", "qy", "qz", "qw")
     }
-    quaternion = [found[name] for name in ("qx", "qy", "qz", "qw")]
+    quaternion = [values[name] for name in ("qx", "qy", "qz", "qw")]
     if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
         raise refusal(content, key, "qx, qy, qz, qw must be of unit length")
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    pose[:3, 3] = [found[name] for name in ("px", "py", "pz")]
+    pose[:3, 3] = [values[name] for name in ("px", "py", "pz")]
     return pose
 
 

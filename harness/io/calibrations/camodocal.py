@@ -15,8 +15,8 @@ _LENS = ("k1", "k2", "p1", "p2")
 
 def recognises(content: Content) -> bool:
     """Whether it has CamOdoCal's `model_type` and a table of parameters."""
-    found = content.table
-    return "model_type" in found and any(str(key).endswith("_parameters") for key in found)
+    table = content.table
+    return "model_type" in table and any(str(key).endswith("_parameters") for key in table)
 
 
 def read(content: Content) -> Calibration:

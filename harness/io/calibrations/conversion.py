@@ -68,19 +68,19 @@ def written(sensor: Sensor, to: str, kind: str | None = None) -> WrittenSensor:
     failure: InputError | None = None
     for target in targets:
         try:
-            found = convert(optics, pixels, target)
+            conversion = convert(optics, pixels, target)
         except InputError as error:
             failure = error
             continue
-        if best is None or (found.is_exact, -found.rms_px) > (best[1].is_exact, -best[1].rms_px):
-            best = target, found
-        if found.is_exact:
+        if best is None or (conversion.is_exact, -conversion.rms_px) > (best[1].is_exact, -best[1].rms_px):
+            best = target, conversion
+        if conversion.is_exact:
             break
     if best is None:
         raise InputError(str(failure), key="--to")
-    target, found = best
-    text = _our_text(sensor, found, target.kind) if to == TOML else FORMATS[to].write(found.optics)
-    return WrittenSensor(text, to, target.kind, found)
+    target, conversion = best
+    text = _our_text(sensor, conversion, target.kind) if to == TOML else FORMATS[to].write(conversion.optics)
+    return WrittenSensor(text, to, target.kind, conversion)
 
 
 def _kind(sensor: Sensor) -> str:
@@ -117,9 +117,9 @@ def _compared_pixels(sensor: Sensor) -> Array:
     return np.concatenate([grid, border[:: max(1, len(border) // 2000)], corners])
 
 
-def _our_text(sensor: Sensor, found: Conversion, kind: str) -> str:
+def _our_text(sensor: Sensor, conversion: Conversion, kind: str) -> str:
     """The sensor's TOML with another model; mount and field stay."""
-    optics = found.optics
+    optics = conversion.optics
     table: dict[str, Any] = as_table(sensor)
     table |= {"model": as_table(optics.model) | {"kind": kind}, "camera": as_table(optics.camera)}
     table["lens"] = as_table(optics.lens)

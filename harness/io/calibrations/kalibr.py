@@ -38,7 +38,7 @@ def recognises(content: Content) -> bool:
 def read(content: Content) -> Calibration:
     """See `Format.read`."""
     cameras: list[CalibratedCamera] = []
-    place = np.eye(4)
+    T_cam_from_first = np.eye(4)
     is_placed = True
     for i, (name, value) in enumerate(_chain(content).items()):
         entry = table(content, value, name)
@@ -46,8 +46,8 @@ def read(content: Content) -> Calibration:
         if i:
             is_placed = is_placed and "T_cn_cnm1" in entry
         if i and is_placed:
-            place = transform(content, entry["T_cn_cnm1"], f"{name}.T_cn_cnm1") @ place
-        cameras.append(replace(camera, T_cam_from_first=place if is_placed else None))
+            T_cam_from_first = transform(content, entry["T_cn_cnm1"], f"{name}.T_cn_cnm1") @ T_cam_from_first
+        cameras.append(replace(camera, T_cam_from_first=T_cam_from_first if is_placed else None))
     return Calibration(content.file, "kalibr", tuple(cameras))
 
 
@@ -98,11 +98,11 @@ def _camera(content: Content, entry: Mapping[str, Any], name: str) -> Calibrated
 
 
 def _word(content: Content, entry: Mapping[str, Any], name: str, key: str, known: tuple[str, ...]) -> str:
-    value, place = member(content, entry, key, name)
+    value, at = member(content, entry, key, name)
     word = str(value).strip().lower()
     word = {"equi": "equidistant"}.get(word, word)
     if word not in known:
-        raise refusal(content, place, f"'{word}' is not supported, only {', '.join(known)}")
+        raise refusal(content, at, f"'{word}' is not supported, only {', '.join(known)}")
     return word
 
 

@@ -84,7 +84,7 @@ def _reach(row: float, column: float, shape: tuple[int, int]) -> float:
     return max(np.hypot(row - at_row, column - at_column) for at_row in (0, shape[0]) for at_column in (0, shape[1]))
 
 
-def _one_way(direct: Array, rho: Array) -> tuple[Array, Array]:
+def _monotonic(direct: Array, rho: Array) -> tuple[Array, Array]:
     """Radii, as far as the angle above the plane z = 0 grows with them, and these angles."""
     theta = np.arctan2(np.polynomial.polynomial.polyval(rho, direct), rho)
     grows = np.logical_and.accumulate(np.concatenate([[True], np.diff(theta) > 0]))
@@ -94,7 +94,7 @@ def _one_way(direct: Array, rho: Array) -> tuple[Array, Array]:
 def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: tuple[int, int]) -> str:
     """How far the two polynomials of a file are apart, in words: to the farthest side, as lenses end before corners."""
     reach = max(row, shape[0] - 1 - row, column, shape[1] - 1 - column)
-    rho, theta = _one_way(direct, np.linspace(0.0, reach, 400))
+    rho, theta = _monotonic(direct, np.linspace(0.0, reach, 400))
     apart = np.abs(inverse_radius(inverse, theta) - rho)
     rms = float(np.sqrt(np.mean(apart**2)))
     text = (
@@ -151,14 +151,14 @@ def fitted_inverse(direct: Array, reach: float) -> Array:
     """The inverse polynomial up to a radius in pixels: the least degree that is right to a thousandth of a pixel, or
     the best of at most 24.
     """
-    rho, theta = _one_way(direct, reach * 0.5 * (1 - np.cos(np.linspace(0, np.pi, 1001))))
+    rho, theta = _monotonic(direct, reach * 0.5 * (1 - np.cos(np.linspace(0, np.pi, 1001))))
     best: Array = np.zeros(1)
     least = np.inf
     for degree in range(3, 25):
-        found = np.asarray(np.polynomial.Polynomial.fit(theta, rho, degree).convert().coef, dtype=np.float64)
-        apart = float(np.abs(inverse_radius(found, theta) - rho).max())
+        coefficients = np.asarray(np.polynomial.Polynomial.fit(theta, rho, degree).convert().coef, dtype=np.float64)
+        apart = float(np.abs(inverse_radius(coefficients, theta) - rho).max())
         if apart < least:
-            best, least = found, apart
+            best, least = coefficients, apart
         if least < 1e-3:
             break
     return best

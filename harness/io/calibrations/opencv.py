@@ -44,11 +44,11 @@ def recognises(content: Content) -> bool:
 def read(content: Content) -> Calibration:
     """See `Format.read`."""
     root = _root(content)
-    found = _cameras(root)
-    if not found:
+    listed = _cameras(root)
+    if not listed:
         there = ", ".join(map(str, root)) or "none"
         raise refusal(content, "camera_matrix", f"this key is missing (or K); there are: {there}")
-    cameras = [_camera(content, root, suffix, keys) for suffix, keys in sorted(found.items())]
+    cameras = [_camera(content, root, suffix, keys) for suffix, keys in sorted(listed.items())]
     if len(cameras) == 2:
         cameras[1] = _placed(content, root, cameras[1])
     return Calibration(content.file, "opencv", tuple(cameras))
@@ -61,13 +61,13 @@ def _root(content: Content) -> Mapping[str, Any]:
 
 def _cameras(root: Mapping[str, Any]) -> dict[int, dict[str, str]]:
     """For each camera's number (-1 for none) the keys of its K, D and xi."""
-    found: dict[int, dict[str, str]] = {}
+    cameras: dict[int, dict[str, str]] = {}
     for key in root:
         name, digits = re.fullmatch(r"(.*?)(\d{0,3})", str(key).lower().replace("_", ""), re.DOTALL).groups()  # type: ignore[union-attr]
         for what, stems in _STEMS.items():
             if name in stems and (what == "xi" or is_matrix(root[key])):
-                found.setdefault(int(digits or -1), {}).setdefault(what, str(key))
-    return {suffix: keys for suffix, keys in found.items() if "K" in keys}
+                cameras.setdefault(int(digits or -1), {}).setdefault(what, str(key))
+    return {suffix: keys for suffix, keys in cameras.items() if "K" in keys}
 
 
 def _camera(content: Content, root: Mapping[str, Any], suffix: int, keys: dict[str, str]) -> CalibratedCamera:

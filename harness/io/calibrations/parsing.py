@@ -120,10 +120,10 @@ def _xml_value(element: ET.Element, level: int) -> Any:
     if children and all(child.tag == "_" for child in children):
         return [_xml_value(child, level + 1) for child in children]
     if children:
-        found = {child.tag: _xml_value(child, level + 1) for child in children}
-        if element.get("type_id") == "opencv-matrix" and isinstance(found.get("data"), str):
-            found["data"] = found["data"].split()
-        return found
+        values = {child.tag: _xml_value(child, level + 1) for child in children}
+        if element.get("type_id") == "opencv-matrix" and isinstance(values.get("data"), str):
+            values["data"] = values["data"].split()
+        return values
     if text.startswith('"') and text.endswith('"') and len(text) > 1:
         return text[1:-1]
     words = text.split()

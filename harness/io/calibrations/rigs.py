@@ -31,13 +31,13 @@ def motion_between(calibration: Calibration, first: int, second: int, looks: Loo
         if not 0 <= number < len(cameras):
             there = f"0 to {len(cameras) - 1}" if len(cameras) > 1 else "0 alone"
             raise InputError(f"there is no camera {number}; the file has {there}", file=calibration.file)
-    places = []
+    transforms = []
     for number in (first, second):
-        place = cameras[number].T_cam_from_first if number else np.eye(4)
-        if place is None:
+        T_cam_from_first = cameras[number].T_cam_from_first if number else np.eye(4)
+        if T_cam_from_first is None:
             raise InputError(f"does not tell where camera {number} is", file=calibration.file)
-        places.append(place)
-    between = places[1] @ np.linalg.inv(places[0])
+        transforms.append(T_cam_from_first)
+    between = transforms[1] @ np.linalg.inv(transforms[0])
     # Files have few digits: the nearest rotation.
     left, _, right = np.linalg.svd(between[:3, :3])
     R, t = left @ right, between[:3, 3]

@@ -87,8 +87,8 @@ def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
     calibration = calibration_in(content)
     camera = _the_camera(calibration, chosen)
     sensor, note = _sensor_of(calibration, camera, chosen)
-    is_told = chosen.looks is not None or chosen.mirrored is not None or not isinstance(sensor.model, AxialModel)
-    unmounted = () if is_told else (_UNMOUNTED,)
+    is_mount_given = chosen.looks is not None or chosen.mirrored is not None or not isinstance(sensor.model, AxialModel)
+    unmounted = () if is_mount_given else (_UNMOUNTED,)
     return SensorFile(sensor, calibration, camera, (*camera.notes, *unmounted, *note))
 
 
@@ -111,10 +111,10 @@ def load_sensor(file: Path, chosen: Chosen | None = None) -> Sensor:
     InputError
         Names the file, the key and what would be right.
     """
-    found = read_sensor(file, chosen)
-    if AMBIGUOUS in found.notes:
+    read = read_sensor(file, chosen)
+    if AMBIGUOUS in read.notes:
         warnings.warn(f"{file}: {AMBIGUOUS}", Notice, stacklevel=2)
-    return found.sensor
+    return read.sensor
 
 
 def sensor_of_table(table: Mapping[str, Any], file: str | Path | None = None, key: str = "") -> dict[str, Any]:
@@ -144,11 +144,11 @@ def sensor_of_table(table: Mapping[str, Any], file: str | Path | None = None, ke
         mirrored=mount.get("mirrored"),
         angle_max_deg=field.get("angle_max_deg"),
     )
-    found = as_given(load_sensor(Path(named.file), chosen))
+    base = as_given(load_sensor(Path(named.file), chosen))
     for name, value in over.items():
         is_part = isinstance(value, Mapping) and name != "mask"
-        found[name] = found.get(name, {}) | dict(value) if is_part else value
-    return found
+        base[name] = base.get(name, {}) | dict(value) if is_part else value
+    return base
 
 
 def _below(key: str, name: str) -> str:

@@ -54,11 +54,11 @@ def numbers(content: Content, value: Any, key: str, names: str | None = None) ->
     """
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise refusal(content, key, f"must be a list of numbers; found {_shown(value)}")
-    found = [number(content, each, f"{key}[{i}]") for i, each in enumerate(value)]
-    if names is not None and len(found) != len(names.split()):
+    values = [number(content, each, f"{key}[{i}]") for i, each in enumerate(value)]
+    if names is not None and len(values) != len(names.split()):
         expected = f"must be {len(names.split())} numbers ({names})" if names else "must be an empty list"
-        raise refusal(content, key, f"{expected}; found {len(found)}")
-    return found
+        raise refusal(content, key, f"{expected}; found {len(values)}")
+    return values
 
 
 def table(content: Content, value: Any, key: str) -> Mapping[str, Any]:
@@ -94,27 +94,27 @@ def matrix(content: Content, value: Any, key: str) -> Array:
             raise refusal(content, data_key, f"must be {rows} x {cols} numbers; found {len(flat)}")
         return np.array(flat).reshape(rows, cols)
     if isinstance(value, list) and value and isinstance(value[0], list):
-        found = [numbers(content, row, f"{key}[{i}]") for i, row in enumerate(value)]
-        if len({len(row) for row in found}) != 1:
+        parsed = [numbers(content, row, f"{key}[{i}]") for i, row in enumerate(value)]
+        if len({len(row) for row in parsed}) != 1:
             raise refusal(content, key, "must be rows of one length")
-        return np.array(found)
+        return np.array(parsed)
     return np.array([numbers(content, value, key)])
 
 
 def transform(content: Content, value: Any, key: str) -> Array:
     """A rigid motion `[4, 4]`."""
-    found = matrix(content, value, key)
-    if found.shape != (4, 4):
-        raise refusal(content, key, f"must be 4 x 4 numbers; found {found.shape[0]} x {found.shape[1]}")
-    check_rotation(content, found[:3, :3], key)
-    if not np.allclose(found[3], [0, 0, 0, 1], rtol=0, atol=1e-6):
+    rows = matrix(content, value, key)
+    if rows.shape != (4, 4):
+        raise refusal(content, key, f"must be 4 x 4 numbers; found {rows.shape[0]} x {rows.shape[1]}")
+    check_rotation(content, rows[:3, :3], key)
+    if not np.allclose(rows[3], [0, 0, 0, 1], rtol=0, atol=1e-6):
         raise refusal(content, key, "must have the last row 0 0 0 1")
-    return found
+    return rows
 
 
-def check_rotation(content: Content, found: Array, key: str) -> None:
+def check_rotation(content: Content, rotation: Array, key: str) -> None:
     """Refuse what is no rotation; files have five digits at least."""
-    if np.abs(found @ found.T - np.eye(3)).max() > 1e-4 or np.linalg.det(found) < 0:
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise refusal(content, key, "is no rotation: its rows must be of unit length, at right angles and right-handed")
 
 

@@ -77,8 +77,8 @@ def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches
         (rectangle, matcher.interpolation, matcher.block_px),
         lambda: rectify(pair, rectangle, matcher.interpolation, cv2, matcher.block_px),
     )
-    found = _engine(matcher, number, cv2).compute(*rectified.images)
-    disparity = np.where(found >= 0, found / _FIXED_POINT, np.nan)
+    raw = _engine(matcher, number, cv2).compute(*rectified.images)
+    disparity = np.where(raw >= 0, raw / _FIXED_POINT, np.nan)
     looking = directions(pair.grid)
     a_1 = alpha_1(pair.grid, pair.t_v1)
     a_2 = a_1 + on_panorama(rectified, disparity, looking) * step

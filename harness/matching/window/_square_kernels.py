@@ -106,7 +106,7 @@ def _costs(
 
 
 @kernel(inline=True)
-def _place(mode, k, cos_k, sin_k, start, c_1, s_1, t_hat, m, n, step):
+def _curve_point(mode, k, cos_k, sin_k, start, c_1, s_1, t_hat, m, n, step):
     """Azimuth and height of sample k of a curve.
 
     cos_k, sin_k : of k times the length of the step.
@@ -129,7 +129,7 @@ def _pixels(
     height, width = matchable_2.shape
     c_1, s_1 = math.cos(start), math.sin(start)
     for i in range(count):
-        phi, z = _place(mode, k + i, cos_k[k + i - k_0], sin_k[k + i - k_0], start, c_1, s_1, t_hat, m, n, step)
+        phi, z = _curve_point(mode, k + i, cos_k[k + i - k_0], sin_k[k + i - k_0], start, c_1, s_1, t_hat, m, n, step)
         row = int(min(max(math.floor((z_max - z) / z_pitch), -1.0), float(height)))
         columns[i] = math.floor((phi + math.pi) / phi_pitch) % width
         rows[i] = row if 0 <= row < height and matchable_2[row, columns[i]] else -1
@@ -301,7 +301,7 @@ def costs_between(
             length = abs(step[row, column])
             for i in range(samples):
                 k = k_best[row, column] + (i - samples // 2) / 2
-                phi_2, z = _place(
+                phi_2, z = _curve_point(
                     mode, k, math.cos(k * length), math.sin(k * length), start, c_1, s_1, t_hat, m[row, column],
                     n[row, column], step[row, column],
                 )  # fmt: skip

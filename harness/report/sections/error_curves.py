@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from harness.display import told_apart
+from harness.display import shortened_labels
 from harness.evaluation.cells import NORMAL
 from harness.evaluation.regions import middle_of_range
 from harness.evaluation.statistics import FEW_SEEDS, Curve, balanced, mean_over_seeds
@@ -272,7 +272,7 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     ax.set_xlim(min(positions) - margin, max(positions) + margin)
     if not axis.numeric:
         ax.set_xlim(min(positions) - 0.35, max(positions) + 0.35)
-        ax.set_xticks(positions, [theme.plain(text) for text in told_apart(axis.texts, 16)])
+        ax.set_xticks(positions, [theme.plain(text) for text in shortened_labels(axis.texts, 16)])
     elif len(positions) <= 6 and _apart(positions):
         ax.set_xticks(positions, axis.texts)
 

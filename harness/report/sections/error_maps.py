@@ -82,8 +82,8 @@ def section(context: Context) -> Iterator[Block]:
 
 def common_limit_mm(methods: list[Method]) -> float:
     """Symmetric limit for all maps: three quarters of the domain's absolute errors by the worst method fit, rounded."""
-    found = [np.abs(m.outcome.errors.range_m[m.outcome.reference.domain & common(methods)]) for m in methods]
-    limit = max((1000 * float(np.nanpercentile(each, 75)) for each in found if each.size), default=100.0)
+    errors = [np.abs(m.outcome.errors.range_m[m.outcome.reference.domain & common(methods)]) for m in methods]
+    limit = max((1000 * float(np.nanpercentile(each, 75)) for each in errors if each.size), default=100.0)
     size = 10.0 ** np.floor(np.log10(max(limit, 1e-3)))
     return float(size * next(step for step in (1, 2, 3, 5, 10) if limit <= step * size * (1 + 1e-9)))
 

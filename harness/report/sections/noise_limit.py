@@ -116,7 +116,7 @@ def _axes(ordinate: str) -> tuple[Any, Any]:
 
 
 def _line(entries: list[Entry], value: Callable[[Entry], float | None]) -> tuple[list[float], list[float]]:
-    known = [(each["sigma_grey"], found) for each in entries if (found := value(each))]
+    known = [(each["sigma_grey"], number) for each in entries if (number := value(each))]
     return [x for x, _ in known], [y for _, y in known]
 
 

@@ -205,8 +205,8 @@ class _Overview:
 
     def window(self, shape: float) -> tuple[float, float, float, float]:
         """Left, right, bottom, top of a picture of a shape (width / height) that holds the whole scene."""
-        seen = self.project(self.corners)
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        projected = self.project(self.corners)
+        low, high = projected.min(axis=0), projected.max(axis=0)
         middle, size = (low + high) / 2, (high - low) * 1.14
         size = np.array([max(size[0], size[1] * shape), max(size[1], size[0] / shape)])
         left, bottom = middle - size / 2

@@ -149,7 +149,7 @@ def _adjusted(cells: pd.DataFrame) -> "pd.Series[float]":
 def _regression(
     sweep: Sweep, method: MethodStyle, surface: str, fits: dict[str, Fit], binned: list[list[Any]]
 ) -> Picture:
-    there = [found for each in sweep.methods if len(found := sweep.cells_of(each, surface))]
+    there = [in_cells for each in sweep.methods if len(in_cells := sweep.cells_of(each, surface))]
     cells = sweep.cells_of(method, surface)
     y = np.exp(_adjusted(cells))
     limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in there])), 0.003)
