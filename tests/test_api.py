@@ -94,6 +94,7 @@ def test_help_is_a_tour() -> None:
     assert "__pydantic" not in about
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_examples_are_true(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -349,6 +350,7 @@ def test_a_motion_may_be_given_in_three_ways(views: "list[harness.RenderedView]"
     assert all(np.array_equal(ranges[0], each, equal_nan=True) for each in ranges[1:])
 
 
+@pytest.mark.slow
 def test_an_estimate_is_written_as_the_command_line_writes_it(
     views: "list[harness.RenderedView]", tmp_path: Path
 ) -> None:

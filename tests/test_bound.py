@@ -87,6 +87,7 @@ def slanted(images, reference):
 # The formula ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(
     samples=st.tuples(st.integers(20, 60), st.integers(20, 60)),
     waves=st.integers(1, 8),
@@ -393,6 +394,7 @@ def test_flat_images_tell_nothing(reference):
 # Estimators ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_least_squares_comes_near_it(images, reference, slanted):
     """Gauss-Newton on a slanted window with gain and offset, from the truth, under noise.
 

@@ -90,6 +90,7 @@ def test_page_of_few_images_without_noise(tmp_path):
 
 
 class TestCommand:
+    @pytest.mark.slow
     def test_prints_what_it_found(self, csv, tmp_path, capsys):
         out = tmp_path / "sensor.toml"
         assert main(["calibrate", "--corners", str(csv), "--model", "hyperboloid", "--out", str(out)]) == 0
@@ -101,6 +102,7 @@ class TestCommand:
         assert str(out.with_suffix(".html")) in said
         assert {each.name for each in tmp_path.iterdir()} == {"sensor.toml", "sensor.json", "sensor.html"}
 
+    @pytest.mark.slow
     def test_without_out_it_prints_the_sensor_file(self, csv, capsys):
         arguments = ["--fix", "aspect", "--fix", "cx=319.5", "--looks", "up", "--no-mirrored"]
         assert main(["calibrate", "--corners", str(csv), "--model", "eucm", *arguments]) == 0

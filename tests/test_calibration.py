@@ -239,6 +239,7 @@ class TestWhole:
             assert value == pytest.approx(value_of(sensor, key), rel=1e-3, abs=1e-3), key
         assert np.nanmax(np.abs(ray_difference(calibration.sensor, sensor, calibration.grid))) < 1e-4
 
+    @pytest.mark.slow
     @SENSORS
     def test_with_noise_every_number_is_within_three_standard_deviations(self, sensor):
         corners = noisy(visible_boards(sensor, 14, 11)[0], 0.1, 3)

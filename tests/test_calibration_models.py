@@ -28,6 +28,7 @@ def check(kind: str, seed: int, boards: int = 10) -> None:
     assert np.sqrt(np.nanmean(error**2)) < 3 * np.sqrt(np.mean(calibration.ray_sigma_px**2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_rays_without_and_with_noise(kind):
     check(kind, 1, 5)
@@ -40,6 +41,7 @@ def test_more_sensors(kind, seed):
     check(kind, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["eucm", "double_sphere", "ocam"])
 def test_one_model_stands_for_another(kind):
     """A mirror without a lens is exactly EUCM and double sphere, and nearly a polynomial."""
@@ -51,6 +53,7 @@ def test_one_model_stands_for_another(kind):
     assert np.nanmax(off) < {"ocam": 3.0}.get(kind, 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mount",
     [

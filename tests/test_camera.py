@@ -119,6 +119,7 @@ class TestMirror:
 
 
 class TestRoundTrip:
+    @pytest.mark.slow
     @pytest.mark.parametrize("distorted", [False, True])
     @pytest.mark.parametrize("seed", range(50))
     def test_pixel_to_direction_to_pixel_over_the_whole_image(self, seed: int, distorted: bool) -> None:
@@ -280,6 +281,7 @@ class TestSensorFile:
             load_sensor(path)
         assert str(caught.value).startswith(f"{path}: {message}")
 
+    @pytest.mark.slow
     def test_lens_may_fold_a_pixel_beyond_the_rim_and_no_nearer(self) -> None:
         """The corners of the rim's pixels need rays, and r + k1 r³ hardly grows before its fold, 1/sqrt(-3 k1).
 

@@ -301,6 +301,7 @@ def test_points_are_enclosed_as_one_by_one():
     assert enclosed(shell, points[:0]).shape == (0,)
 
 
+@pytest.mark.slow
 def test_two_meshes_of_thousands_of_triangles_in_one_place(tmp_path):
     """A hundred times as fast as every face against every triangle: slow would be noticed by `make quick`."""
     trimesh.creation.icosphere(subdivisions=5, radius=0.5).export(tmp_path / "ball.ply")

@@ -141,6 +141,7 @@ def by_definition(first, second, t, matcher):
     return reason, k, costs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("t", "settings"),
     [
@@ -314,6 +315,7 @@ def test_error_bounds_hold(paper, pitch_px):
     check_all(*outcomes(paper, StageCache(), kind="column", pitch_px=pitch_px))
 
 
+@pytest.mark.slow
 def test_what_is_found_is_what_the_square_window_finds(paper):
     """Two definitions of one idea: on walls, where both are right, they differ by less than a sample nearly always."""
     cache = StageCache()

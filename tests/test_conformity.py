@@ -148,6 +148,7 @@ def test_every_check_is_tried() -> None:
     assert list(BAD) == [check.name for check in CHECKS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_a_matcher_that_breaks_it(name: str, candidate: Write) -> None:
     change, said = BAD[name]
@@ -276,6 +277,7 @@ def test_pytest_finds_it_in_an_installed_program() -> None:
     assert project["entry-points"]["pytest11"] == {"omnirange": "omnirange_pytest"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["package", "module"])
 def test_suites_beside_a_package_of_the_same_name_run(pytester: pytest.Pytester, kind: str) -> None:
     """A folder `harness` of another project comes first on the path; only who asks for the fixture is told."""

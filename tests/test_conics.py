@@ -24,6 +24,7 @@ def plane_points(normal, n=200):
     return some - np.outer(some @ normal, normal) / (normal @ normal)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(t=VECTORS, x=VECTORS, xi=XI)
 def test_points_of_the_epipolar_plane_lie_on_it(t, x, xi):

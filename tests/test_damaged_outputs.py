@@ -57,6 +57,7 @@ def test_what_differs_is_written_anew(made: Path, name: str, capsys: pytest.Capt
     assert "nothing to do" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dangling", "loop", "victim"])
 def test_a_link_in_place_of_a_table_is_replaced(made: Path, kind: str) -> None:
     table, victim = made / "o" / "trials.csv", made / "victim"
@@ -70,6 +71,7 @@ def test_a_link_in_place_of_a_table_is_replaced(made: Path, kind: str) -> None:
     assert not (made / "nowhere").exists()
 
 
+@pytest.mark.slow
 def test_a_damaged_database_never_gives_another_number(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever happens to it, the run is refused with its name, or gives the very table."""
     out, draws = made / "o", random.Random(SEED)

@@ -108,6 +108,7 @@ def _state(planes):
     return _State(TURN, planes, np.full(len(planes), 1.2), np.full(len(planes), -3.0))
 
 
+@pytest.mark.slow
 def test_normal_equations_are_those_of_differences():
     given = views(pair(), (SENSOR, SENSOR))
     tiles = lay_tiles(given)

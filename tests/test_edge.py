@@ -107,6 +107,7 @@ def test_errors_are_described_on_one_line() -> None:
     assert described(ValueError()) == "ValueError"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", FAILURES)
 def test_what_a_matcher_raises_is_one_failed_trial(folder: Path, capsys: pytest.CaptureFixture[str], how: str) -> None:
     name = f"borders_{how.strip('_')}{how.count('_')}"

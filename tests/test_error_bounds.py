@@ -37,6 +37,7 @@ def test_bounds_hold_for_the_papers_experiment(paper):
     check_all(named["pixel"], named["subpixel"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("yaw_deg", [7.3, 45.0, 90.0, 133.7, 180.0, -71.0])
 def test_any_yaw_of_the_second_view_is_taken_out(paper, yaw_deg):
     straight = by_method(paper.outcomes)
@@ -51,6 +52,7 @@ def test_any_yaw_of_the_second_view_is_taken_out(paper, yaw_deg):
                 assert after[figure] == pytest.approx(before[figure], rel=0.10), (name, where, figure)
 
 
+@pytest.mark.slow
 def test_tilted_second_view_and_general_translation_with_alpha_sampling(paper):
     """Known pitch and roll, a translation with a vertical part: nothing in the chain is made for the level case."""
     trial = paper.experiment.trial.model_copy(
@@ -69,6 +71,7 @@ def test_tilted_second_view_and_general_translation_with_alpha_sampling(paper):
     check_subpixel_helps(pixel, subpixel)
 
 
+@pytest.mark.slow
 def test_vertical_translation_with_alpha_sampling(paper):
     trial = paper.experiment.trial.model_copy(
         update={
@@ -84,6 +87,7 @@ def test_vertical_translation_with_alpha_sampling(paper):
     check_subpixel_helps(pixel, subpixel)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", ["phi", "alpha"])
 def test_one_image_as_both_views(paper, sampling):
     """With an assumed baseline of 0.5 m and no d_max the answer is infinity: disparity exactly 0 at whole pixels."""
@@ -221,6 +225,7 @@ def test_half_a_pixel_in_the_mirror_image_is_caught(paper, monkeypatch):
     assert np.abs(error).max() > 0.1  # the bound in test_panorama
 
 
+@pytest.mark.slow
 def test_a_fault_in_one_view_alone_is_caught_at_its_size(paper, monkeypatch):
     """Half a column shows as half a pixel of bias, and as half of the pixels outside half a step."""
     half_column_shift(monkeypatch)

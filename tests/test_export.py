@@ -48,6 +48,7 @@ def test_the_picture_is_the_same_when_read_back(name, tmp_path):
     assert difference.max() <= 255 / 16 + 0.6
 
 
+@pytest.mark.slow
 def test_whole_greys_are_not_rounded_and_tiles_repeat(tmp_path):
     gravel = BundledTexture(kind="bundled", name="gravel", tile_m=1.7)
     scene = Scene(name="s", objects=(Box(kind="box", inward=True, size_m=(6, 6, 6), texture=gravel),))

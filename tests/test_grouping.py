@@ -48,6 +48,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return f"{name}:match"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "values"),
     [
@@ -100,6 +101,7 @@ np.save(Path(sys.argv[2]) / "alpha_2.npy", np.full(panorama.shape, {angle}))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="python3 is not the name of a program there")
 def test_two_programs_are_two_methods(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path / "cache"))

@@ -165,6 +165,7 @@ def test_a_dim_image_stays_dim_and_its_brightest_level_is_said(brightest, said):
     assert (f"no level is above {brightest}: if white is less than 65535, give --bits" in picture.scale) == said
 
 
+@pytest.mark.slow
 def test_the_command_says_how_levels_were_read(tmp_path, capsys):
     sensor = Sensor(camera=Camera(width_px=80, height_px=60, focal_px=76.7, cx_px=39.5, cy_px=29.5))
     (tmp_path / "s.toml").write_text(dump_toml(sensor))
@@ -203,6 +204,7 @@ SEEDS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @given(st.sampled_from(SEEDS), st.data())
 @settings(max_examples=300, deadline=None)
 def test_damaged_files_are_read_or_refused(seed, draw):

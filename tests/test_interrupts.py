@@ -143,6 +143,7 @@ def test_a_run_is_interrupted_wherever_it_strikes(
     assert now.failed == 0
 
 
+@pytest.mark.slow
 def test_a_second_one_ends_at_once() -> None:
     """The first is caught by somebody who goes on for ever."""
     script = (
@@ -234,6 +235,7 @@ def test_nothing_changes_in_a_script_or_a_notebook(started: list[str], listens: 
         signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["import", "exec", "shutdown"])
 def test_before_and_after_the_command(moment: str) -> None:
     """While libraries are loaded, and while Python shuts down."""

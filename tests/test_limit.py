@@ -90,6 +90,7 @@ def entry(sigma_grey, seeds, std):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_noise_with_too_few_seeds_leaves_a_gap_in_the_figure():
     sweep = Sweep([method()], [], [1, 2, 3], pd.DataFrame(), [], pd.DataFrame())
     with theme.style():

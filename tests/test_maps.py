@@ -123,6 +123,7 @@ def test_damage_inside_an_array_is_noticed(maps: TrialMaps, tmp_path: Path) -> N
     assert read_maps(tmp_path, maps.trial) is None
 
 
+@pytest.mark.slow
 def test_a_run_keeps_maps_also_of_trials_that_were_done_before(tmp_path: Path) -> None:
     path = write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2]\n")
     trials = [each.trial for each in load_experiment(str(path)).planned]

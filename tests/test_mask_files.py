@@ -135,6 +135,7 @@ def test_a_sweep_over_masks_of_wrong_sizes_names_the_axis(small, tmp_path, monke
         load_experiment(small, ["sensor.mask=arm.png"], {"sensor.camera.width_px": [160, 162]})
 
 
+@pytest.mark.slow
 def test_a_folder_for_other_programs_holds_the_mask(tmp_path):
     mask = write_mask(tmp_path / "arm.png", np.s_[96:130, 70:92], (160, 160))
     sensor = SENSOR.with_mask(mask)

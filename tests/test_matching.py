@@ -90,6 +90,7 @@ def by_definition(first, second, t, matcher, row, column):
     return Reason.MATCHED, best, around
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("t", "sampling", "cost"),
     [

@@ -449,6 +449,7 @@ def places(tree, at=()):
         yield from places(value, (*at, key))
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_changed_trees_of_gltf(folder, data):
@@ -472,6 +473,7 @@ def test_changed_trees_of_gltf(folder, data):
 BINARY_PLY = trimesh.creation.box((1, 1, 1)).export(file_type="ply")
 
 
+@pytest.mark.slow
 @given(st.sampled_from(["q.glb", "m.obj", "m.mtl", "m.ply", "b.ply"]), st.data())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_damaged_bytes(folder, name, data):

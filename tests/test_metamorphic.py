@@ -29,6 +29,7 @@ def outcome_with(paper, **settings):
     return run_trial(parse(Trial, table))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["window", "column"])
 @pytest.mark.parametrize("scale", [0.5, 2.0])
 def test_a_world_scaled_with_its_textures_scales_the_error_and_nothing_else(paper, scale, kind):
@@ -57,6 +58,7 @@ def test_a_world_scaled_with_its_textures_scales_the_error_and_nothing_else(pape
     assert other["wall_range_rmse_m"] == pytest.approx(scale * one["wall_range_rmse_m"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_noise_is_the_same_for_all_matchers_and_scales_with_sigma(paper):
     quiet = outcome_with(paper, noise__sigma_grey=0.0)
     window = outcome_with(paper)

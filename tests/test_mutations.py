@@ -78,7 +78,7 @@ SPECIFICATIONS = {
     "experiment": _planned,
     "scene": lambda path: load_scene(str(path)),
     "sensor": load_sensor,
-    **{kind: lambda path: load_matcher(str(path)).identity() for kind in (*BUILT_IN, "m:match")},
+    **{kind: lambda path: load_matcher(str(path)).identity() for kind in (*BUILT_IN, "mutated:match")},
 }
 
 
@@ -109,11 +109,12 @@ def check_some(what: str, folder: Path, seed: int) -> bool:
     return answered(path, SPECIFICATIONS[what])
 
 
-@pytest.mark.parametrize("what", ["experiment", "scene", "sensor", "window", "slanted", "program", "m:match"])
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["experiment", "scene", "sensor", "window", "slanted", "program", "mutated:match"])
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32))
 def test_mutated_files(what: str, folder: Path, seed: int) -> None:
-    (folder / "m.py").write_text("def match(pair, limits, **parameters): ...\n")
+    (folder / "mutated.py").write_text("def match(pair, limits, **parameters): ...\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         check_some(what, folder, seed)
@@ -129,7 +130,7 @@ def test_the_valid_file_is_taken(what: str, folder: Path, monkeypatch: pytest.Mo
 
 def test_long_words_are_cut(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "long.toml"
-    path.write_text(tomli_w.dumps(_valid("m:match", folder)).replace("m:match", "x" * 5000))
+    path.write_text(tomli_w.dumps(_valid("mutated:match", folder)).replace("mutated:match", "x" * 5000))
     with pytest.raises(InputError, match=r"matching\.kind: 'x{59} \.\.\. x+' is neither a matcher nor") as caught:
         load_matcher(str(path))
     assert len(str(caught.value)) < 800

@@ -84,6 +84,7 @@ def test_exposure_changes_what_the_sensor_sees_and_nothing_else():
     assert with_exposure(image, SENSOR, 1.0, 0.0) is image
 
 
+@pytest.mark.slow
 def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
     """One step of least squares at the true match, whose spread the formula is about, over draws of the noise."""
     visible = truth(load_scene("box"), VIEWS[0], directions(GRID), np.ones(GRID.shape, bool), pose_2=VIEWS[1])

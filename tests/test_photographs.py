@@ -53,6 +53,7 @@ def true_range():
     return truth(load_scene("box"), FIRST, looking, in_field(SENSOR, looking), pose_2=SECOND, sensor_2=SENSOR)
 
 
+@pytest.mark.slow
 def test_ranges_are_those_of_the_scene(answer):
     result, visible = np.load(answer / "range.npy"), true_range()
     wall = visible.visible & (np.abs(visible.normal[..., 2]) < 0.5) & np.isfinite(result)
@@ -62,6 +63,7 @@ def test_ranges_are_those_of_the_scene(answer):
     assert np.median(np.abs(result - visible.range_m)[wall]) < 0.05
 
 
+@pytest.mark.slow
 def test_files_say_the_same(answer):
     result = np.load(answer / "range.npy")
     there = np.isfinite(result)
@@ -79,6 +81,7 @@ def test_files_say_the_same(answer):
     assert np.asarray(cloud.colors)[:, :3].std() > 20  # the photograph's, not one colour
 
 
+@pytest.mark.slow
 def test_points_lie_on_the_box(answer):
     cloud = np.asarray(trimesh.load(answer / "points.ply").vertices) + FIRST.position_m
     distance = np.abs(np.stack([np.abs(cloud[:, 0]) - 3, np.abs(cloud[:, 1]) - 3, cloud[:, 2]])).min(axis=0)
@@ -99,6 +102,7 @@ def test_page(answer, tmp_path):
             assert min(sizes) > 0
 
 
+@pytest.mark.slow
 def test_a_grey_image_may_have_any_depth(tmp_path):
     shape = (SENSOR.camera.height_px, SENSOR.camera.width_px)
     eight = np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)
@@ -110,6 +114,7 @@ def test_a_grey_image_may_have_any_depth(tmp_path):
         assert np.allclose(read_photograph(tmp_path / name, SENSOR).grey, eight, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_wrong_input_is_one_line(images, tmp_path, capsys):
     (tmp_path / "no.png").write_bytes((images / "left.png").read_bytes()[:1000])
     Image.new("L", (320, 240)).save(tmp_path / "small.png")

@@ -129,6 +129,7 @@ def test_poses_tell_the_motion_and_the_grid(folder: Path, pair: Pair) -> None:
     np.testing.assert_allclose([np.cos(phi), np.sin(phi), z], cylinder(pair.grid)[3, 7], atol=1e-15)
 
 
+@pytest.mark.slow
 @given(yaw=angle, pitch=angle, roll=angle)
 def test_any_rotation_as_angles(yaw: float, pitch: float, roll: float) -> None:
     """Against scipy's matrices. Near the poles atan2 of two small numbers loses half its digits: 1e-7."""
@@ -225,6 +226,7 @@ def test_whatever_goes_wrong_is_one_line(script: str, said: str, pair: Pair, tmp
     assert len(text) < 700
 
 
+@pytest.mark.slow
 def test_the_time_limit_ends_all_that_was_started(pair: Pair, tmp_path: Path) -> None:
     """The grandchild holds on to stderr, ignores what can be ignored, and is gone all the same."""
     script = f"(trap '' TERM INT HUP; echo here >&2; echo $$ > {tmp_path}/pid; sleep {SLEEP}) &\nsleep {SLEEP}\n"

@@ -36,6 +36,7 @@ def test_the_reference_says_what_made_it():
     assert len(made_by["source_sha256"]) == 64
 
 
+@pytest.mark.slow
 def test_the_reference_of_the_law_is_of_all_its_trials_and_of_this_geometry():
     reference = json.loads((REFERENCES / "law.json").read_text())
     planned = len(load_experiment("law").planned)

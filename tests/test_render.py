@@ -96,6 +96,7 @@ def test_shortcut_equals_every_sample_in_random_scenes(seed):
     assert difference.max() <= SHORTCUT_TOLERANCE
 
 
+@pytest.mark.slow
 def test_without_the_edges_the_thin_pole_would_be_lost():
     scene, pose = load_scene("room"), POSES[0]
     view = rendering._view(scene, pose)
@@ -244,6 +245,7 @@ def test_sixteen_samples_leave_little_aliasing(name):
     assert np.sqrt(np.mean((coarse - fine)[some != INVALID] ** 2)) <= 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_sixteen_samples_are_enough(name):
     scene = load_scene(name)

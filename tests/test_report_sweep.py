@@ -80,6 +80,7 @@ def downloads(html: str) -> dict[str, list[dict[str, str]]]:
 # --- What is there ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sweep_that_tests_the_law_has_all_sections(page):
     headings = re.findall(r'<h2 id="[a-z-]+">(\d+)\. ([^<]*)</h2>', page)
     assert [int(number) for number, _ in headings] == list(range(1, len(headings) + 1))
@@ -99,6 +100,7 @@ def test_a_sweep_that_tests_the_law_has_all_sections(page):
     assert set(links) <= places
 
 
+@pytest.mark.slow
 def test_the_papers_own_experiment_has_regions_figures_and_pixel_locking_but_no_test_of_the_law(paper_page):
     html = paper_page
     for section in ("sweeps", "locking", "regions", "measures"):
@@ -108,12 +110,14 @@ def test_the_papers_own_experiment_has_regions_figures_and_pixel_locking_but_no_
     assert {"regions-base-trial", "measures", "pixel-locking", "sweep-range"} <= downloads(html).keys()
 
 
+@pytest.mark.slow
 def test_every_figure_and_table_is_numbered_once(page):
     for what in ("Figure", "Table"):
         result = [int(number) for number in re.findall(rf"<b>{what} (\d+)\.</b>", page)]
         assert result == list(range(1, len(result) + 1))
 
 
+@pytest.mark.slow
 def test_every_figure_has_its_numbers(page):
     figures = re.findall(r'<figure id="figure-([a-z0-9-]+)">(.*?)</figure>', page, flags=re.DOTALL)
     assert len(figures) >= 15
@@ -129,6 +133,7 @@ def test_same_rows_same_page(swept, page):
 # --- The numbers --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_slopes_in_the_page_are_the_summarys(swept, page):
     rows = downloads(page)["law-directions"]
     expected = [
@@ -142,6 +147,7 @@ def test_slopes_in_the_page_are_the_summarys(swept, page):
         assert row["slope"] == "" if slope is None else float(row["slope"]) == pytest.approx(slope, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_verdict_in_the_page_is_the_summarys(swept, page):
     text = re.sub(r"\s+", " ", Document(page).text)
     for fit in swept.summary["law"]["images"]:
@@ -150,6 +156,7 @@ def test_verdict_in_the_page_is_the_summarys(swept, page):
             assert f"{fit['slope']:.2f} [{low}, {high}] on the exact law".replace("-", "−") in text
 
 
+@pytest.mark.slow
 def test_curves_over_an_axis_are_geometric_means_of_the_rows(swept, page):
     rows = downloads(page)["sweep-view-2-baseline-m"]
     values: dict[tuple[str, str], list[float]] = {}
@@ -164,6 +171,7 @@ def test_curves_over_an_axis_are_geometric_means_of_the_rows(swept, page):
         assert float(row["ci95_low"]) <= float(row["median_abs"]) <= float(row["ci95_high"])
 
 
+@pytest.mark.slow
 def test_table_of_all_figures_is_the_mean_over_seeds(swept, page):
     rows = downloads(page)["measures"]
     assert len(rows) == 12
@@ -180,6 +188,7 @@ def test_table_of_all_figures_is_the_mean_over_seeds(swept, page):
             assert float(row[name]) == pytest.approx(np.mean([figures[name] for figures in same]), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_regions_of_the_base_trial_per_pixel_and_per_solid_angle_are_the_rows(paper, paper_page):
     rows = downloads(paper_page)["regions-base-trial"]
     result = {(row["method"], row["split"], row["part"]): row for row in rows}
@@ -195,6 +204,7 @@ def test_regions_of_the_base_trial_per_pixel_and_per_solid_angle_are_the_rows(pa
             assert measured == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_pixel_locking_shares_sum_to_one(page):
     shares: dict[tuple[str, str], float] = {}
     for row in downloads(page)["pixel-locking"]:
@@ -235,6 +245,7 @@ def test_rows_of_version_0_2_0_are_read(swept):
         assert regional_errors.over_trials(dataclasses.replace(now, payloads=before))[1].rows == expected.rows
 
 
+@pytest.mark.slow
 def test_the_numbers_to_download_do_not_grow_with_the_pixels(page, paper_page):
     small, large = downloads(page), downloads(paper_page)  # of 9,000 and of 144,000 pixels
     for name in ("panorama-blocks", "range-error-blocks", "error-distributions", "law-example-and-measured"):
@@ -243,6 +254,7 @@ def test_the_numbers_to_download_do_not_grow_with_the_pixels(page, paper_page):
     assert len(large["profiles-other-rows"]) <= 6 * 360
 
 
+@pytest.mark.slow
 def test_axes_know_whether_they_are_lines():
     assert Axis("noise.sigma_grey", [0, 1.0, 8]).numeric
     assert not Axis("noise.sigma_grey", [0, 1.0, 8]).logarithmic
@@ -270,6 +282,7 @@ def test_names_and_messages_show_as_text():
     assert downloads(html)["failures"][0]["message"] in document.text
 
 
+@pytest.mark.slow
 def test_symbols_are_set_as_in_captions_and_nothing_else_becomes_html():
     assert str(symbols("σ(α₂) on |t|/d & d²/|t| <b>")) == (
         "σ(<i>α</i><sub>2</sub>) on |<b>t</b>|/<i>d</i> &amp; <i>d</i>²/|<b>t</b>| &lt;b&gt;"

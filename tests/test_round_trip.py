@@ -45,6 +45,7 @@ def test_a_trial_survives(trial: Trial) -> None:
     assert parse(Trial, tomllib.loads(dump_toml(trial))) == trial
 
 
+@pytest.mark.slow
 @some
 @given(
     specification(

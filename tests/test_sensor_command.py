@@ -91,6 +91,7 @@ def test_what_is_said_of_a_camera_in_a_rig(tmp_path, capsys):
     assert "how far the lens sees" not in text  # it was told
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_said(tmp_path, capsys):
     corner = FISHEYE | {"camera": FISHEYE["camera"] | {"focal_px": 40.0, "cx_px": 100.0, "cy_px": 90.0}}
     text = said(capsys, files.write(tmp_path, dump_toml(parse(Sensor, corner))), "--out", tmp_path / "a.png")
@@ -103,6 +104,7 @@ def test_what_does_not_fit_is_said(tmp_path, capsys):
     said(capsys, files.write(tmp_path, dump_toml(parse(Sensor, FISHEYE))), "--out", tmp_path / "a.png")
 
 
+@pytest.mark.slow
 def test_pictures_alone(mirror, tmp_path, capsys):
     for name in ("a.svg", "a.png"):
         said(capsys, mirror, "--out", tmp_path / name)
@@ -194,6 +196,7 @@ EXACT = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "to", "model"), EXACT, ids=lambda each: None if isinstance(each, dict | Sensor) else each
 )
@@ -240,6 +243,7 @@ def test_a_conversion_that_is_not_exact_says_how_near(fisheye, tmp_path, capsys)
     assert (low, high) == pytest.approx((0, 95), abs=1)
 
 
+@pytest.mark.slow
 def test_what_is_too_far_is_refused_unless_it_is_allowed(tmp_path, capsys):
     """OCamCalib's affine part shears the image by 0.005, some 1.5 px at the rim; COLMAP's models have no skew."""
     path = files.write(tmp_path, files.OCAMCALIB)

@@ -250,6 +250,7 @@ def test_threads_change_nothing(threads):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
 
 
+@pytest.mark.slow
 def test_the_seam_is_no_border():
     """A quarter turn of a square image about its middle is exact, and moves the seam by a quarter of the panorama."""
     there = motion()
@@ -320,6 +321,7 @@ def test_what_view_2_does_not_see_has_no_answer():
     assert np.isfinite(matches.alpha_2[pixels[..., 0] > 70 + 14]).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_errors_are_near_the_bound_and_as_predicted():
     """White noise against the Cramér-Rao bound of the window, from the texture's formula."""
     there, images, noise, seeds = motion(), pair(), 6.0, 6

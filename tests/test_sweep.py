@@ -90,6 +90,7 @@ def test_workers_change_no_bit(room: Path, whole: bytes, workers: int) -> None:
     assert (room / out / "trials.csv").read_bytes() == whole
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("whole")
 def test_the_written_experiment_gives_the_same_trials(room: Path) -> None:
     again = load_experiment(str(room / "whole" / "experiment.toml"))

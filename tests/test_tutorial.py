@@ -86,6 +86,7 @@ def test_check_says_what_the_page_says(capsys: pytest.CaptureFixture[str]) -> No
     assert re.sub(r"\d+\.\d+", "#", said) == re.sub(r"\d+\.\d+", "#", shown)
 
 
+@pytest.mark.slow
 def test_scored_beside_others(folder: Path) -> None:
     assert main([*command("omnirange run beside"), "--no-report"]) == 0
     rows = table(folder / "results" / "beside" / "trials.csv")
@@ -108,6 +109,7 @@ def test_parameters_as_axes(folder: Path) -> None:
     assert not {"matching.window_px", "matching.subpixel"} & rows[0].keys()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("python3") is None, reason="the page's program is started with python3")
 def test_as_a_program(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")  # the python3 that has NumPy and SciPy

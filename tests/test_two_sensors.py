@@ -249,6 +249,7 @@ def ranged(folder, *more):
     return main([str(each) for each in ("range", *pictures, *given, *more)])
 
 
+@pytest.mark.slow
 def test_photographs_by_two_sensors(photographs, capsys):
     folder, true_m = photographs
     assert ranged(folder, "--sensor-2", folder / "right" / "sensor.toml") == 0
