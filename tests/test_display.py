@@ -43,5 +43,5 @@ def test_completion_shows_keys_and_no_pydantic_machinery(outcome: Outcome) -> No
     shown = {name for name in dir(outcome.trial) if not name.startswith("_")}
     assert shown == {*Trial.model_fields, "key", "poses", "motion", "sensors"}
     of_sensor = {name for name in dir(Sensor) if not name.startswith("_")}
-    assert of_sensor == {*Sensor.model_fields, "looks", "mirrored", "with_mask"}
+    assert of_sensor == {*Sensor.model_fields, "looks", "mirrored", "with_mask", "is_central", "aligned"}
     assert Sensor().model_copy().model_dump() == Sensor().model_dump()  # hidden, and there

@@ -15,7 +15,7 @@ from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
 from harness.camera.models import CameraModel
 from harness.camera.mount import camera_from_sensor
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, require_central
 from harness.display import OneLine
 from harness.geometry.angles import Array
 
@@ -70,7 +70,8 @@ class Optics(OneLine):
 
 
 def optics_of(sensor: Sensor) -> Optics:
-    """A sensor's optics."""
+    """A sensor's optics; a sensor whose camera and mirror are misaligned has none, and is refused as such."""
+    require_central(sensor)
     return Optics(sensor.model, sensor.camera, sensor.lens)
 
 

@@ -21,7 +21,9 @@ from harness.camera.focal_fit import fitted_focal_px
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.mask import Mask, used_pixels
+from harness.camera.misalignment import Misalignment
 from harness.camera.models import AnyModel, Mirror
+from harness.camera.models.hyperboloid import encloses
 from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
 from harness.errors import InputError
 from harness.files import path_of
@@ -30,7 +32,10 @@ from harness.spec import Spec, as_given, given_of, parse, remember
 
 
 class Sensor(Spec):
-    """A single-viewpoint catadioptric sensor. The defaults are those of the shipped experiments."""
+    """An omnidirectional sensor, with one viewpoint unless its mirror is misaligned.
+
+    The defaults are those of the shipped experiments.
+    """
 
     model: AnyModel = Field(default=Mirror(), validation_alias=AliasChoices("model", "mirror"))
     """The camera model: what bends rays to the camera."""
@@ -42,6 +47,8 @@ class Sensor(Spec):
     """The directions that the sensor sees."""
     mount: Mount = Mount()
     """How the camera is mounted."""
+    misalignment: Misalignment = Misalignment()
+    """How the camera is displaced and turned against its hyperboloid mirror."""
     mask: Mask = None
     """Which pixels are used: the path of an 8-bit grey image of the sensor's size, white where they are; relative to
     the sensor's file. Pixels that show the robot itself, or what holds the mirror, are nothing to match."""
@@ -56,6 +63,16 @@ class Sensor(Spec):
         """Whether the image is a mirror image."""
         return self.model.mirrored if self.mount.mirrored is None else self.mount.mirrored
 
+    @property
+    def is_central(self) -> bool:
+        """Whether all rays meet in one viewpoint: camera and mirror are aligned."""
+        return self.misalignment.is_zero
+
+    @property
+    def aligned(self) -> "Sensor":
+        """The same sensor with its camera where it belongs, at the mirror's outer focus: a central one."""
+        return self if self.is_central else self.model_copy(update={"misalignment": Misalignment()})
+
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
         """What was left open is filled in: limits of the field that are the model's own, and a focal length to fit."""
@@ -68,7 +85,23 @@ class Sensor(Spec):
             camera = self.camera.model_copy(update={"focal_px": focal_px})
             self.__dict__["camera"] = remember(camera, given_of(self.camera) | {"focal_px": "fit"})
         self.model.check(self.camera, self.lens, edge_of(field, looks))
+        self._check_misalignment()
         return self
+
+    def _check_misalignment(self) -> None:
+        if self.is_central:
+            return
+        given = next(name for name in Misalignment.model_fields if getattr(self.misalignment, name))
+        if not isinstance(self.model, Mirror):
+            raise ValueError(  # noqa: TRY004 - the user's mistake, which pydantic collects
+                f"misalignment.{given} = {getattr(self.misalignment, given):g}: a {self.model.title} has no mirror to "
+                "be misaligned with; leave it out"
+            )
+        if encloses(self.model, self.misalignment.offset_m - [0, 0, 2 * self.model.e_m]):
+            raise ValueError(
+                f"misalignment: the camera centre is inside the mirror, whose apex is "
+                f"{1000 * (self.model.a_m + self.model.e_m):.4g} mm from where it belongs; use smaller values"
+            )
 
     def with_mask(self, file: str | Path) -> "Sensor":
         """The same sensor with another mask.
@@ -139,7 +172,7 @@ def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
     pixels = np.empty((*directions.shape[:-1], 2))
     project_all(np.ascontiguousarray(directions).reshape(-1, 3), parameters_of(sensor), pixels.reshape(-1, 2))
     with np.errstate(invalid="ignore"):
-        return pixels, in_field(sensor, directions) & on_image(sensor, pixels) & _not_masked(sensor, pixels)
+        return pixels, in_field(sensor, directions) & on_image(sensor, pixels) & not_masked(sensor, pixels)
 
 
 def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
@@ -185,7 +218,7 @@ def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
     rays = rays_of(sensor, np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1]))
     with np.errstate(invalid="ignore"):
         directions = (rays / np.sqrt(np.sum(rays * rays, axis=0))).T.reshape(*pixels.shape[:-1], 3)
-    return directions, in_field(sensor, directions) & on_image(sensor, pixels) & _not_masked(sensor, pixels)
+    return directions, in_field(sensor, directions) & on_image(sensor, pixels) & not_masked(sensor, pixels)
 
 
 def rays_of(sensor: Sensor, u: Array, v: Array) -> Array:
@@ -232,7 +265,7 @@ def in_use(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
     Unlike what `project` says, beyond the borders of the image too.
     """
     inside = in_field(sensor, directions)
-    return inside if sensor.mask is None else inside & _not_masked(sensor, project(sensor, directions)[0])
+    return inside if sensor.mask is None else inside & not_masked(sensor, project(sensor, directions)[0])
 
 
 def used(sensor: Sensor) -> np.ndarray | None:
@@ -252,7 +285,7 @@ def masked_pixels(sensor: Sensor) -> np.ndarray | None:
     return np.asarray(hidden)
 
 
-def _not_masked(sensor: Sensor, pixels: Array) -> np.ndarray:
+def not_masked(sensor: Sensor, pixels: Array) -> np.ndarray:
     """Whether the pixel nearest to each of `[..., 2]` is used; True beyond the image."""
     usable = used(sensor)
     if usable is None:
@@ -283,9 +316,32 @@ def seam_px(sensor: Sensor, reach_px: int = 32) -> int:
     return min(reach_px, sensor.camera.width_px) if sensor.model.goes_round(sensor.camera) else 0
 
 
+def require_central(sensor: Sensor) -> None:
+    """Refuse a sensor whose camera is misaligned with its mirror.
+
+    Raises
+    ------
+    InputError
+        Says what to use instead.
+    """
+    if not sensor.is_central:
+        raise InputError(
+            "camera and mirror are misaligned, so that rays meet in no viewpoint, which is needed here; use a central "
+            "sensor, such as this one without [misalignment]",
+            key="misalignment",
+        )
+
+
 @lru_cache(maxsize=64)
 def parameters_of(sensor: Sensor) -> Any:
-    """What the compiled projection is given: the camera model's named tuple, or that of a `MountedCamera` around it."""
+    """What the compiled projection is given: the camera model's named tuple, or that of a `MountedCamera` around it.
+
+    Raises
+    ------
+    InputError
+        When camera and mirror are misaligned (see `harness.camera.reflection`), as all that goes by directions does.
+    """
+    require_central(sensor)
     model = sensor.model.parameters(sensor.camera, sensor.lens)
     R = model_from_sensor(sensor)
     return model if np.array_equal(R, np.eye(3)) else MountedCamera(*(*R.ravel().tolist(), model))

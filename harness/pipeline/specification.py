@@ -182,7 +182,9 @@ class Trial(Spec):
         settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
         if self.sensors[0] == self.sensors[1]:
             del settings["sensor_2"]  # the same trial, whether or not it is given
-        for sensor in (settings["sensor"], settings.get("sensor_2", {})):
+        for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
+            if given.is_central:
+                sensor.pop("misalignment", None)  # as before there was one
             if mask := sensor.pop("mask", None):
                 sensor["mask"] = mask["sha256"]
         if matcher := self.matching.identity():

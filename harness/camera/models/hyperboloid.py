@@ -139,6 +139,13 @@ def point_on_mirror(mirror: Mirror, directions: ArrayLike) -> Array:
         return scale[..., None] * d
 
 
+def encloses(mirror: Mirror, point_m: ArrayLike) -> bool:
+    """Whether a point `[3]` in the mirror's frame, metres, is on the mirror or behind its surface."""
+    x, y, z = np.asarray(point_m, dtype=np.float64).tolist()
+    height = z + mirror.e_m
+    return height > 0 and (height / mirror.a_m) ** 2 - (x * x + y * y) / mirror.b_m**2 >= 1
+
+
 def rim_radius(mirror: Mirror, elevation_deg: float) -> float:
     """Undistorted radius of a rim at this elevation in normalised image coordinates, `r/(z + 2e)`."""
     elevation = math.radians(elevation_deg)

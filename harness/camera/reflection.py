@@ -1,0 +1,114 @@
+"""Rays of a sensor whose camera is misaligned with its hyperboloid mirror, by the law of reflection.
+
+Such a sensor is what takes images in the true world. It has no viewpoint: each ray begins at a point of the mirror, and
+`harness.camera.sensor.project`, `unproject` and whatever else speaks of directions alone refuse it. What a
+matcher is told is a central sensor, such as `sensor.aligned`.
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from harness.camera._reflection_kernels import ReflectingCamera, reflect_pixels
+from harness.camera.lens import fold_radius
+from harness.camera.models import Mirror
+from harness.camera.sensor import Sensor, field_of, model_from_sensor, not_masked, on_image
+from harness.geometry.angles import Array
+
+
+def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray]:
+    """Ray that a pixel sees: from where on the mirror, and in which direction.
+
+    Closed form but for the lens; equations in `harness.camera._reflection_kernels`. Without misalignment the
+    directions are those of `unproject`, and the line of each ray passes through the inner focus.
+
+    Parameters
+    ----------
+    sensor
+        With a hyperboloid mirror, misaligned or not.
+    pixels
+        `[..., 2]`, (u, v), fractions allowed.
+
+    Returns
+    -------
+    origins
+        `[..., 3]`: where the ray leaves the mirror, metres, in the sensor's frame (z up, origin at the mirror's inner
+        focus). NaN where the camera does not look at the mirror's surface, however far that is continued.
+    directions
+        `[..., 3]`, unit length, in the same frame; NaN there, too.
+    valid
+        `[...]`, bool: the mirror reaches so far, the camera's body does not hide what is there, and the pixel is on the
+        image and used. The mirror's rim is a circle on it, as the field of view gives it; the blind disc in its middle
+        is a round body at the camera centre, which moves with the camera.
+    """
+    pixels = np.asarray(pixels, dtype=np.float64)
+    flat = pixels.reshape(-1, 2)
+    origins, directions, valid = reflected_rays(
+        sensor, np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1])
+    )
+    shape = pixels.shape[:-1]
+    with np.errstate(invalid="ignore"):
+        valid = valid.reshape(shape) & on_image(sensor, pixels) & not_masked(sensor, pixels)
+    return origins.T.reshape(*shape, 3), directions.T.reshape(*shape, 3), valid
+
+
+def reflected_rays(sensor: Sensor, u: Array, v: Array) -> tuple[Array, Array, np.ndarray]:
+    """Rays of many pixels as rows `[3, n]`: the quick form of `reflect`, which leaves out image and mask.
+
+    One compiled loop without the interpreter's lock: bands of pixels may run in threads.
+
+    Parameters
+    ----------
+    u, v
+        `[n]`, contiguous float64.
+    """
+    origins, directions, valid = np.empty((3, u.size)), np.empty((3, u.size)), np.empty(u.size, dtype=np.bool_)
+    reflect_pixels(u, v, reflecting_camera(sensor), origins, directions, valid)
+    return origins, directions, valid
+
+
+@lru_cache(maxsize=64)
+def reflecting_camera(sensor: Sensor) -> ReflectingCamera:
+    """What the compiled reflection is given.
+
+    Raises
+    ------
+    TypeError
+        Unless the sensor has a hyperboloid mirror.
+    """
+    mirror = sensor.model
+    if not isinstance(mirror, Mirror):
+        raise TypeError(f"a {mirror.title} is no hyperboloid mirror")
+    lens, misalignment = sensor.lens, sensor.misalignment
+    c_x, c_y, c_z = (np.array([0.0, 0.0, -2 * mirror.e_m]) + misalignment.offset_m).tolist()
+    R, M = misalignment.R_mirror_from_camera, model_from_sensor(sensor)
+    rows = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
+    field, body = field_of(sensor), 0.0
+    # How far off the axis the camera sees itself, as the field of view of a camera that looks up or down gives it.
+    blind_deg = {"down": 90 + sensor.field.elevation_min_deg, "up": 90 - sensor.field.elevation_max_deg}.get(
+        sensor.looks, 0.0
+    )
+    if 0 < blind_deg < 90:
+        field = field._replace(**{"lowest": -2.0} if sensor.looks == "down" else {"highest": 2.0})
+        body = 2 * mirror.e_m * math.tan(math.radians(blind_deg))
+    return ReflectingCamera(
+        **sensor.camera.matrix,
+        k1=lens.k1,
+        k2=lens.k2,
+        p1=lens.p1,
+        p2=lens.p2,
+        k3=lens.k3,
+        fold=fold_radius(lens),
+        a=mirror.a_m,
+        b=mirror.b_m,
+        e=mirror.e_m,
+        c_x=c_x,
+        c_y=c_y,
+        c_z=c_z,
+        **{f"r_{name}": each for name, each in zip(rows, R.ravel().tolist(), strict=True)},
+        **{f"m_{name}": each for name, each in zip(rows, M.ravel().tolist(), strict=True)},
+        field=field,
+        body=body,
+    )
