@@ -4,14 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from harness.camera.mount import Looks
-from harness.camera.sensor import Sensor, check_mask
+from harness.camera.mount import Looks, camera_from_sensor
+from harness.camera.sensor import Sensor, check_mask, lens_from_sensor
 from harness.errors import InputError
 from harness.geometry.pose import Motion
-from harness.io.calibrations import read_calibration
-from harness.io.calibrations.rigs import motion_between
 from harness.io.calibrations.sensors import Chosen, sensor_of_table
 from harness.io.calibrations.sensors import load_sensor as load_calibrated_sensor
+from harness.io.motions import Frame, read_motion
 from harness.runs import load as _load
 from harness.runs.experiment import Experiment
 from harness.simulation import scene as _scene
@@ -140,18 +139,34 @@ def load_sensor(
 
 
 def load_motion(
-    file: str | Path, first: int = 0, second: int = 1, *, looks: Looks = "up", mirrored: bool = False
+    file: str | Path,
+    first: int | None = None,
+    second: int | None = None,
+    *,
+    sensor: Sensor | None = None,
+    sensor_2: Sensor | None = None,
+    frame: Frame | None = None,
+    looks: Looks = "up",
+    mirrored: bool = False,
 ) -> Motion:
-    """Read the motion from one camera of a calibration file to another, as for views 1 and 2.
+    """Read the motion from view 1 to view 2, between the sensors' frames, z up.
 
     Parameters
     ----------
     file
-        A calibration file of a rig, such as a Kalibr camchain.
+        View 2's pose in view 1's frame, TOML as `omnirange motion` writes it; a calibration file of a rig, such as a
+        Kalibr camchain; or a trajectory in TUM's format (`time x y z qx qy qz qw`) or KITTI's (3 x 4 matrices).
     first, second
-        Numbers of the cameras, from 0.
+        Numbers of the rig's cameras or of the trajectory's poses, from 0; by default the first two, which of a
+        trajectory must be all.
+    sensor, sensor_2
+        Of views 1 and 2; `sensor_2` is `sensor` where it is None. How they are mounted turns a motion between lenses
+        into one between sensors.
+    frame
+        For a trajectory, which does not say it: `sensor` if its poses are the sensor's, z up, or `lens` if they are the
+        lens's, X along u, Y along v, Z along the optical axis.
     looks, mirrored
-        How both are mounted, as for `load_sensor`: the motion is between the sensors' frames, z up, not the lenses'.
+        How both are mounted where no sensor is given, as for `load_sensor`.
 
     Returns
     -------
@@ -160,11 +175,17 @@ def load_motion(
     Raises
     ------
     InputError
-        When the file cannot be read, or does not tell where both cameras are.
+        When the file cannot be read, or does not say where both views are.
 
     Examples
     --------
     >>> import harness
     >>> motion = harness.load_motion("camchain.yaml", looks="forward")  # doctest: +SKIP
+    >>> motion = harness.load_motion("trajectory.txt", 0, 10, frame="sensor")  # doctest: +SKIP
     """
-    return motion_between(read_calibration(Path(file)), first, second, looks, mirrored=mirrored)
+    if (first is None) != (second is None):
+        raise InputError("give both views' numbers or none", key="second" if second is None else "first")
+    views = None if first is None or second is None else (first, second)
+    first_lens = camera_from_sensor(looks, mirrored=mirrored) if sensor is None else lens_from_sensor(sensor)
+    second_lens = first_lens if sensor_2 is None else lens_from_sensor(sensor_2)
+    return read_motion(Path(file), (first_lens, second_lens), views, frame)

@@ -350,11 +350,12 @@ def parameters_of(sensor: Sensor) -> Any:
 def model_from_sensor(sensor: Sensor) -> Array:
     """`[3, 3]`, orthogonal: turns directions of the sensor's frame into the camera model's own."""
     model = sensor.model
-    return (
-        camera_from_sensor(model.looks, mirrored=model.mirrored).T
-        @ camera_from_sensor(sensor.looks, mirrored=sensor.mirrored)
-        @ sensor.mount.R_sensor_from_untilted.T
-    )
+    return camera_from_sensor(model.looks, mirrored=model.mirrored).T @ lens_from_sensor(sensor)
+
+
+def lens_from_sensor(sensor: Sensor) -> Array:
+    """`[3, 3]`, orthogonal: turns directions of the sensor's frame into the lens's, see `camera_from_sensor`."""
+    return camera_from_sensor(sensor.looks, mirrored=sensor.mirrored) @ sensor.mount.R_sensor_from_untilted.T
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.options import Commands, add_images, add_out
@@ -10,6 +10,7 @@ from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 if TYPE_CHECKING:
     from harness.camera.sensor import Sensor
+    from harness.geometry.pose import Motion
 
 
 def add(commands: Commands) -> None:
@@ -34,9 +35,13 @@ def add(commands: Commands) -> None:
     command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")
     where = command.add_mutually_exclusive_group(required=True)
     pose = where.add_argument(
-        "--pose", type=Path, metavar="FILE", help="view 2's pose in view 1's frame, TOML as omnirange motion writes it"
+        "--pose",
+        type=Path,
+        metavar="FILE",
+        help="where view 2 is: its pose in view 1's frame, TOML as omnirange motion writes it; a rig's calibration, "
+        "such as a Kalibr camchain; or a trajectory in TUM's or KITTI's format",
     )
-    completers.offer(pose, completers.files(".toml"))
+    completers.offer(pose, completers.files())
     where.add_argument(
         "--baseline",
         type=float,
@@ -50,6 +55,18 @@ def add(commands: Commands) -> None:
         nargs=3,
         metavar=("YAW", "PITCH", "ROLL"),
         help="with --baseline: rotation of view 2 relative to view 1, about z, then y, then x (0 0 0)",
+    )
+    command.add_argument(
+        "--views",
+        type=int,
+        nargs=2,
+        metavar=("I", "J"),
+        help="with --pose: which cameras of the rig, or poses of the trajectory, took the images, from 0 (0 1)",
+    )
+    command.add_argument(
+        "--frame",
+        choices=("sensor", "lens"),
+        help="with --pose and a trajectory: whether it moves the sensor's frame, z up, or the lens's, Z along its axis",
     )
     matcher = command.add_argument(
         "--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)"
@@ -76,8 +93,7 @@ def run(options: Namespace) -> None:
     assert sensor is not None
     sensor = _masked(sensor, options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
-    second = _second_pose(options)
-    motion = harness.relative_motion(harness.Pose(), second)
+    motion = _motion(options, (sensor, sensor_2))
     if not motion.baseline_m > 0:
         source = "--baseline" if options.pose is None else options.pose
         raise InputError("must not be zero: two views from one point determine no range", file=source)
@@ -98,22 +114,30 @@ def run(options: Namespace) -> None:
     print(f"{estimate.valid.mean():.1%} of the panorama has a range; {options.out / 'range.html'}")
 
 
-def _second_pose(options: Namespace) -> Any:
-    """View 2's pose in view 1's frame, as it was given."""
+def _motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
+    """The motion from view 1 to view 2, as it was given."""
     import harness
+    from harness.camera.sensor import lens_from_sensor
     from harness.errors import InputError
-    from harness.spec import load, parse
+    from harness.io.motions import read_motion
+    from harness.spec import parse
 
     if options.pose is not None:
         if options.rotation_deg is not None:
             raise InputError("the rotation is in the file of --pose; leave one of them out", file="--rotation-deg")
-        return load(harness.Pose, options.pose)
+        lenses = lens_from_sensor(sensors[0]), lens_from_sensor(sensors[1])
+        views = None if options.views is None else (options.views[0], options.views[1])
+        try:
+            return read_motion(options.pose, lenses, views, options.frame)
+        except InputError as error:
+            key = {"views": "--views", "frame": "--frame"}.get(error.key or "", error.key)
+            raise InputError(error.problem, file=error.file, key=key) from error
+    for option in ("views", "frame"):
+        if getattr(options, option) is not None:
+            raise InputError("belongs to --pose, which is not given", file=f"--{option}")
     yaw, pitch, roll = options.rotation_deg or (0.0, 0.0, 0.0)
-    return parse(
-        harness.Pose,
-        {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll},
-        file="--baseline",
-    )
+    table = {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
+    return harness.relative_motion(harness.Pose(), parse(harness.Pose, table, file="--baseline"))
 
 
 def _masked(sensor: "Sensor", mask: Path | None, option: str) -> "Sensor":

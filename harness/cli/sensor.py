@@ -101,7 +101,9 @@ def _origin(read: "SensorFile") -> str:
 
 def _motion(read: "SensorFile") -> list[str]:
     """Where the camera is, seen from the file's first one, as `omnirange range` takes it."""
-    from harness.io.calibrations.rigs import motion_between
+    from harness.camera.sensor import lens_from_sensor
+    from harness.io.calibrations.rigs import transform_between
+    from harness.io.motions import motion_of
     from harness.io.view_folder import pose_in
 
     if read.calibration is None or read.camera is None or read.camera.T_cam_from_first is None:
@@ -110,7 +112,7 @@ def _motion(read: "SensorFile") -> list[str]:
     if number == 0:
         return []
     sensor = read.sensor
-    pose = pose_in(motion_between(read.calibration, 0, number, sensor.looks, mirrored=sensor.mirrored))
+    pose = pose_in(motion_of(transform_between(read.calibration, 0, number), (lens_from_sensor(sensor),) * 2))
     # Adding 0 takes the sign off a -0.
     position = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in pose.position_m)
     turn = " ".join(f"{round(each, 9) + 0.0:.6g}" for each in (pose.yaw_deg, pose.pitch_deg, pose.roll_deg))

@@ -1,0 +1,108 @@
+"""The motion between two views from a file: a pose, a rig's calibration, or a trajectory."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.geometry.angles import Array
+from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.io.calibrations import FORMATS
+from harness.io.calibrations.parsing import read_content
+from harness.io.calibrations.rigs import transform_between
+from harness.io.trajectories import Trajectory, is_trajectory, read_trajectory
+from harness.spec import load
+
+Frame = Literal["sensor", "lens"]
+"""What a trajectory moves: the sensor's frame, z up; or the lens's, X along u, Y along v, Z along the optical axis."""
+
+_UNKNOWN = (
+    "holds no pose, no rig and no trajectory; known are view 2's pose as TOML (position_m, yaw_deg, ...), calibration "
+    "files with where each camera is, and trajectories in TUM's (8 numbers a line) or KITTI's format (12)"
+)
+
+
+def read_motion(
+    file: Path,
+    lens_from_sensor: tuple[Array, Array],
+    views: tuple[int, int] | None = None,
+    frame: Frame | None = None,
+) -> Motion:
+    """Read the motion from view 1 to view 2, told by the content: view 2's pose, a calibrated rig or a trajectory.
+
+    Parameters
+    ----------
+    lens_from_sensor
+        `[3, 3]` of views 1 and 2, see `harness.camera.sensor.lens_from_sensor`: they turn a motion between lenses into
+        one between sensors.
+    views
+        Numbers of the rig's cameras, or of the trajectory's poses, from 0. When None the first two, which of a
+        trajectory must be all.
+    frame
+        Whose poses a trajectory holds, which it does not say itself.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is of no such kind, has no such view, or a choice is missing or out of place.
+    """
+    content = read_content(file)
+    if is_trajectory(content):
+        return _of_trajectory(read_trajectory(content), lens_from_sensor, views, frame)
+    is_pose = content.syntax == "toml" and any(key in content.table for key in Pose.model_fields)
+    known = next((each for each in FORMATS.values() if each.recognises(content)), None)
+    if not is_pose and known is None:
+        raise InputError(_UNKNOWN, file=file)
+    if frame is not None:
+        raise InputError(
+            "is for trajectories; this file says itself which frames it is between", file=file, key="frame"
+        )
+    if known is not None:
+        return motion_of(transform_between(known.read(content), *(views or (0, 1))), lens_from_sensor)
+    if views is not None:
+        raise InputError("are for rigs and trajectories; this file holds one pose", file=file, key="views")
+    return relative_motion(Pose(), load(Pose, file))
+
+
+def _of_trajectory(
+    trajectory: Trajectory, lens_from_sensor: tuple[Array, Array], views: tuple[int, int] | None, frame: Frame | None
+) -> Motion:
+    file, count = trajectory.file, len(trajectory.T_world_from_frame)
+    if views is None and count != 2:
+        raise InputError(f"the trajectory has {count} poses; say which two are the views'", file=file, key="views")
+    if frame is None:
+        problem = "a trajectory does not say which frame it moves: say sensor (z up) or lens (Z along the axis)"
+        raise InputError(problem, file=file, key="frame")
+    between = trajectory.transform(*(views or (0, 1)))
+    return motion_of(between, lens_from_sensor if frame == "lens" else (np.eye(3), np.eye(3)))
+
+
+def motion_of(T_2_from_1: Array, lens_from_sensor: tuple[Array, Array]) -> Motion:
+    """The motion between two sensors from the transform between their lenses.
+
+    With `x_2 = R x_1 + t` between lenses and M_i from sensor i's frame to its lens's, `R_v2_from_v1 = M_2^T R M_1` and
+    `t_v1 = -M_1^T R^T t`.
+
+    Parameters
+    ----------
+    T_2_from_1
+        `[4, 4]`.
+    lens_from_sensor
+        `[3, 3]` each: M_1 and M_2.
+
+    Raises
+    ------
+    InputError
+        When one view's image is a mirror image and the other's is not: no rotation takes one into the other.
+    """
+    M_1, M_2 = lens_from_sensor
+    # Files have few digits: the nearest rotation.
+    left, _, right = np.linalg.svd(T_2_from_1[:3, :3])
+    R, t = left @ right, T_2_from_1[:3, 3]
+    turn = M_2.T @ R @ M_1
+    if np.linalg.det(turn) < 0:
+        raise InputError(
+            "one view's image is mirrored and the other's is not: there is no rotation between their lenses"
+        )
+    return Motion(R_v2_from_v1=turn, t_v1=-M_1.T @ R.T @ t)
