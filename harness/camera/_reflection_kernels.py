@@ -74,6 +74,16 @@ def to_sensor(x, y, z, camera):
     )
 
 
+@kernel(inline=True)
+def to_mirror(x, y, z, camera):
+    """A vector of the sensor's frame in the mirror's."""
+    return (
+        camera.m_xx * x + camera.m_xy * y + camera.m_xz * z,
+        camera.m_yx * x + camera.m_yy * y + camera.m_yz * z,
+        camera.m_zx * x + camera.m_zy * y + camera.m_zz * z,
+    )
+
+
 @kernel
 def meet_mirror(x, y, camera):
     """Where the camera's ray through (x, y) of the undistorted normalised image meets the mirror, and where it goes.
@@ -108,8 +118,8 @@ def is_seen(p_x, p_y, p_z, r_x, r_y, r_z, camera):
     field = camera.field
     norm = math.sqrt(x * x + y * y + z * z)
     sine = along_up(x, y, z, field) / norm
-    seen = field.lowest <= sine <= field.highest and along_axis(x, y, z, field) >= field.nearest * norm
-    if seen and camera.body > 0.0:
+    clear = field.lowest <= sine <= field.highest and along_axis(x, y, z, field) >= field.nearest * norm
+    if clear and camera.body > 0.0:
         # Where the ray meets the plane across the optical axis.
         g_x, g_y, g_z = p_x - camera.c_x, p_y - camera.c_y, p_z - camera.c_z
         height = camera.r_xz * g_x + camera.r_yz * g_y + camera.r_zz * g_z
@@ -117,8 +127,8 @@ def is_seen(p_x, p_y, p_z, r_x, r_y, r_z, camera):
         if fall > 0.0:
             t = height / fall
             g_x, g_y, g_z = g_x + t * r_x, g_y + t * r_y, g_z + t * r_z
-            seen = g_x * g_x + g_y * g_y + g_z * g_z >= camera.body * camera.body
-    return seen
+            clear = g_x * g_x + g_y * g_y + g_z * g_z >= camera.body * camera.body
+    return clear
 
 
 @kernel

@@ -53,3 +53,13 @@ class Misalignment(Spec):
         """`[3, 3]`, `R_z R_y R_x`: takes directions of the camera's frame, z along its axis, to the mirror's."""
         angles = [self.rotation_z_deg, self.rotation_y_deg, self.rotation_x_deg]
         return np.asarray(Rotation.from_euler("ZYX", angles, degrees=True).as_matrix())
+
+    @property
+    def rotation_axes(self) -> Array:
+        """`[3, 3]`: the axes about which the camera turns when the rotation about x, y or z is changed a little.
+
+        In the mirror's frame, a row each: `R_z R_y e_x`, `R_z e_y`, `e_z`.
+        """
+        R_z = Rotation.from_euler("z", self.rotation_z_deg, degrees=True)
+        R_y = Rotation.from_euler("y", self.rotation_y_deg, degrees=True)
+        return np.stack([(R_z * R_y).apply([1.0, 0, 0]), R_z.apply([0, 1.0, 0]), np.array([0, 0, 1.0])])

@@ -7,14 +7,16 @@ matcher is told is a central sensor, such as `sensor.aligned`.
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from harness.camera._reflected_point_kernels import differentiate_reflected, project_reflected
 from harness.camera._reflection_kernels import ReflectingCamera, reflect_pixels
 from harness.camera.lens import fold_radius
 from harness.camera.models import Mirror
-from harness.camera.sensor import Sensor, field_of, model_from_sensor, not_masked, on_image
+from harness.camera.sensor import Sensor, field_of, model_from_sensor, not_masked, on_image, parameters_of, project
 from harness.geometry.angles import Array
 
 
@@ -67,6 +69,73 @@ def reflected_rays(sensor: Sensor, u: Array, v: Array) -> tuple[Array, Array, np
     origins, directions, valid = np.empty((3, u.size)), np.empty((3, u.size)), np.empty(u.size, dtype=np.bool_)
     reflect_pixels(u, v, reflecting_camera(sensor), origins, directions, valid)
     return origins, directions, valid
+
+
+def project_points(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, np.ndarray]:
+    """Pixel at which a point is seen, in a misaligned mirror or a central sensor.
+
+    For a central sensor that is `project`. For a misaligned one the pixel depends on the distance too: Newton's
+    method finds where on the mirror the path of light from the point to the camera is shortest
+    (`harness.camera._reflected_point_kernels`).
+
+    Parameters
+    ----------
+    points_m
+        `[..., 3]` in the sensor's frame (z up, origin at the mirror's inner focus), metres; outside the mirror.
+
+    Returns
+    -------
+    pixels
+        `[..., 2]`, (u, v) in pixels. Also given beyond the rim as long as mirror and lens go on; NaN farther out.
+    valid
+        `[...]`, bool, as that of `reflect`.
+    """
+    points = np.asarray(points_m, dtype=np.float64)
+    if sensor.is_central:
+        return project(sensor, points)
+    pixels, valid = np.empty((*points.shape[:-1], 2)), np.empty(points.shape[:-1], dtype=np.bool_)
+    flat = np.ascontiguousarray(points).reshape(-1, 3)
+    project_reflected(flat, reflecting_camera(sensor), pixels.reshape(-1, 2), valid.reshape(-1))
+    with np.errstate(invalid="ignore"):
+        return pixels, valid & on_image(sensor, pixels) & not_masked(sensor, pixels)
+
+
+def points_jacobian(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, Array]:
+    """How the pixel at which a point is seen moves with the point, and with the sensor's misalignment.
+
+    Parameters
+    ----------
+    sensor
+        With a hyperboloid mirror, misaligned or not.
+    points_m
+        `[..., 3]`, as those of `project_points`.
+
+    Returns
+    -------
+    by_point
+        `[..., 2, 3]`, derivatives of (u, v) by the point, pixels per metre; NaN where no light arrives.
+    by_misalignment
+        `[..., 2, 6]`, derivatives by the keys of `Misalignment` in their order, pixels per millimetre and per degree.
+    """
+    points = np.asarray(points_m, dtype=np.float64)
+    shape = points.shape[:-1]
+    by_point, by_camera = np.empty((*shape, 2, 3)), np.empty((*shape, 2, 6))
+    differentiate_reflected(
+        np.ascontiguousarray(points).reshape(-1, 3),
+        sensor.misalignment.rotation_axes,
+        reflecting_camera(sensor),
+        by_point.reshape(-1, 2, 3),
+        by_camera.reshape(-1, 2, 6),
+    )
+    return by_point, by_camera * np.repeat([1e-3, math.radians(1)], 3)
+
+
+def camera_of_points(sensor: Sensor) -> Any:
+    """What the compiled projections are given to project points, metres, instead of directions.
+
+    The parameters of a central sensor, which tells no point from its direction, or a `ReflectingCamera`.
+    """
+    return parameters_of(sensor) if sensor.is_central else reflecting_camera(sensor)
 
 
 @lru_cache(maxsize=64)
