@@ -8,18 +8,16 @@ import importlib
 import importlib.metadata
 import inspect
 import os
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import lru_cache
-from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from pathlib import Path
 from typing import Any
 
 from harness import interrupts
 from harness.errors import InputError, described, nearest
-from harness.matching.source_files import State, hash_of, imports, named_files, package_files, state_of
+from harness.source_files import hash_of, named_files
+from harness.third_party import absent, is_known, look_here, source_of
 
 ENTRY_POINTS = "omnirange.matchers"
 
@@ -40,8 +38,8 @@ def find(kind: str) -> Callable[..., Any]:
     """
     module_name, attributes = _address(kind)
     target = module = _module(module_name, kind)
-    if module_name not in _loaded:  # from now on, its files are known to be those that it was made of
-        _source(kind)
+    if not is_known(module_name):  # from now on, its files are known to be those that it was made of
+        source_of(module_name, kind)
     for name in attributes.split("."):
         if not hasattr(target, name):
             there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
@@ -107,7 +105,7 @@ def digest(kind: str, parameters: Mapping[str, Any]) -> str:
         When there is no such module or file, or its source has changed since this process has loaded it.
     """
     files = [f"{name} {hash_of(file)}" for name, file in named_files(parameters.items())]
-    return hashlib.sha256("\n".join([_source(kind), *files]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([source_of(_address(kind)[0], kind), *files]).encode()).hexdigest()
 
 
 def _address(kind: str) -> tuple[str, str]:
@@ -172,16 +170,8 @@ def contained() -> Iterator[None]:
 # --- Modules ------------------------------------------------------------------------------------------------------
 
 
-def _look_here() -> str:
-    """Let modules be found in the current folder; worker processes inherit the path."""
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)  # last: a user's file never hides a library
-    return here
-
-
 def _module(name: str, kind: str) -> Any:
-    here = _look_here()
+    here = look_here()
     if name == "__main__":
         raise InputError("must be in an importable module, so that workers can load it", file=kind)
     try:
@@ -189,128 +179,9 @@ def _module(name: str, kind: str) -> Any:
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name and (name == error.name or name.startswith(f"{error.name}.")):
-            raise _absent(name, kind) from error
+            raise absent(name, kind) from error
         raise InputError(f"the module {name} needs {error.name}, which is not installed", file=kind) from error
     except BaseException as error:
         if interrupts.is_real(error):
             raise
         raise InputError(f"the module {name} fails: {described(error)} (in {here})", file=kind) from error
-
-
-def _absent(name: str, kind: str) -> InputError:
-    return InputError(f"there is no module {name}, neither installed nor in {Path.cwd()}", file=kind)
-
-
-# --- Source -------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Source:
-    """The files that a function consists of."""
-
-    digest: str
-    """SHA-256 over the names and contents of all files that count, and the versions of libraries."""
-    code: str
-    """The same without data files, as a process that has loaded the module needs it."""
-    states: Mapping[Path, State]
-    """States of all files, and of the folders of packages."""
-
-    @property
-    def is_current(self) -> bool:
-        """Whether nothing has changed since."""
-        try:
-            return all(state is not None and state_of(path) == state for path, state in self.states.items())
-        except InputError:
-            return False
-
-
-_known: dict[str, _Source] = {}
-_loaded: dict[str, tuple[ModuleSpec | None, str]] = {}
-"""Each module that was loaded: as what it was, and the code that it was made of."""
-
-
-def _source(kind: str) -> str:
-    name, _ = _address(kind)
-    if not (kind in _known and _known[kind].is_current):
-        _known[kind] = _read(name, kind)
-    source = _known[kind]
-    module = sys.modules.get(name)
-    if module is not None:
-        spec, code = _loaded.setdefault(name, (module.__spec__, source.code))
-        if module.__spec__ is not spec:  # loaded anew
-            _loaded[name] = module.__spec__, source.code
-        elif code != source.code:
-            raise InputError("has been changed since it was loaded; start the session again", file=kind)
-    return source.digest
-
-
-def _read(name: str, kind: str) -> _Source:
-    _look_here()
-    importlib.invalidate_caches()
-    if _spec(name) is None:
-        raise _absent(name, kind)
-    package = name.partition(".")[0]
-    code: list[str] = []
-    data: list[str] = []
-    states: dict[Path, State] = {}
-    visited, waiting = {package, __package__.partition(".")[0]} | sys.stdlib_module_names, [package]
-    while waiting:
-        module = waiting.pop()
-        folder, files = _files(_spec(module))
-        if module != package and {"site-packages", "dist-packages"} & set(folder.parts):
-            code.append(f"{module} {_version(module)}")
-            continue
-        states |= {path: state_of(path) for file in files for path in (file, file.parent)}
-        for file in files:
-            is_code = file.name.endswith((".py", *EXTENSION_SUFFIXES))
-            (code if is_code else data).append(f"{file.relative_to(folder).as_posix()} {hash_of(file)}")
-            imported = imports(file) - visited if file.suffix == ".py" else frozenset()
-            visited |= imported
-            waiting.extend(imported)
-    return _Source(_hash(code + data), _hash(code), states)
-
-
-def _hash(lines: list[str]) -> str:
-    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
-
-
-def _spec(name: str) -> ModuleSpec | None:
-    """Where a module would be loaded from; unlike `importlib.util.find_spec` it imports no parent package."""
-    path = None
-    spec = None
-    parts = name.split(".")
-    for i in range(len(parts)):
-        full = ".".join(parts[: i + 1])
-        if i and path is None:
-            return None
-        specs = (finder.find_spec(full, path) for finder in sys.meta_path if hasattr(finder, "find_spec"))
-        spec = next((each for each in specs if each is not None), None)
-        if spec is None:
-            return None
-        path = spec.submodule_search_locations
-    return spec
-
-
-def _files(spec: ModuleSpec | None) -> tuple[Path, list[Path]]:
-    """The folder that a top module lies in, and its files: a package's are all below it."""
-    if spec is not None and spec.submodule_search_locations:
-        package = Path(next(iter(spec.submodule_search_locations)))
-        return package.parent, package_files(package)
-    if spec is not None and spec.origin and spec.has_location:
-        return Path(spec.origin).parent, [Path(spec.origin)]
-    return Path(), []
-
-
-def _version(module: str) -> str:
-    """The version of the package that brought an installed module."""
-    try:
-        return importlib.metadata.version(module)
-    except importlib.metadata.PackageNotFoundError:
-        return " ".join(
-            f"{name} {importlib.metadata.version(name)}" for name in sorted(set(_distributions().get(module, [])))
-        )
-
-
-@lru_cache(maxsize=1)
-def _distributions() -> Mapping[str, list[str]]:
-    return importlib.metadata.packages_distributions()

@@ -31,7 +31,7 @@ from harness.geometry.pose import Pose
 from harness.io.view_folder import CAMERA, FILES, PANORAMA, pose_in, view_files
 from harness.matching.interface import Matches, Parametrised, as_matches
 from harness.matching.pair import Pair
-from harness.matching.source_files import hash_of, is_python, named_files, script_files
+from harness.source_files import hash_of, is_python, named_files, script_files
 
 _MOST_FILES = 10_000
 """The most files that `files` may name."""

@@ -50,7 +50,8 @@ def code_hash() -> str:
     rooms = ("geometry", "camera", "io", "simulation", "matching", "evaluation", "pipeline")
     versions = [f"{name} {metadata.version(name)}" for name in _LIBRARIES]
     versions += [f"{name} {each}" for name in _OPTIONAL if (each := _version_if_there(name))]
-    source = _hash_of(*(f"{room}/**/*.py" for room in rooms), "compiled.py", "spec.py", "images.py")
+    files = ("compiled.py", "spec.py", "images.py", "third_party.py", "source_files.py")
+    source = _hash_of(*(f"{room}/**/*.py" for room in rooms), *files)
     return hashlib.sha256("\n".join([source, platform.python_version(), *versions]).encode()).hexdigest()
 
 

@@ -172,12 +172,12 @@ class Trial(Spec):
     @property
     def key(self) -> str:
         """Sixteen hexadecimal digits that name these settings, on any machine: a scene counts by its contents,
-        and so do masks and a matcher from elsewhere.
+        and so do masks, and a matcher and camera models from elsewhere.
 
         Raises
         ------
         InputError
-            When such a matcher cannot be found.
+            When such a matcher cannot be found, or the source of one of these has changed since it was loaded.
         """
         settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
         if self.sensors[0] == self.sensors[1]:
@@ -189,6 +189,8 @@ class Trial(Spec):
                 sensor["mask"] = mask["sha256"]
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
+        if any(models := [sensor.model.identity() for sensor in self.sensors]):
+            settings["camera_models"] = models
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
     @property

@@ -120,12 +120,15 @@ def _refuse_changed_scene(work: Work) -> None:
         raise InputError("a file of the scene changed while the trial ran; run it again", file=work.scene_name)
 
 
-RENDER = Stage(
-    "render",
-    _render,
-    lambda setup, view: (setup.scene, setup.trial.sensors[view], setup.poses[view], setup.trial.render),
-    per_view=True,
-)
+def _rendered_from(setup: Setup, view: int) -> Hashable:
+    """All that the picture is made of; it outlives the process that made it, so that a model's code counts too."""
+    sensor = setup.trial.sensors[view]
+    made_from = (setup.scene, sensor, setup.poses[view], setup.trial.render)
+    identity = sensor.model.identity()
+    return (*made_from, identity) if identity else made_from
+
+
+RENDER = Stage("render", _render, _rendered_from, per_view=True)
 """The mirror image of a view."""
 
 

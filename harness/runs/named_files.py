@@ -10,8 +10,8 @@ from harness.errors import InputError
 from harness.files import path_of
 from harness.io.calibrations.sensors import sensor_of_table
 from harness.matching.program import with_absolute_files
-from harness.matching.source_files import State, state_of
 from harness.simulation.scene import load_scene
+from harness.source_files import State, state_of
 from harness.spec import as_table
 
 SENSORS = ("sensor", "sensor_2")

@@ -3,12 +3,15 @@
 import json
 import math
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from typing import Any, ClassVar
 
 from harness.camera.intrinsics import Camera, FieldEdge, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.mount import Looks, edge_of
+from harness.errors import InputError
 from harness.spec import LEFT_OUT, Spec, remember
+from harness.third_party import identity_of
 
 
 class CameraModel(Spec, ABC):
@@ -40,6 +43,25 @@ class CameraModel(Spec, ABC):
     @abstractmethod
     def parameters(self, camera: Camera, lens: Lens) -> Any:
         """What the compiled functions are given: a named tuple of numbers, of a class of the model's own."""
+
+    def identity(self) -> str:
+        """What the settings do not say: a hash of the source of a model from elsewhere; empty for one of this program.
+
+        Raises
+        ------
+        InputError
+            When its source cannot be read, or has changed since this process has loaded it.
+        """
+        is_own = type(self).__module__.partition(".")[0] == __name__.partition(".")[0]
+        return "" if is_own else identity_of(type(self))
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **keywords: Any) -> None:
+        """From now on, a module from elsewhere is known to be made of the files that are there."""
+        super().__pydantic_init_subclass__(**keywords)
+        if cls.__module__.partition(".")[0] != __name__.partition(".")[0]:
+            with suppress(InputError):  # said when it is asked for
+                identity_of(cls)
 
     def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:  # noqa: ARG002
         """The angle off the optical axis to which a field of view reaches that is given no limit."""
