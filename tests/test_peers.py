@@ -1,5 +1,6 @@
 """OpenCV's matchers: the same camera, the way to the rectified pair and back, known disparities, the paper's box."""
 
+import re
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -24,6 +25,7 @@ from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2, triangulate
 from harness.matching.opencv import match as matchers
+from harness.matching.opencv.omnidir import LARGEST_RMS_PX
 from harness.matching.opencv.rectify import (
     Rectangle,
     Rectified,
@@ -418,11 +420,18 @@ def test_without_opencv_it_says_what_to_install(monkeypatch, kind, module):
     assert str(error.value) == f"{kind}: needs the extra: pip install 'omnirange[peers]'"
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.usefixtures("cv2")
-def test_a_lens_that_opencv_has_not_is_refused(kind):
-    with pytest.raises(InputError, match=r"sensor\.lens\.k3: OpenCV's omnidir has no k3; it must be 0, found 0\.001"):
-        BUILT_IN[kind]().match(blank((0.5, 0, 0), sensor=Sensor(lens=Lens(k3=0.001))))
+def test_a_lens_that_omnidir_has_not_is_fitted():
+    """A k3 changes nothing but what `opencv-reconstruct` is given, and that is said."""
+    bent = Sensor(lens=Lens(k1=-0.02, k3=0.05))
+    assert StereoSGBM().match(blank((0.5, 0, 0), sensor=bent)).remark == ""
+    remark = StereoReconstruct().match(blank((0.5, 0, 0), sensor=bent)).remark
+    assert re.fullmatch(
+        r"OpenCV's omnidir was given the unified camera nearest to the hyperboloid mirror: "
+        r"(\S+) px RMS, \S+ px at most away",
+        remark,
+    )
+    assert float(remark.split(": ")[1].split()[0]) < LARGEST_RMS_PX
 
 
 @pytest.mark.usefixtures("cv2")

@@ -17,13 +17,16 @@ from harness.camera.equivalents import equivalent
 from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
 from harness.camera.models import MODELS
-from harness.camera.optics import Optics
+from harness.camera.optics import Optics, edge_pixels
+from harness.camera.sensor import Sensor, pixel_directions, unproject
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.geometry.angles import Array
 
 _FEW, _MANY = 300, 1500
 """Pixels for the way from each start, and for the last steps from where the best of them led."""
+_COMPARED = 20_000
+"""About so many pixels of a sensor are compared."""
 _FAR_PX = 1000.0
 """Stands for the offset of a pixel whose direction is outside a candidate's domain."""
 OCAM_DEGREES = (4, 6, 8, 10)
@@ -74,6 +77,20 @@ def convert(optics: Optics, pixels: Array, target: Target) -> Conversion:
     if same is not None and _has_room(target, same):
         return _compared(optics, same, pixels, is_exact=True)
     return _compared(optics, _nearest(optics, pixels, target), pixels, is_exact=False)
+
+
+def compared_pixels(sensor: Sensor) -> Array:
+    """Pixels `[n, 2]` that see something, evenly over the image, and those at the border and at the field's edge."""
+    valid = pixel_directions(sensor)[1]
+    every = max(1, math.isqrt(math.ceil(int(valid.sum()) / _COMPARED)))
+    rows, columns = np.nonzero(valid[::every, ::every])
+    grid = np.stack([columns, rows], axis=-1).astype(np.float64) * every
+    outline = valid.copy()
+    outline[1:-1, 1:-1] &= ~(valid[:-2, 1:-1] & valid[2:, 1:-1] & valid[1:-1, :-2] & valid[1:-1, 2:])
+    border = np.argwhere(outline)[:, ::-1].astype(np.float64)
+    corners = edge_pixels(sensor.camera)
+    corners = corners[unproject(sensor, corners)[1]]
+    return np.concatenate([grid, border[:: max(1, len(border) // 2000)], corners])
 
 
 def _has_room(target: Target, optics: Optics) -> bool:

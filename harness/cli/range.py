@@ -111,6 +111,8 @@ def run(options: Namespace) -> None:
     estimate.write(options.out)
     for photograph in estimate.photographs:
         print(f"{photograph.file}: {photograph.scale}")
+    if estimate.matches.remark:
+        print(estimate.matches.remark)
     print(f"{estimate.valid.mean():.1%} of the panorama has a range; {options.out / 'range.html'}")
 
 

@@ -46,6 +46,7 @@ def write(
     """
     shown = shown or folder
     from harness.runs.density import too_sparse
+    from harness.runs.remarks import remarks
     from harness.runs.run import result_of, rows_of, run_status, write_report, write_summary, write_tables
 
     write_tables(experiment, store, folder)
@@ -68,8 +69,8 @@ def write(
             print(f"omnirange: {failure}", file=sys.stderr)
         show(result.summary, shown)
     sparse = too_sparse((row.planned.trial, row.payload) for row in rows_of(experiment, store) if row.state == "done")
-    if sparse:
-        warnings.warn(sparse, Notice, stacklevel=1)
+    for line in filter(None, (sparse, *remarks(rows_of(experiment, store)))):
+        warnings.warn(line, Notice, stacklevel=1)
     if not now.failed:
         return OK
     failures = [

@@ -197,7 +197,7 @@ class Reason(IntEnum):
 class Matches(OneLine):
     """What a matcher found, on view 1's panorama; every array `[height, width]`.
 
-    Only `alpha_2` is required. The other arrays add to the report.
+    Only `alpha_2` is required. What else there is adds to the report.
     """
 
     alpha_2: Array
@@ -213,6 +213,8 @@ class Matches(OneLine):
     """Moved off the whole sample by a sub-pixel step; None for a matcher that has no samples."""
     k: Array | None = None
     """Position on the curve in samples, NaN where there is no match; None for a matcher that has no samples."""
+    remark: str = ""
+    """What whoever reads the figures has to know of how the matches were made: a sentence, stored with the trial."""
 
     @property
     def reasons(self) -> NDArray[np.uint8]:
@@ -263,6 +265,7 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
         reason=reason,
         refined=None if given["refined"] is None else np.array(given["refined"], dtype=bool),
         k=None if given["k"] is None else _copied(given["k"]),
+        remark=str(answer.remark) if isinstance(answer, Matches) else "",
     )
 
 
@@ -334,7 +337,8 @@ def _arrays_of(answer: Any) -> dict[str, Any]:
         answer = Matches(answer)
     elif isinstance(answer, tuple) and len(answer) == 2:
         answer = Matches(*answer)
-    return {field.name: getattr(answer, field.name) for field in fields(answer)} if isinstance(answer, Matches) else {}
+    names = [field.name for field in fields(Matches) if field.name != "remark"]
+    return {name: getattr(answer, name) for name in names} if isinstance(answer, Matches) else {}
 
 
 def _array_faults(name: str, value: Any, grid: Grid) -> Iterator[Fault]:

@@ -29,7 +29,8 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
     dict
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
-        their `Reason`; `sample`, `confidence` and `calibration`, where the trial has them: see `sample`.
+        their `Reason`; `sample`, `confidence` and `calibration`, where the trial has them: see `sample`; `remark`, the
+        matcher's, if it has one.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
@@ -38,6 +39,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "sample": sampled(outcome),
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
         "calibration": calibration_of(outcome),
+        "remark": outcome.matches.remark or None,
     }
     return {
         "figures": {

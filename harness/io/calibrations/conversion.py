@@ -1,25 +1,19 @@
 """A sensor written as another program's calibration: exactly where its model allows it, else by the nearest camera."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from harness.camera.model_fitting import Conversion, Target, convert
+from harness.camera.model_fitting import Conversion, Target, compared_pixels, convert
 from harness.camera.models import BUILT_IN
-from harness.camera.optics import edge_pixels, optics_of
-from harness.camera.sensor import Sensor, pixel_directions, unproject
+from harness.camera.optics import optics_of
+from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.errors import InputError, nearest
-from harness.geometry.angles import Array
 from harness.io.calibrations import FORMATS
 from harness.spec import as_table, dump_toml, parse
 
 TOML = "toml"
 """The name of our own format among those that are written."""
-_PIXELS = 20_000
-"""About so many pixels are compared."""
 _NO_LENS = "equirectangular"
 
 
@@ -60,7 +54,7 @@ def written(sensor: Sensor, to: str, kind: str | None = None) -> WrittenSensor:
     if to not in formats():
         raise InputError(f"unknown format '{to}'; {nearest(to, formats())}", key="--to")
     targets = _targets(sensor, to, kind)
-    pixels = _compared_pixels(sensor)
+    pixels = compared_pixels(sensor)
     optics = optics_of(sensor)
     if to == TOML and targets[0].kind == _kind(sensor):
         return WrittenSensor(dump_toml(sensor), to, targets[0].kind, convert(optics, pixels, targets[0]))
@@ -101,20 +95,6 @@ def _targets(sensor: Sensor, to: str, kind: str | None) -> list[Target]:
     if own == _NO_LENS and [each.kind for each in chosen] != [own]:
         raise InputError("an equirectangular image is no camera's, and is near none", key="--to")
     return sorted(chosen, key=lambda each: each.kind != own)
-
-
-def _compared_pixels(sensor: Sensor) -> Array:
-    """Pixels `[n, 2]` that see something, evenly over the image, and those at the border and at the field's edge."""
-    valid = pixel_directions(sensor)[1]
-    every = max(1, math.isqrt(math.ceil(int(valid.sum()) / _PIXELS)))
-    rows, columns = np.nonzero(valid[::every, ::every])
-    grid = np.stack([columns, rows], axis=-1).astype(np.float64) * every
-    outline = valid.copy()
-    outline[1:-1, 1:-1] &= ~(valid[:-2, 1:-1] & valid[2:, 1:-1] & valid[1:-1, :-2] & valid[1:-1, 2:])
-    border = np.argwhere(outline)[:, ::-1].astype(np.float64)
-    corners = edge_pixels(sensor.camera)
-    corners = corners[unproject(sensor, corners)[1]]
-    return np.concatenate([grid, border[:: max(1, len(border) // 2000)], corners])
 
 
 def _our_text(sensor: Sensor, conversion: Conversion, kind: str) -> str:

@@ -8,21 +8,20 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.conversions import mirrored_frame, opencv_from_sensor
-from harness.camera.fill import closed_image
+from harness.camera.conversions import mirrored_frame
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import directions
 from harness.geometry.triangulation import alpha_2_at_range, exact_alpha_2
 from harness.matching.interface import Matches
+from harness.matching.opencv.omnidir import omnidir_views
 from harness.matching.opencv.rectify import (
     Rectangle,
     around_gaps,
     around_of,
     disparities,
     maps_to_view,
-    mei,
     on_panorama,
     rectangle_for,
     rectify,
@@ -49,8 +48,8 @@ def in_opencv(pair: Pair, matcher: S, work: Callable[[Pair, S, Any], Matches]) -
     Raises
     ------
     InputError
-        When OpenCV and its contributed modules are not installed, the sensor's lens has a k3, `opencv-reconstruct`
-        is given a vertical baseline, or OpenCV itself refuses.
+        When OpenCV and its contributed modules are not installed, `opencv-reconstruct` is given a baseline along the
+        camera's axis, or OpenCV itself refuses.
     """
     cv2 = opencv(matcher.kind)
     try:
@@ -98,34 +97,30 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
     OpenCV 5.0 leaves out points whose disparity is 15 pixels or less, however far apart pixels are, and has no margin:
     its first columns stay empty. Some earlier releases truncate disparities to whole pixels besides.
 
+    It projects by itself, by the unified model: what it is given of other cameras is in `omnidir`, and is said in the
+    matches' `remark`.
+
     Raises
     ------
     InputError
-        When the baseline is vertical, for which `cv2.omnidir.stereoRectify` divides by zero.
+        When the baseline is along the axis of the first camera, for which `cv2.omnidir.stereoRectify` divides by zero.
     """
-    cameras = [mei(sensor) for sensor in pair.sensors]
-    first_frame, second_frame = map(opencv_from_sensor, pair.sensors)
+    views = omnidir_views(pair, cv2)
+    first_frame, second_frame = (view.opencv_from_sensor for view in views)
     rotation = second_frame @ pair.motion.R_v2_from_v1 @ first_frame.T
-    if np.linalg.det(rotation) < 0:
-        raise InputError(
-            "cv2.omnidir.stereoReconstruct has no answer for one mirror image and one that is none; use opencv-sgbm",
-            file=matcher.kind,
-        )
     t = -rotation @ first_frame @ pair.t_v1  # of p_v2 = R p_v1 + t
     frame, _ = cv2.omnidir.stereoRectify(rotation, t)
     if not np.isfinite(frame).all():
         raise InputError(
-            "cv2.omnidir.stereoRectify does not handle a vertical baseline; use opencv-sgbm, or another direction",
+            "cv2.omnidir.stereoRectify does not handle a baseline along the camera's axis, such as a vertical one of a "
+            "camera that looks up or down; use opencv-sgbm, or another direction",
             file=matcher.kind,
         )
     rectangle = Rectangle(around_of(pair, matcher.rectified_scale))
-    closed = (closed_image(image, sensor)[0] for image, sensor in zip(pair.images, pair.sensors, strict=True))
-    first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in closed)
     _, _, _, cloud = cv2.omnidir.stereoReconstruct(
-        first,
-        second,
-        *cameras[0],
-        *cameras[1],
+        *(view.image for view in views),
+        *views[0].camera,
+        *views[1].camera,
         rotation,
         t,
         cv2.omnidir.RECTIFY_LONGLATI,
@@ -142,7 +137,8 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
     row, column = rectangle.pixels_of(frame, looking)
     range_there = range_m[np.rint(row).astype(int) % rectangle.around, np.clip(np.rint(column).astype(int), 0, None)]
     a_2 = exact_alpha_2(range_there[..., None] * looking, pair.t_v1)
-    return Matches(a_2)
+    remarks = dict.fromkeys(view.remark for view in views if view.remark)
+    return Matches(a_2, remark="; ".join(remarks))
 
 
 def _of_gaps(

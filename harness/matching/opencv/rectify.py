@@ -144,8 +144,7 @@ def mei(sensor: Sensor) -> tuple[Array, Array, Array]:
     """
     if not isinstance(sensor.model, Mirror | Unified):
         raise InputError(
-            f"OpenCV's omnidir knows the unified model alone, and no {sensor.model.title}; use opencv-sgbm",
-            key="sensor.model",
+            f"OpenCV's omnidir knows the unified model alone, and no {sensor.model.title}", key="sensor.model"
         )
     if sensor.lens.k3:
         raise InputError(f"OpenCV's omnidir has no k3; it must be 0, found {sensor.lens.k3:g}", key="sensor.lens.k3")
@@ -205,12 +204,13 @@ def maps_to_view(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
     """Where on a view's mirror image each pixel of the rectangle is, (u, v), and whether the sensor sees it.
 
-    By OpenCV's own map for a hyperboloid that is mounted as mirrors are, by the sensor's projection for others. Of an
-    image that is continued across its seam, u counts from the first of the columns before it.
+    By OpenCV's own map for a hyperboloid that is mounted as mirrors are, whose lens OpenCV has too; by the sensor's
+    projection for others. Of an image that is continued across its seam, u counts from the first of the columns before
+    it.
     """
     R_rect_from_v1, R_view_from_v1 = (np.frombuffer(each).reshape(3, 3) for each in (frame, rotation))
     looking = rectangle.directions(R_rect_from_v1) @ R_view_from_v1.T
-    if not isinstance(parameters_of(sensor), HyperboloidCamera):
+    if sensor.lens.k3 or not isinstance(parameters_of(sensor), HyperboloidCamera):
         pixels, valid = project(sensor, looking)
         pixels = np.nan_to_num(pixels, nan=-1.0) + np.array([seam_px(sensor), 0])
         u, v = np.ascontiguousarray(np.moveaxis(pixels, -1, 0), dtype=np.float32)

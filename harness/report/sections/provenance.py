@@ -8,6 +8,7 @@ import numpy as np
 from harness.report.data import Heading, Table, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
+from harness.runs.remarks import remarks
 from harness.runs.run import Result
 
 _ENVIRONMENT = """
@@ -30,6 +31,10 @@ _ENVIRONMENT = """
 </table>
 </div>
 """
+_REMARKS = """
+<p>What matchers say of how they made their matches:</p>
+<ul>{% for remark in remarks %}<li>{{ remark }}.</li>{% endfor %}</ul>
+"""
 _DURATIONS = """
 Wall time of each stage{% if rows > 4 %} over the {{ done }} trials that are done{% endif %}. A result that
 trials share is counted for the first of them.
@@ -41,6 +46,8 @@ def section(context: Context) -> Iterator[Block]:
     """Versions, machine, and wall time by stage."""
     result = context.result
     yield Paragraph(html(_ENVIRONMENT, environment=result.environment))
+    if said := remarks(result.rows):
+        yield Paragraph(html(_REMARKS, remarks=said))
     caption = html(_DURATIONS, rows=len(result.rows), done=context.summary["trials"]["done"])
     yield TableBlock("durations", durations(result), caption, full=False)
 
