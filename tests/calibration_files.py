@@ -162,7 +162,7 @@ OCAMCALIB = """\
 
 #polynomial coefficients for the inverse mapping function (ocam_model.invpol in MATLAB). These are used by world2cam
 
-3 330.0 200.0 2.0
+6 320.255 174.57 -12.269 26.023 21.159 4.547
 
 #center: "row" and "column", starting from 0 (C convention)
 
@@ -215,6 +215,30 @@ COLMAP = """\
 9 OPENCV 640 480 420.5 421.5 318.7 243.4 -0.28 0.07 0.0009 0.0001
 """
 
+OMNIMVS = """\
+config: { omnimvs_sweep_min_depth: 0.5 }
+cameras:
+  - cam_id: 1
+    model: ocam
+    poly: [2, -300.0, 0.0]
+    inv_poly: [13, 471.238898038469, 300.0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    center: [400.5, 500.25]
+    affine: [1.001, -2.0E-4, 3.0e-4]
+    image_size: [800, 1000]
+    pose: [0.0, 0.0, 0.0, 0.1, 0.0, 0.0]
+    max_fov: 200.0
+  - cam_id: 2
+    model: ocam
+    poly: [3, -300.0, 0.0, 1.6666666666666668e-3]
+    inv_poly: [2, 471.238898038469, 300.0]
+    center: [399.5, 499.75]
+    affine: [1, 0, 0]
+    image_size: [800, 1000]
+    pose: [0.0, 1.5707963267948966, 0.0, 0.1, 0.0, -0.2]
+    max_fov: 160.0
+"""
+"""Two equidistant fisheyes by their inverse polynomials, r = 300 times the angle."""
+
 ALL = {
     "omni.yaml": OMNIDIR_YAML,
     "omni.xml": OMNIDIR_XML,
@@ -225,6 +249,7 @@ ALL = {
     "calib_results.txt": OCAMCALIB,
     "calibration.json": BASALT,
     "cameras.txt": COLMAP,
+    "rig.yaml": OMNIMVS,
 }
 
 

@@ -35,6 +35,7 @@ def one(folder: Path, text: str):
         (files.OCAMCALIB, "ocamcalib", 1),
         (files.BASALT, "basalt", 4),
         (files.COLMAP, "colmap", 4),
+        (files.OMNIMVS, "omnimvs", 2),
     ],
 )
 @pytest.mark.parametrize("change", [str, lambda text: "\ufeff" + text.replace("\n", "\r\n")], ids=["", "from Windows"])
@@ -181,12 +182,14 @@ def test_ocamcalib(tmp_path):
 def test_how_far_the_two_polynomials_of_ocamcalib_are_apart(tmp_path):
     """rho = 200 (theta + pi/2) against f(rho) = -200, whose angle off the axis is atan(rho/200)."""
     text = files.OCAMCALIB.replace("5 -2.190000e+02 0.000000e+00 1.900000e-03 -3.100000e-06 1.200000e-08", "2 -200 0")
-    text = text.replace("3 330.0 200.0 2.0", f"2 {200 * np.pi / 2} 200").replace("241.019976 385.783141", "40 50")
+    text = text.replace("6 320.255 174.57 -12.269 26.023 21.159 4.547", f"2 {200 * np.pi / 2} 200").replace(
+        "241.019976 385.783141", "40 50"
+    )
     short = one(tmp_path, text.replace("480 748", "81 101")).notes[0]
     assert "up to 50 px" in short
     assert f"off by {50 - 200 * np.arctan(50 / 200):.2g} px at most" in short
     assert short.endswith("from the centre")
-    long = one(tmp_path, text.replace("480 748", "81 251")).notes[0]
+    (long,) = one(tmp_path, text.replace("480 748", "81 251")).doubts
     assert f"off by {200 - 200 * np.arctan(1):.2g} px at most" in long
     assert long.endswith("from the centre, and gives programs that project with it other pixels")
 

@@ -27,7 +27,8 @@ def add(commands: Commands) -> None:
         run,
         brief="say what a sensor sees; read and write calibration files",
         description="Say what a sensor is and sees, and draw it; or write it as another program's calibration. The "
-        "file may be a sensor's TOML or a calibration by OpenCV, Kalibr, CamOdoCal, basalt, OCamCalib or COLMAP.",
+        "file may be a sensor's TOML or a calibration by OpenCV, Kalibr, CamOdoCal, basalt, OCamCalib, OmniMVS or "
+        "COLMAP.",
         epilog="A calibration does not say how its camera is mounted, nor how far it sees: up, not mirrored, and as "
         "far as model and image allow, unless told. A camera below a mirror has --looks down --mirrored.",
     )
@@ -86,7 +87,7 @@ def _describe(read: "SensorFile", options: Namespace) -> None:
 
 def _origin(read: "SensorFile") -> str:
     """What kind of file it is, and which camera of it."""
-    from harness.io.calibrations import FORMATS as KNOWN
+    from harness.io.calibrations import READERS as KNOWN
 
     if read.calibration is None or read.camera is None:
         return "a sensor file"

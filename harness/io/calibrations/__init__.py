@@ -8,9 +8,10 @@ from harness.io.calibrations.camodocal import CAMODOCAL
 from harness.io.calibrations.colmap import COLMAP
 from harness.io.calibrations.kalibr import KALIBR
 from harness.io.calibrations.ocamcalib import OCAMCALIB
+from harness.io.calibrations.omnimvs import OMNIMVS
 from harness.io.calibrations.opencv import OPENCV, OPENCV_XML
 from harness.io.calibrations.parsing import read_content
-from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format
+from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, Reader
 
 FORMATS: dict[str, Format] = {
     "camodocal": CAMODOCAL,
@@ -21,9 +22,20 @@ FORMATS: dict[str, Format] = {
     "ocamcalib": OCAMCALIB,
     "colmap": COLMAP,
 }
+"""Those that are written as well, by name."""
+READERS: dict[str, Reader] = {**FORMATS, "omnimvs": OMNIMVS}
 """By name, in the order in which a file is held against them."""
 
-__all__ = ["FORMATS", "CalibratedCamera", "Calibration", "Format", "calibration_in", "read_calibration"]
+__all__ = [
+    "FORMATS",
+    "READERS",
+    "CalibratedCamera",
+    "Calibration",
+    "Format",
+    "Reader",
+    "calibration_in",
+    "read_calibration",
+]
 
 
 def read_calibration(file: Path) -> Calibration:
@@ -39,9 +51,9 @@ def read_calibration(file: Path) -> Calibration:
 
 def calibration_in(content: Content) -> Calibration:
     """The cameras in a calibration file that has been parsed; errors as in `read_calibration`."""
-    for known in FORMATS.values():
+    for known in READERS.values():
         if known.recognises(content):
             return known.read(content)
-    titles = ", ".join(each.title for name, each in FORMATS.items() if name != "opencv-xml")
+    titles = ", ".join(each.title for name, each in READERS.items() if name != "opencv-xml")
     problem = f"is no sensor file and no calibration of a known kind; known are a sensor's TOML, {titles}"
     raise InputError(problem, file=content.file)

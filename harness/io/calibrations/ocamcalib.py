@@ -52,11 +52,13 @@ def read(content: Content) -> Calibration:
     row, column = _taken(content, words, 2, CENTRE)
     c, d, e = _taken(content, words, 3, AFFINE)
     height, width = (whole(content, each, SIZE) for each in _taken(content, words, 2, SIZE))
-    notes = []
+    notes: list[str] = []
+    doubts: list[str] = []
     if words:
         notes.append(f"what follows the image size is not used: {shortened(' '.join(words))}")
     if inverse:
-        notes.append(_agreement(np.array(direct), np.array(inverse), row, column, (height, width)))
+        text, much = _agreement(np.array(direct), np.array(inverse), row, column, (height, width))
+        (doubts if much else notes).append(text)
     camera = CalibratedCamera(
         name="",
         model={"kind": "ocam", "coefficients": direct, "c": c, "d": d, "e": e},
@@ -66,6 +68,7 @@ def read(content: Content) -> Calibration:
         | {f"model.{each}": AFFINE for each in "cde"}
         | {"camera.width_px": SIZE, "camera.height_px": SIZE},
         notes=tuple(notes),
+        doubts=tuple(doubts),
     )
     return Calibration(content.file, "ocamcalib", (camera,))
 
@@ -91,8 +94,10 @@ def _monotonic(direct: Array, rho: Array) -> tuple[Array, Array]:
     return rho[grows], theta[grows]
 
 
-def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: tuple[int, int]) -> str:
-    """How far the two polynomials of a file are apart, in words: to the farthest side, as lenses end before corners."""
+def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: tuple[int, int]) -> tuple[str, bool]:
+    """How far the two polynomials of a file are apart, in words, and whether that is much: to the farthest side, as
+    lenses end before corners.
+    """
     reach = max(row, shape[0] - 1 - row, column, shape[1] - 1 - column)
     rho, theta = _monotonic(direct, np.linspace(0.0, reach, 400))
     apart = np.abs(inverse_radius(inverse, theta) - rho)
@@ -101,7 +106,9 @@ def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: 
         f"the direct polynomial is used; the file's inverse polynomial is off by {apart.max():.2g} px at most and "
         f"{rms:.2g} px RMS up to {rho[-1]:.0f} px from the centre"
     )
-    return text if rms < _MUCH_PX else f"{text}, and gives programs that project with it other pixels"
+    if rms < _MUCH_PX:
+        return text, False
+    return f"{text}, and gives programs that project with it other pixels", True
 
 
 def _words(content: Content) -> list[str]:

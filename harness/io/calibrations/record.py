@@ -46,6 +46,10 @@ class CalibratedCamera(OneLine):
     """Where a value of a sensor file, by its dotted key, comes from: the key in this file, for messages."""
     notes: tuple[str, ...] = ()
     """What a user should know of how the file was read, one sentence each."""
+    doubts: tuple[str, ...] = ()
+    """What every user of the file has to know, likewise: it is a warning where the sensor is used."""
+    angle_max_deg: float | None = None
+    """How far the lens sees off its optical axis; None where the file does not say."""
     T_cam_from_first: Array | None = None
     """`[4, 4]`: a point in the frame of the file's first camera in this one's, metres; None where it is not told."""
 
@@ -56,7 +60,7 @@ class Calibration(OneLine):
 
     file: Path
     format: str
-    """A name in `FORMATS`."""
+    """A name in `READERS`."""
     cameras: tuple[CalibratedCamera, ...]
 
 
@@ -71,8 +75,8 @@ def focal_lengths(optics: Optics) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Format:
-    """A kind of calibration file."""
+class Reader:
+    """A kind of calibration file that is read."""
 
     title: str
     """For people: `Kalibr camchain`."""
@@ -80,6 +84,12 @@ class Format:
     """Whether a file is of this kind, by what is in it."""
     read: Callable[[Content], Calibration]
     """Raises an `InputError` with file and key where something is missing, wrong or not supported."""
+
+
+@dataclass(frozen=True)
+class Format(Reader):
+    """A kind of calibration file that is written, too."""
+
     targets: tuple[Target, ...]
     """The models that it can hold, and what it has room for beside them."""
     write: Callable[[Optics], str]

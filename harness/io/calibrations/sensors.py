@@ -89,7 +89,7 @@ def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
     sensor, note = _sensor_of(calibration, camera, chosen)
     is_mount_given = chosen.looks is not None or chosen.mirrored is not None or not isinstance(sensor.model, AxialModel)
     unmounted = () if is_mount_given else (_UNMOUNTED,)
-    return SensorFile(sensor, calibration, camera, (*camera.notes, *unmounted, *note))
+    return SensorFile(sensor, calibration, camera, (*camera.doubts, *camera.notes, *unmounted, *note))
 
 
 def says_its_mount(file: Path) -> bool:
@@ -104,7 +104,8 @@ def says_its_mount(file: Path) -> bool:
 
 
 def load_sensor(file: Path, chosen: Chosen | None = None) -> Sensor:
-    """The sensor in a file of any known format; says as a `Notice` what it had to guess.
+    """The sensor in a file of any known format; says as a `Notice` what it had to guess, and where the file
+    contradicts itself.
 
     Raises
     ------
@@ -112,8 +113,9 @@ def load_sensor(file: Path, chosen: Chosen | None = None) -> Sensor:
         Names the file, the key and what would be right.
     """
     read = read_sensor(file, chosen)
-    if AMBIGUOUS in read.notes:
-        warnings.warn(f"{file}: {AMBIGUOUS}", Notice, stacklevel=2)
+    doubts = read.camera.doubts if read.camera is not None else ()
+    for doubt in (*doubts, AMBIGUOUS) if AMBIGUOUS in read.notes else doubts:
+        warnings.warn(f"{file}: {doubt}", Notice, stacklevel=2)
     return read.sensor
 
 
@@ -217,7 +219,7 @@ def _sensor_of(calibration: Calibration, camera: CalibratedCamera, chosen: Chose
         "lens": camera.lens,
     }
     parts = _parsed(_Parts, table, file, camera)
-    field, note = _field(parts, chosen)
+    field, note = _field(parts, chosen, camera.angle_max_deg)
     table["field"] = field
     mount = _mount(chosen)
     if mount:
@@ -248,8 +250,8 @@ def _elevations(low: float, high: float) -> dict[str, float]:
     return {"elevation_min_deg": low, "elevation_max_deg": high}
 
 
-def _field(parts: _Parts, chosen: Chosen) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The table of the field: as chosen, or as far as model and image reach."""
+def _field(parts: _Parts, chosen: Chosen, by_file: float | None) -> tuple[dict[str, float], tuple[str, ...]]:
+    """The table of the field: as chosen, as the file says, or as far as model and image reach."""
     model = parts.model
     if not isinstance(model, AxialModel):
         return _elevations(*(chosen.elevation_deg or (-90.0, 90.0))), ()
@@ -257,7 +259,8 @@ def _field(parts: _Parts, chosen: Chosen) -> tuple[dict[str, float], tuple[str, 
     by_model = model.largest_angle_rad(parts.camera, parts.lens)
     by_image = optics.largest_angle_on_image()
     widest = math.floor(math.degrees(min(by_model, by_image)) * 1e6) / 1e6
-    angle = widest if chosen.angle_max_deg is None else chosen.angle_max_deg
+    given = chosen.angle_max_deg if chosen.angle_max_deg is not None else by_file
+    angle = widest if given is None else given
     looks = chosen.looks or "up"
     if looks == "up":
         elevations = (max(-90.0, 90 - angle), 90.0)
@@ -266,9 +269,9 @@ def _field(parts: _Parts, chosen: Chosen) -> tuple[dict[str, float], tuple[str, 
     else:
         elevations = (-min(90.0, angle), min(90.0, angle))
     field = _elevations(*(chosen.elevation_deg or elevations))
-    if looks == "forward" or chosen.angle_max_deg is not None:
+    if looks == "forward" or given is not None:
         field["angle_max_deg"] = angle
-    if chosen.angle_max_deg is not None or chosen.elevation_deg is not None:
+    if given is not None or chosen.elevation_deg is not None:
         return field, ()
     why = "the image" if by_image <= by_model else "the model"
     note = (
