@@ -169,7 +169,9 @@ class TestNearest:
     def test_what_no_camera_of_a_model_reaches_is_refused(self):
         """A fisheye's polynomial goes on to 142° in the corners, where the ellipsoid's image has folded back."""
         first = optics("ocam", BARE, coefficients=[-206, 0, 2.2e-3, -4.5e-6, 1.8e-8])
-        with pytest.raises(InputError, match=r"no extended unified camera comes near: .* would have no direction"):
+        with pytest.raises(
+            InputError, match=r"no extended unified camera approximates this camera: .* would have no direction"
+        ):
             convert(first, seen(first, 150), Target("eucm"))
 
 

@@ -121,9 +121,9 @@ def damaged(folder):
     ("name", "said"),
     [
         ("absent.png", "no such file"),
-        ("colour.png", "must be an 8-bit grey image, white where pixels are used; it has colours"),
-        ("deep.png", "must be an 8-bit grey image, white where pixels are used; it has more than 8 bits"),
-        ("small.png", "the image is 80x100 pixels, the sensor that it masks 160x160"),
+        ("colour.png", "must be an 8-bit grey image, white where pixels are used; this one has colours"),
+        ("deep.png", "must be an 8-bit grey image, white where pixels are used; this one has more than 8 bits"),
+        ("small.png", "the image is 80x100 pixels, the masked sensor 160x160"),
         ("text.png", "cannot be read as an image"),
         ("folder.png", "is not a regular file"),
     ],
@@ -159,7 +159,7 @@ def test_a_mask_that_changes_is_noticed_and_never_mixed(tmp_path):
     assert used(after).sum() == 110 * 160
     assert used(before).sum() == 160**2 - used(before)[ARM].size  # it was read when it was that
     write_mask(path, np.s_[:60])
-    with pytest.raises(InputError, match=r"arm\.png: is not the mask that it was when the sensor was read"):
+    with pytest.raises(InputError, match=r"arm\.png: has changed since the sensor was read"):
         used(after.model_copy(update={"camera": after.camera.model_copy(update={"width_px": 161})}))
 
 

@@ -1,14 +1,14 @@
-"""A hyperboloid mirror written in the unified (Mei) model, and back: to cross over to and from OpenCV's
-`ccalib.omnidir` and Kalibr. The model itself is `harness.camera.models.unified`.
+"""A hyperboloid mirror in the unified (Mei) model, and back: conversion to and from OpenCV's `ccalib.omnidir` and
+Kalibr. The model itself is `harness.camera.models.unified`.
 
-A direction on the unit sphere is seen by a pinhole at distance `xi` from the sphere's centre. A hyperboloid mirror
+A direction on the unit sphere is projected by a pinhole at distance `xi` from the sphere's centre. A hyperboloid mirror
 is exactly this with `eps = e/a`: `xi = 2 eps/(1 + eps²)` and focal length `gamma = f (eps² - 1)/(1 + eps²)`.
 
-Frames. The functions here take directions in our frame. In OpenCV's and Kalibr's the sphere is seen along +Z, which is
-our -z, with X along u and Y along v as ours are: (X, Y, Z) = (x, y, -z). That turns one axis over, so it is no
-rotation but a mirroring: they treat as right-handed what is left-handed, because a picture in a mirror is itself
-reversed. `mirrored_frame` crosses over, both ways. A pose crosses as `R' = S R S`, `t' = S t` with S = diag(1, 1, -1),
-and R' is again a proper rotation; ranges, angles and baselines are the same on both sides.
+Frames. The functions here take directions in our frame. OpenCV and Kalibr look at the sphere along +Z, which is our -z;
+X runs along u and Y along v, as ours do: (X, Y, Z) = (x, y, -z). One axis changes its sign, so this is a reflection and
+not a rotation: their right-handed frame is left-handed in space, because the picture in a mirror is itself reversed.
+`mirrored_frame` converts both ways. A pose becomes `R' = S R S`, `t' = S t` with S = diag(1, 1, -1), and R' is again a
+proper rotation; ranges, angles and baselines do not change.
 """
 
 import math
@@ -47,7 +47,7 @@ class UnifiedParameters(Spec):
 
 
 def to_unified(sensor: Sensor) -> UnifiedParameters:
-    """The unified model that projects as the sensor's does; a mirror's lens is written otherwise: see `unified_lens`.
+    """The unified model with the sensor's projection. For a mirror the lens has to be rescaled: see `unified_lens`.
 
     Raises
     ------
@@ -65,10 +65,10 @@ def to_unified(sensor: Sensor) -> UnifiedParameters:
 
 
 def unified_lens(sensor: Sensor) -> Lens:
-    """The lens as the unified model writes it, whose normalised plane is larger by f/gamma.
+    """The lens coefficients for the normalised plane of the unified model, which is larger by s = f/gamma.
 
-    With m = s x, s = f/gamma, `x' = x (1 + k1 r²)` reads `m' = m (1 + (k1/s²) |m|²)`; a tangential term shrinks by 1/s.
-    OpenCV's omnidir has no k3. The lens of a sensor of the unified model is its own.
+    With m = s x, `x' = x (1 + k1 r²)` becomes `m' = m (1 + (k1/s²) |m|²)`; a tangential coefficient is divided by s.
+    OpenCV's omnidir has no k3. The lens of a sensor of the unified model is returned unchanged.
 
     Raises
     ------
@@ -85,12 +85,12 @@ def unified_lens(sensor: Sensor) -> Lens:
 
 def _unified_or_hyperboloid(sensor: Sensor) -> UnifiedCamera | HyperboloidCamera:
     if not isinstance(sensor.model, Mirror | Unified):
-        raise InputError(f"the {sensor.model.title} is not written in the unified model", key="sensor.model")
+        raise InputError(f"the {sensor.model.title} cannot be written in the unified model", key="sensor.model")
     return sensor.model.parameters(sensor.camera, sensor.lens)
 
 
 def opencv_from_sensor(sensor: Sensor) -> Array:
-    """`[3, 3]`, orthogonal: turns directions of the sensor's frame into OpenCV's, as the camera is mounted.
+    """`[3, 3]`, orthogonal: turns directions of the sensor's frame into OpenCV's, for the camera's mount.
 
     By default that is `mirrored_frame` for a mirror, and the identity for a lens, which looks up.
     """
@@ -112,9 +112,9 @@ def from_unified(
     Parameters
     ----------
     a_m
-        The mirror's size, which no image tells: any value gives the same picture.
+        The mirror's size, metres. It does not follow from images: any value gives the same picture.
     lens
-        As the unified model writes it (rescaled here); none by default.
+        Coefficients for the unified model's normalised plane (rescaled here); no distortion by default.
 
     Raises
     ------
@@ -143,5 +143,5 @@ def from_unified(
 
 
 def mirrored_frame(vectors: ArrayLike) -> Array:
-    """Vectors `[..., 3]` of our frame in OpenCV's, or the other way: `(x, y, -z)`."""
+    """Vectors `[..., 3]` of our frame in OpenCV's, or the reverse: `(x, y, -z)`."""
     return np.asarray(vectors, dtype=np.float64) * [1.0, 1.0, -1.0]

@@ -1,4 +1,4 @@
-"""What a sensor sees of the world, and what it uses of its image: image circle, blind spot, pixels per degree."""
+"""What a sensor sees, and how much of its image it uses: image circle, blind spot, pixels per degree."""
 
 import math
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ _AROUND = 360
 _ANGLES = 361
 """Angles off the axis for the profile of resolution: half a degree apart at most."""
 _NEAR_POLE = math.radians(5)
-"""Within this of a panorama's poles its resolution around them grows without end."""
+"""Near the poles of a panorama, within this angle, its tangential resolution diverges."""
 HARDLY = 0.02
-"""A ring of which no more than this is on the image is no image circle: the image ends before it, on all sides."""
+"""A ring with a smaller share on the image is not an image circle: the frame cuts it off on all sides."""
 _SIDES = ("left", "right", "top", "bottom")
 
 
@@ -29,31 +29,31 @@ class Ring(OneLine):
     """The image of a cone around the optical axis."""
 
     angle_rad: float
-    """Off the optical axis."""
+    """Angle off the optical axis."""
     pixels: Array
-    """`[n, 2]`, all round; NaN where the model has no pixel."""
+    """`[n, 2]`, (u, v), all round; NaN outside the model's domain."""
     centre_px: tuple[float, float]
     diameter_px: tuple[float, float]
-    """The shortest and the longest, through the centre."""
+    """The shortest and the longest diameter through the centre."""
     on_image: float
-    """How much of it lies on the image, 0 .. 1."""
+    """Share of the ring on the image, 0 .. 1."""
     sides: tuple[str, ...]
     """Where it leaves the image: `left`, `right`, `top`, `bottom`."""
 
 
 @dataclass(frozen=True, repr=False)
 class Resolution(OneLine):
-    """Pixels per degree against the angle off the axis; `[angles]`, NaN where no direction is on the image."""
+    """Pixels per degree against the angle off the optical axis; `[angles]`, NaN where no direction is on the image."""
 
     angle_rad: Array
     elevation_rad: Array
-    """What the angle is in elevation, for a sensor that looks up or down; NaN for one that looks forward."""
+    """The same as an elevation, for a sensor that looks up or down; NaN for one that looks forward."""
     radial: Array
-    """Along the angle off the axis: the median over the directions around it."""
+    """Along the angle off the axis; the median over azimuths around it."""
     tangential: Array
-    """Around the axis."""
+    """Around the axis; the median likewise."""
     radial_range: Array
-    """`[angles, 2]`: least and most over the directions around the axis."""
+    """`[angles, 2]`: minimum and maximum over azimuths."""
     tangential_range: Array
 
 
@@ -63,20 +63,20 @@ class Coverage(OneLine):
 
     sensor: Sensor
     axis_px: tuple[float, float]
-    """Where the optical axis meets the image; NaN where the model has no pixel for it."""
+    """The pixel (u, v) of the optical axis; NaN if it is outside the model's domain."""
     rim: Ring
     """The outer edge of the field."""
     blind: Ring | None
-    """The inner edge, if the field leaves out what is around the axis."""
+    """The inner edge, if the field excludes a cone around the axis."""
     elevation_deg: tuple[float, float]
-    """The least and the largest elevation that a pixel sees."""
+    """The lowest and the highest elevation of any pixel in the field."""
     used: float
-    """Share of the image's pixels that see something, 0 .. 1."""
+    """Share of the image's pixels that are in the field, 0 .. 1."""
     sphere: float
-    """Share of all directions that a pixel sees, 0 .. 1."""
+    """Share of the sphere of directions that is visible, 0 .. 1."""
     resolution: Resolution
     valid: NDArray[np.bool_]
-    """`[height, width]`: the pixels that see something."""
+    """`[height, width]`: the pixels that are in the field."""
 
 
 def coverage(sensor: Sensor) -> Coverage:
@@ -107,19 +107,19 @@ def coverage(sensor: Sensor) -> Coverage:
 
 
 def has_circle(sensor: Sensor) -> bool:
-    """Whether cones around the optical axis are rings in the image; in a panorama they are not."""
+    """Whether cones around the optical axis are rings in the image, as in all models but panoramas."""
     return isinstance(sensor.model, AxialModel | Mirror)
 
 
 def _axis_frame(sensor: Sensor) -> Array:
-    """`[3, 3]`: from the sensor's frame to one whose z is the optical axis, or upright in a panorama."""
+    """`[3, 3]`: from the sensor's frame to one whose z is the optical axis, or the vertical in a panorama."""
     return lens_frame(sensor) if has_circle(sensor) else sensor.mount.R_sensor_from_untilted.T
 
 
 def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
     """The least and the largest angle off the axis of a direction in the field that has a pixel, on the image or not.
 
-    Looked for a quarter of a degree apart, then halved to the last digits.
+    Searched in steps of a quarter of a degree, then refined by bisection to rounding.
     """
     R = _axis_frame(sensor)
 
@@ -144,7 +144,7 @@ def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
 
 
 def _cone(angle_rad: float, count: int = _AROUND) -> tuple[Array, Array, Array]:
-    """Unit directions `[n, 3]` at an angle off the axis z, and how they move outwards and around."""
+    """Unit directions `[n, 3]` at an angle off the axis z, and their tangents outwards and around."""
     around = np.arange(count) * (2 * math.pi / count)
     c, s, zero = np.cos(around), np.sin(around), np.zeros(count)
     sine, cosine = math.sin(angle_rad), math.cos(angle_rad)
@@ -176,7 +176,7 @@ def _ring(sensor: Sensor, angle_rad: float) -> Ring:
 
 
 def _share_of_sphere(sensor: Sensor) -> float:
-    """By 20,000 directions spread evenly (Fibonacci's spiral): a share to 1e-3."""
+    """The share of all directions that is visible, to 1e-3, from 20,000 directions of a Fibonacci spiral."""
     count = 20_000
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count

@@ -1,4 +1,4 @@
-"""Camera models that are each other exactly, in other parameters.
+"""Exact conversions between camera models: the same camera in other parameters.
 
 - A hyperboloid mirror is the unified model with 0 < xi < 1 (see `harness.camera.conversions`); its lens is rescaled.
 - The unified model without a lens is EUCM with beta = 1 and the double sphere with xi = 0: dividing by 1 + xi,
@@ -21,7 +21,7 @@ _SIZE_M = Mirror().a_m
 
 
 def equivalent(optics: Optics, kind: str) -> Optics | None:
-    """The same camera in another model; None where it is none exactly."""
+    """The same camera in another model; None where that has no exact equivalent."""
     if _kind(optics) == kind:
         return optics
     unified = _to_unified(optics)

@@ -1,6 +1,7 @@
-"""Images continued where nothing is known: black beyond what a sensor sees would ring into the picture through a
-spline's prefilter, as would what a mask hides, and a grey level that is not a number would spread without end. And
-across the seam of images that go round.
+"""Filling the unknown pixels of an image before it is filtered or interpolated, and padding it across its seam.
+
+A spline's prefilter has infinite support: a black surround, or the pixels that a mask hides, would ring into the
+image, and a single NaN would spread over all of it. An image of 360 degrees is padded across its left and right border.
 """
 
 from typing import TypeVar
@@ -18,9 +19,9 @@ Indices = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
 def across_seam(values: NDArray[S], columns: int) -> NDArray[S]:
-    """Values `[height, width, ...]` with the last columns once more before the first, and the first after the last.
+    """Values `[height, width, ...]` padded left and right by `columns` columns from the opposite side.
 
-    With no columns the array itself. How many there are to be for a sensor: `harness.camera.sensor.seam_px`.
+    The array itself if `columns` is 0. `harness.camera.sensor.seam_px` gives the number that a sensor needs.
     """
     return values if columns == 0 else np.concatenate([values[:, -columns:], values, values[:, :columns]], axis=1)
 
@@ -38,15 +39,15 @@ def nearest_known(known: NDArray[np.bool_]) -> Indices:
 
 
 def without_gaps(image: Image, visible: Mask, hidden: Mask | None = None) -> tuple[Image, Mask]:
-    """An image whose gaps, pixels that are not finite or hidden, are closed, and which pixels are known: seen, no gap.
+    """An image with its gaps filled, and the mask of known pixels (visible and not a gap), both `[height, width]`.
 
-    A gap gets the grey level of the nearest known pixel, so that filters and splines have something to go on; nothing
-    may be concluded from it. An image without gaps is returned as it is, with `visible` itself.
+    A gap is a pixel that is not finite or is hidden. It gets the grey level of the nearest known pixel, for the sake of
+    filters and splines only: it carries no information. An image without gaps is returned unchanged, with `visible`.
 
     Parameters
     ----------
     hidden
-        Pixels that show something else, and are not `visible` either.
+        Masked pixels; they must not be `visible` either.
     """
     finite = np.isfinite(image)
     if finite.all() and hidden is None:
@@ -57,14 +58,14 @@ def without_gaps(image: Image, visible: Mask, hidden: Mask | None = None) -> tup
 
 
 def closed_image(image: Image, sensor: Sensor, seam: int = 0) -> tuple[Image, Mask, Mask | None]:
-    """A sensor's image without its gaps, as `without_gaps`; which pixels are known; and which were gaps, or None.
+    """A sensor's image with its gaps filled as by `without_gaps`, the mask of known pixels, and that of gaps or None.
 
     A gap is a pixel of the field that is not finite, or that the sensor's mask hides.
 
     Parameters
     ----------
     seam
-        How many columns all of them go on for across the image's seam; see `across_seam`.
+        Columns by which all three are padded across the image's seam; see `across_seam`.
     """
     visible, masked = across_seam(pixel_directions(sensor)[1], seam), masked_pixels(sensor)
     hidden = None if masked is None else across_seam(masked, seam)
@@ -76,7 +77,7 @@ def closed_image(image: Image, sensor: Sensor, seam: int = 0) -> tuple[Image, Ma
 
 
 def touches(gaps: Mask, coordinates: NDArray[np.float64], order: int) -> Mask:
-    """Whether an interpolation of an order, 1 or 3, at `coordinates` (rows, columns) `[2, ...]` weighs a gap."""
+    """Whether a gap contributes to the interpolation at `coordinates` (rows, columns) `[2, ...]`; order 1 or 3."""
     if order > 1:
         gaps = ndimage.maximum_filter(gaps, size=3)
     weight = ndimage.map_coordinates(gaps.astype(np.float32), coordinates, order=1, mode="nearest")

@@ -1,4 +1,4 @@
-"""The focal length at which the whole field of view is just on the image."""
+"""The focal length at which the whole field of view just fits on the image."""
 
 import math
 
@@ -21,18 +21,18 @@ def fitted_focal_px(
 ) -> float:
     """The largest focal length with which every direction of the field is on the image, before any tilt.
 
-    The field's image then touches the border of the image (which spans -0.5 .. width - 0.5) that it would cross first:
-    for a round field, the one nearest to the principal point.
+    The image of the field then touches the border (the image spans -0.5 .. width - 0.5) that it would cross first: for
+    a round field, the one nearest to the principal point.
 
     Parameters
     ----------
     camera
-        All but its focal length counts.
+        Its focal length is ignored.
 
     Raises
     ------
     ValueError
-        When part of the field has no image.
+        When part of the field cannot be projected.
     """
     own = camera_from_sensor(model.looks, mirrored=model.mirrored).T @ camera_from_sensor(looks, mirrored=mirrored)
     directions = np.ascontiguousarray(_directions(field, looks) @ own.T)

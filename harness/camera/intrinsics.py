@@ -25,11 +25,11 @@ class Camera(Spec):
     height_px: Pixels = 480
     """Height of the image, pixels."""
     focal_px: FocalLength = 614.12
-    """Focal length along u, pixels; "fit" for the largest with which the whole field of view is on the image."""
+    """Focal length along u, pixels; "fit" for the largest at which the whole field of view is on the image."""
     aspect: Positive = 1.0
     """Focal length along v divided by that along u, no unit."""
     skew_px: Finite = 0.0
-    """Skew, pixels: K[0, 1] of the camera matrix, 0 where columns are at right angles to rows."""
+    """Skew, pixels: K[0, 1] of the camera matrix; 0 if columns are at right angles to rows."""
     cx_px: Centre = 319.5
     """Principal point along u, pixels; the centre of the first pixel is 0. "centre" for the image's, (width - 1)/2."""
     cy_px: Centre = 239.5
@@ -43,7 +43,7 @@ class Camera(Spec):
 
     @property
     def matrix(self) -> dict[str, float]:
-        """The camera matrix, as the compiled models name its entries; pixels."""
+        """The entries of the camera matrix, pixels, under their names in the compiled models."""
         return {
             "fu": self.focal_px,
             "fv": self.focal_px * self.aspect,
@@ -69,12 +69,12 @@ class FieldOfView(Spec):
     """The directions that the sensor sees, before it is tilted by its mount."""
 
     elevation_min_deg: Finite = -75.0
-    """Lowest elevation seen, degrees. Below it the camera sees itself: one of 20 mm radius at F1, 73 mm below F0,
-    hides what is under -75°."""
+    """Lowest elevation in the field, degrees. Below the default the camera sees itself: a camera of 20 mm radius at F1,
+    73 mm below F0, hides what is below -75°."""
     elevation_max_deg: Finite = 20.0
-    """Elevation at which the mirror ends, degrees: +20° puts its rim 238 px from the centre, just inside 480 rows."""
+    """Highest elevation in the field, degrees: +20° puts the rim 238 px from the centre, just inside 480 rows."""
     angle_max_deg: Annotated[float, Field(gt=0, le=180)] = 180.0
-    """Largest angle off the optical axis that is seen, degrees; 180 for no limit beside those of elevation."""
+    """Largest angle off the optical axis, degrees; 180 for no limit other than those of elevation."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "FieldOfView":

@@ -1,4 +1,4 @@
-"""Brown-Conrady lens distortion of normalised image coordinates, and the radius up to which it can be undone."""
+"""Brown-Conrady lens distortion of normalised image coordinates, and the radius up to which it can be inverted."""
 
 from functools import lru_cache
 
@@ -26,7 +26,7 @@ class Lens(Spec):
 
     @property
     def is_pinhole(self) -> bool:
-        """True when nothing is distorted."""
+        """True when all coefficients are 0."""
         return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
 
 
@@ -44,12 +44,12 @@ def distort(lens: Lens, points: ArrayLike) -> Array:
 
 @lru_cache(maxsize=64)
 def fold_radius(lens: Lens) -> float:
-    """The undistorted radius at which the distortion stops growing outwards, beyond which it has no inverse.
+    """The undistorted radius at which the distorted radius stops growing, beyond which distortion has no inverse.
 
-    The first zero of `d/dr [r + k1 r³ + k2 r⁵ + k3 r⁷]` less what the tangential part can take away
-    (its slope is at most 6 hypot(p1, p2) r); infinite when there is none.
+    The first zero of `d/dr [r + k1 r³ + k2 r⁵ + k3 r⁷] - 6 hypot(p1, p2) r`, whose last term bounds the slope of the
+    tangential part; infinite when there is none.
     """
-    # In w = 1/r the polynomial is monic, so that coefficients next to nothing do no harm.
+    # In w = 1/r the polynomial is monic, so that tiny coefficients do no harm.
     slope = [1.0, -6 * float(np.hypot(lens.p1, lens.p2)), 3 * lens.k1, 0.0, 5 * lens.k2, 0.0, 7 * lens.k3]
     roots = np.roots(slope)
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
@@ -57,9 +57,9 @@ def fold_radius(lens: Lens) -> float:
 
 
 def least_bent_radius(lens: Lens, radius: float) -> float:
-    """The distorted radius of an undistorted one, to the side where it is least: it grows up to the fold.
+    """The distorted radius of an undistorted one, in the azimuth where it is smallest; it grows up to the fold.
 
-    `r + k1 r³ + k2 r⁵ + k3 r⁷ - 3 hypot(p1, p2) r²`: the tangential part moves a point outwards by
+    `r + k1 r³ + k2 r⁵ + k3 r⁷ - 3 hypot(p1, p2) r²`: the tangential part moves a point at azimuth phi outwards by
     `3 (p1 sin(phi) + p2 cos(phi)) r²`.
     """
     r2 = radius * radius

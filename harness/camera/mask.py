@@ -1,4 +1,4 @@
-"""A mask: which pixels of a sensor's image are used, and which show the robot's own body or what holds the mirror."""
+"""A mask: which pixels of a sensor's image are used, and which show the robot itself or the mirror's support."""
 
 import hashlib
 from collections.abc import Mapping
@@ -19,18 +19,18 @@ USED_FROM = 128
 
 
 class MaskImage(Spec):
-    """An image file that says which pixels are used. Two of equal contents are equal, wherever they lie."""
+    """An image file that marks the pixels in use. Two masks of equal contents are equal, wherever the files are."""
 
     file: str
     """Path of an 8-bit grey image of the sensor's size, white where pixels are used; relative to the sensor's file."""
     sha256: str | None = None
-    """Hash of the file's contents, hexadecimal. Worked out from the file where it is not given; where it is, contents
-    of another hash are refused."""
+    """SHA-256 of the file's contents, hexadecimal. Computed from the file if not given; if given, a file with another
+    hash is refused."""
 
     @model_validator(mode="before")
     @classmethod
     def _identified(cls, given: Any) -> Any:
-        """Whoever builds a sensor says which contents are meant; whoever reads one back need not have the file."""
+        """Adds the absolute path and the hash. A sensor that is read back has both, and does not need the file."""
         if isinstance(given, Mapping) and isinstance(given.get("file"), str) and not given.get("sha256"):
             try:
                 path = path_of(given["file"]).absolute()
@@ -48,7 +48,7 @@ class MaskImage(Spec):
 
 
 def _named(given: Any) -> Any:
-    """A path stands for the image that it names."""
+    """A path as the table that names it."""
     if isinstance(given, str):
         return {"file": given}
     if given is None or isinstance(given, Mapping | MaskImage):
@@ -72,17 +72,17 @@ def used_pixels(mask: MaskImage, width_px: int, height_px: int) -> NDArray[np.bo
     data = read_regular(mask.file, LIMIT_BYTES, "image")
     if hashlib.sha256(data).hexdigest() != mask.sha256:
         raise InputError(
-            "is not the mask that it was when the sensor was read: its contents have changed; read the sensor again, "
-            "and leave sha256 out",
+            "has changed since the sensor was read; read the sensor again, and leave sha256 out",
             file=mask.file,
         )
     levels = decode(
-        data, mask.file, size=(width_px, height_px), size_hint=f"the sensor that it masks {width_px}x{height_px}"
+        data, mask.file, size=(width_px, height_px), size_hint=f"the masked sensor {width_px}x{height_px}"
     ).levels
     if levels.dtype != np.uint8 or levels.ndim != 2:
         unsuitable = "colours" if levels.ndim != 2 else "more than 8 bits"
         raise InputError(
-            f"a mask must be an 8-bit grey image, white where pixels are used; it has {unsuitable}", file=mask.file
+            f"a mask must be an 8-bit grey image, white where pixels are used; this one has {unsuitable}",
+            file=mask.file,
         )
     used = levels >= USED_FROM
     used.flags.writeable = False

@@ -1,7 +1,7 @@
-"""The camera of one model that is nearest to a camera of another: least squares on the directions of pixels.
+"""The camera of one model that best approximates a camera of another: least squares on the rays of pixels.
 
-What is minimised is the angle between the two cameras' rays over pixels spread evenly over the image, to first order:
-a pixel's offset times the inverse of the first camera's derivative. What is reported is exact.
+The cost is the angle between the two cameras' rays, over pixels spread evenly over the image, to first order: a pixel's
+offset times the inverse of the first camera's Jacobian. The residuals that are reported are exact.
 """
 
 import math
@@ -24,11 +24,11 @@ from harness.errors import InputError
 from harness.geometry.angles import Array
 
 _FEW, _MANY = 300, 1500
-"""Pixels for the way from each start, and for the last steps from where the best of them led."""
+"""Pixels used for the descent from each start, and for the final steps from the best result."""
 _COMPARED = 20_000
-"""About so many pixels of a sensor are compared."""
+"""Approximate number of pixels at which a sensor and its conversion are compared."""
 _FAR_PX = 1000.0
-"""Stands for the offset of a pixel whose direction is outside a candidate's domain."""
+"""Offset assigned to a pixel whose direction is outside a candidate's domain."""
 OCAM_DEGREES = (4, 6, 8, 10)
 """Tried in turn, until the polynomial is as good as `_OCAM_ENOUGH_PX`."""
 _OCAM_ENOUGH_PX = 0.01
@@ -36,7 +36,7 @@ _OCAM_ENOUGH_PX = 0.01
 
 @dataclass(frozen=True)
 class Target:
-    """A model, and what a file has room for beside it."""
+    """The camera model to write, and the other parameters that the file format can hold."""
 
     kind: str
     skew: bool = True
@@ -45,7 +45,7 @@ class Target:
 
 @dataclass(frozen=True, repr=False)
 class Conversion(OneLine):
-    """A camera in another model, and how far its rays are from the first one's."""
+    """A camera in another model, and the residuals of its rays against the original's."""
 
     optics: Optics
     is_exact: bool
@@ -61,17 +61,17 @@ class Conversion(OneLine):
 
 
 def convert(optics: Optics, pixels: Array, target: Target) -> Conversion:
-    """The camera of the target's model that is the same, or the nearest.
+    """The same camera in the target's model, or else the one whose rays are closest.
 
     Parameters
     ----------
     pixels
-        `[n, 2]`: where on the image they have to agree.
+        `[n, 2]`, (u, v): the pixels at which rays are compared.
 
     Raises
     ------
     InputError
-        When no camera of that model comes near.
+        When no camera of that model approximates the original.
     """
     same = equivalent(optics, target.kind)
     if same is not None and _has_room(target, same):
@@ -110,7 +110,7 @@ def _compared(first: Optics, second: Optics, pixels: Array, *, is_exact: bool) -
     if not known.all():
         share = 1 - known.mean()
         title = second.model.title
-        raise InputError(f"no {title} comes near: {share:.1%} of the pixels would have no direction")
+        raise InputError(f"no {title} approximates this camera: {share:.1%} of the pixels would have no direction")
     return Conversion(
         optics=second,
         is_exact=is_exact,
@@ -133,7 +133,7 @@ def _nearest(optics: Optics, pixels: Array, target: Target) -> Optics:
         return _nearest_polynomial(problem)
     solution = problem.solved(problem.starts())
     if solution is None:
-        raise InputError(f"no {MODELS[target.kind].title} comes near")
+        raise InputError(f"no {MODELS[target.kind].title} approximates this camera")
     return solution
 
 
@@ -151,12 +151,12 @@ def _nearest_polynomial(problem: "_Problem") -> Optics:
         if least < _OCAM_ENOUGH_PX:
             break
     if best is None:
-        raise InputError(f"no {MODELS['ocam'].title} comes near")
+        raise InputError(f"no {MODELS['ocam'].title} approximates this camera")
     return best
 
 
 class _Problem:
-    """One fit: the rays to be met, and how a model's parameters are laid out in a vector."""
+    """One fit: the rays to approximate, and the layout of a model's parameters in a vector."""
 
     def __init__(self, optics: Optics, pixels: Array, target: Target) -> None:
         self.optics, self.pixels, self.target = optics, pixels, target
@@ -175,7 +175,7 @@ class _Problem:
         self.reach = float(np.linalg.norm(pixels - self.centre, axis=-1).max())
 
     def _angles_of_offsets(self) -> Array:
-        """`[n, 2, 2]`: radians across the ray for an offset in pixels."""
+        """`[n, 2, 2]`: maps an offset in pixels to an angle across the ray, radians."""
         rays = self.rays
         other = np.where(np.abs(rays[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
         first = np.cross(rays, other)
@@ -186,7 +186,7 @@ class _Problem:
     # --- Layout ----------------------------------------------------------------------------------------------------
 
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """The names of the vector's entries, and within what they may vary."""
+        """The names of the vector's entries, and their lower and upper bounds."""
         across, down = self.size
         common = {"cx": (-0.5, across - 0.5), "cy": (-0.5, down - 0.5)}
         if self.target.kind == "ocam":
@@ -212,7 +212,7 @@ class _Problem:
         return own[kind]
 
     def _made(self, vector: Array) -> Optics | None:
-        """The camera of a vector; None where there is none."""
+        """The camera with the parameters of a vector; None if they are invalid."""
         given = dict(zip(self._bounds(), vector.tolist(), strict=True))
         pixels = {
             "width_px": int(self.size[0]),
@@ -245,7 +245,7 @@ class _Problem:
     # --- Starts ----------------------------------------------------------------------------------------------------
 
     def starts(self) -> Iterator[dict[str, float]]:
-        """Where to begin: on the axis the source's focal length and centre, and several shapes."""
+        """Initial vectors: the source's centre and its scale on the axis, with each of several shapes."""
         for shape, focal in _SHAPES[self.target.kind]:
             yield {
                 "cx": self.centre[0],
@@ -256,7 +256,7 @@ class _Problem:
             } | shape
 
     def polynomial_start(self) -> dict[str, float]:
-        """The polynomial is linear in its coefficients once centre and affine part are given."""
+        """An initial polynomial: a linear problem in its coefficients for a given centre and affine part."""
         e = self.skew / self.focal
         offsets = self.pixels - self.centre
         x = offsets[:, 1] / self.aspect
@@ -284,14 +284,14 @@ class _Problem:
         return np.einsum("nij,nj->ni", self.to_angle, offsets).ravel()
 
     def solved(self, starts: Iterable[dict[str, float]]) -> Optics | None:
-        """The best of the solutions that are reached from the starts; None if there is none."""
+        """The best of the solutions reached from the starts; None if there is none."""
         coarse = self._thinned(_FEW)
         tried = [coarse.descended(np.array([start.get(name, 0.0) for name in self._bounds()]), 40) for start in starts]
         best = min(tried, key=lambda each: each[1])[0]
         return self._made(self._thinned(_MANY).descended(best, 150)[0])
 
     def descended(self, begin: Array, steps: int) -> tuple[Array, float]:
-        """The vector at which at most so many steps from a start end, and the sum of squares there."""
+        """The vector reached from a start in at most `steps` steps, and its sum of squares."""
         low, high = np.array(list(self._bounds().values())).T
         begin = np.clip(begin, low + 1e-9, high - 1e-9)
         minimum = least_squares(
@@ -300,7 +300,7 @@ class _Problem:
         return minimum.x, float(minimum.cost)
 
     def _thinned(self, count: int) -> "_Problem":
-        """The same fit to about so many of the pixels."""
+        """The same fit to about `count` of the pixels."""
         every = max(1, len(self.pixels) // count)
         thinned = copy(self)
         thinned.pixels, thinned.rays, thinned.to_angle = (

@@ -23,7 +23,7 @@ _CAMERA_FROM_SENSOR: dict[tuple[str, bool], list[list[float]]] = {
 
 
 class Mount(Spec):
-    """How the camera sits in the sensor's frame, z up: first which way it looks, then how the whole is turned."""
+    """How the camera is mounted in the sensor's frame (z up): the direction of its optical axis, then a rotation."""
 
     looks: Looks | None = None
     """Where the optical axis points before the sensor is turned: along z, against it, or along x. By default as the
@@ -40,7 +40,7 @@ class Mount(Spec):
 
     @property
     def R_sensor_from_untilted(self) -> Array:
-        """Rotation matrix `[3, 3]`: what yaw, pitch and roll do to a direction."""
+        """Rotation matrix `[3, 3]` of yaw, pitch and roll, from the untilted to the sensor's frame."""
         if not (self.yaw_deg or self.pitch_deg or self.roll_deg):
             return np.eye(3)
         angles = [self.yaw_deg, self.pitch_deg, self.roll_deg]
@@ -48,7 +48,7 @@ class Mount(Spec):
 
 
 def edge_of(field: FieldOfView, looks: Looks) -> FieldEdge:
-    """The largest angle off the optical axis in a field of view, of a camera that looks up, down or forward."""
+    """The largest angle off the optical axis in the field of view of a camera that looks up, down or forward."""
     lowest, highest = field.elevation_min_deg, field.elevation_max_deg
     if looks == "up":
         edge = FieldEdge(90 - lowest, "elevation_min_deg", lowest)
@@ -63,10 +63,10 @@ def edge_of(field: FieldOfView, looks: Looks) -> FieldEdge:
 
 
 def camera_from_sensor(looks: Looks, *, mirrored: bool) -> Array:
-    """`[3, 3]`, orthogonal: the camera's frame from the untilted sensor's; of determinant -1 for a mirror image.
+    """`[3, 3]`, orthogonal: turns directions of the untilted sensor's frame into the camera's; det -1 if mirrored.
 
-    The camera's frame is that of the literature on lenses: X along u, Y along v, Z along the optical axis, into the
-    scene. Up: X = x, Y = y, Z = z. Down: X = x, Y = -y, Z = -z. Forward: X = -y, Y = -z, Z = x. A mirror image has the
-    other sign of Y, or of X for one that looks forward.
+    The camera's frame is the usual one: X along u, Y along v, Z along the optical axis, into the scene. Up: X = x,
+    Y = y, Z = z. Down: X = x, Y = -y, Z = -z. Forward: X = -y, Y = -z, Z = x. A mirror image negates Y, or X for a
+    camera that looks forward.
     """
     return np.array(_CAMERA_FROM_SENSOR[looks, mirrored], dtype=np.float64)

@@ -1,7 +1,7 @@
-"""A camera model with its image and lens, without mount and field: what a calibration file describes, and converts to.
+"""A camera model with its image and lens, without mount and field: what a calibration file describes.
 
-All of it is in the lens's own frame: X along u, Y along v, Z along the optical axis into the scene. A mirror's frame
-looks the other way, (X, Y, Z) = (x, y, -z), see `harness.camera.conversions`.
+Directions are in the lens's own frame: X along u, Y along v, Z along the optical axis into the scene. A mirror's frame
+looks the other way, (X, Y, Z) = (x, y, -z); see `harness.camera.conversions`.
 """
 
 import math
@@ -30,7 +30,7 @@ class Optics(OneLine):
 
     @property
     def _lens_from_own(self) -> Array:
-        """`[3, 3]`: the model's own frame is that of a sensor that is mounted as the model has it."""
+        """`[3, 3]`: turns directions of the model's own frame, a sensor's in its default mount, into the lens's."""
         return camera_from_sensor(self.model.looks, mirrored=self.model.mirrored)
 
     def project(self, directions: ArrayLike) -> Array:
@@ -48,7 +48,7 @@ class Optics(OneLine):
         return out @ self._lens_from_own.T
 
     def unproject(self, pixels: ArrayLike) -> Array:
-        """Unit directions `[n, 3]` of pixels `[n, 2]`; NaN where there is none."""
+        """Unit directions `[n, 3]` of pixels `[n, 2]`; NaN outside the model's domain."""
         pixels = np.asarray(pixels, dtype=np.float64)
         u, v = (np.ascontiguousarray(pixels[:, i]) for i in (0, 1))
         rays = np.empty((3, len(pixels)))
@@ -62,10 +62,10 @@ class Optics(OneLine):
         return np.ascontiguousarray(np.asarray(directions, dtype=np.float64) @ self._lens_from_own)
 
     def largest_angle_on_image(self) -> float:
-        """The largest angle off the optical axis that a pixel of the image sees, radians; its corners count."""
+        """The largest angle off the optical axis of any point of the image, its corners included, radians."""
         edge = edge_pixels(self.camera)
         z = self.unproject(edge)[:, 2]
-        # Where no direction belongs to a pixel, the image ends before the frame does.
+        # Where a pixel has no direction, the image circle ends inside the frame.
         return math.pi if np.isnan(z).any() else float(np.arccos(np.clip(z.min(), -1, 1)))
 
 
@@ -76,7 +76,7 @@ def optics_of(sensor: Sensor) -> Optics:
 
 
 def edge_pixels(camera: Camera, spacing_px: float = 4.0) -> Array:
-    """Points `[n, 2]` all round the border of the image, which is half a pixel outside the outermost centres."""
+    """Points `[n, 2]` along the border of the image, half a pixel outside the outermost pixel centres."""
     u = np.linspace(-0.5, camera.width_px - 0.5, max(3, round(camera.width_px / spacing_px)))
     v = np.linspace(-0.5, camera.height_px - 0.5, max(3, round(camera.height_px / spacing_px)))
     sides = [(u, np.full_like(u, v[0])), (np.full_like(v, u[-1]), v), (u[::-1], np.full_like(u, v[-1]))]
@@ -85,5 +85,5 @@ def edge_pixels(camera: Camera, spacing_px: float = 4.0) -> Array:
 
 
 def lens_frame(sensor: Sensor) -> Array:
-    """`[3, 3]`: turns a direction of the sensor's frame into the lens's; of determinant -1 for a mirror image."""
+    """`[3, 3]`: turns directions of the sensor's frame into the lens's; determinant -1 for a mirror image."""
     return camera_from_sensor(sensor.looks, mirrored=sensor.mirrored) @ sensor.mount.R_sensor_from_untilted.T

@@ -1,4 +1,4 @@
-"""Where a plane through the viewpoint, such as an epipolar plane, is seen on a sensor's image."""
+"""The image of a plane through the viewpoint, such as an epipolar plane."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from harness.geometry.conics import Conic, epipolar_conic
 
 
 def plane_conic(sensor: Sensor, normal: ArrayLike) -> Conic | None:
-    """The conic on which a plane's directions are seen, in pixels.
+    """The conic, in pixels, on which the directions of a plane are projected.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def plane_conic(sensor: Sensor, normal: ArrayLike) -> Conic | None:
     Returns
     -------
     Conic or None
-        None where the image of a plane is no conic: the camera is not written in the unified model, or a lens bends it.
+        None where the image of a plane is no conic: the camera model is not a unified one, or has lens distortion.
     """
     unified = equivalent(optics_of(sensor), "unified")
     if unified is None or not unified.lens.is_pinhole:
@@ -41,7 +41,7 @@ def plane_conic(sensor: Sensor, normal: ArrayLike) -> Conic | None:
 
 
 def plane_points(sensor: Sensor, normal: ArrayLike, count: int = 720) -> Array:
-    """Pixels `[count, 2]` of directions all round a plane, NaN where the sensor does not see them: for any camera.
+    """Pixels `[count, 2]` of directions all round a plane, for any camera model; NaN outside the sensor's field.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The omnidirectional sensor: a camera model, its image, lens and field of view; `project` and `unproject`.
 
-How a direction becomes a pixel is the model's affair (`harness.camera.models`). u runs right and v down; the centre of
-pixel [v, u] is at the integers (u, v).
+The camera model (`harness.camera.models`) maps directions to pixels. u runs right and v down; the centre of pixel
+[v, u] is at integer (u, v).
 """
 
 import math
@@ -38,11 +38,11 @@ class Sensor(Spec):
     """
 
     model: AnyModel = Field(default=Mirror(), validation_alias=AliasChoices("model", "mirror"))
-    """The camera model: what bends rays to the camera."""
+    """The camera model."""
     camera: Camera = Camera()
-    """The perspective camera that looks up at it."""
+    """The image size and the camera matrix."""
     lens: Lens = Lens()
-    """The distortion of the camera's lens."""
+    """The camera's lens distortion."""
     field: FieldOfView = FieldOfView()
     """The directions that the sensor sees."""
     mount: Mount = Mount()
@@ -51,7 +51,7 @@ class Sensor(Spec):
     """How the camera is displaced and turned against its hyperboloid mirror."""
     mask: Mask = None
     """Which pixels are used: the path of an 8-bit grey image of the sensor's size, white where they are; relative to
-    the sensor's file. Pixels that show the robot itself, or what holds the mirror, are nothing to match."""
+    the sensor's file. Mask the pixels that show the robot itself or the mirror's support."""
 
     @property
     def looks(self) -> Looks:
@@ -75,7 +75,7 @@ class Sensor(Spec):
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
-        """What was left open is filled in: limits of the field that are the model's own, and a focal length to fit."""
+        """Fills in what was left open: the model's own limits of the field, and a focal length to be fitted."""
         looks = self.looks
         if self.camera.is_open:
             self.model.refuse_unused(self.camera, self.lens)
@@ -117,7 +117,7 @@ class Sensor(Spec):
 
 
 def sensor_of(table: Mapping[str, Any], file: Path) -> Sensor:
-    """The sensor in the table of a file, with the mask that it names beside the file.
+    """The sensor described by a table of a file; the path of a mask is relative to the file.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def sensor_of(table: Mapping[str, Any], file: Path) -> Sensor:
 
 
 def check_mask(sensor: Sensor, file: str | Path | None = None, key: str = "mask") -> None:
-    """Refuse a mask that cannot be read or does not fit.
+    """Check that a sensor's mask can be read and has the size of its image.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def check_mask(sensor: Sensor, file: str | Path | None = None, key: str = "mask"
     Raises
     ------
     InputError
-        Names the place, the mask's own file and what would be right.
+        Names `file` and `key`, the mask's own file and what would be right.
     """
     try:
         used(sensor)
@@ -154,7 +154,7 @@ def check_mask(sensor: Sensor, file: str | Path | None = None, key: str = "mask"
 
 
 def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
-    """Pixel at which a direction from the effective viewpoint is seen.
+    """The pixels of directions from the effective viewpoint, and whether the sensor sees them.
 
     Parameters
     ----------
@@ -164,9 +164,9 @@ def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
     Returns
     -------
     pixels
-        `[..., 2]`, (u, v) in pixels. Also given outside the field as long as mirror and lens go on; NaN beyond.
+        `[..., 2]`, (u, v) in pixels. Also given outside the field, within the model's domain; NaN beyond.
     valid
-        `[...]`, bool: inside the cone of the field, on the image, and nearest to a pixel that is used.
+        `[...]`, bool: in the field of view, on the image, and nearest to a pixel that is not masked.
     """
     directions = np.asarray(directions, dtype=np.float64)
     pixels = np.empty((*directions.shape[:-1], 2))
@@ -176,7 +176,7 @@ def project(sensor: Sensor, directions: ArrayLike) -> tuple[Array, np.ndarray]:
 
 
 def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
-    """How the pixel at which a direction is seen moves with the direction.
+    """Derivatives of pixels by directions.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
     Returns
     -------
     Array
-        `[..., 2, 3]`, derivatives of (u, v) by (x, y, z), pixels per unit of the directions.
+        `[..., 2, 3]`, derivatives of (u, v) by (x, y, z), pixels per unit of the directions' length.
     """
     directions = np.asarray(directions, dtype=np.float64)
     out = np.empty((*directions.shape[:-1], 2, 3))
@@ -195,9 +195,10 @@ def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
 
 
 def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
-    """Direction from the effective viewpoint that a pixel sees.
+    """The directions of pixels from the effective viewpoint, and whether the sensor uses them.
 
-    Closed form but for the lens, which Newton's method undoes within its fold (see `harness.camera._lens_kernels`).
+    The inverse of `project`. Closed form except for lens distortion (see `harness.camera._lens_kernels`) and the
+    polynomial of Kannala and Brandt, which are inverted by Newton's method.
 
     Parameters
     ----------
@@ -207,11 +208,11 @@ def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
     Returns
     -------
     directions
-        `[..., 3]`, unit length; NaN where the lens has no inverse. Outside the field they go on smoothly, even where
-        the mirror does not.
+        `[..., 3]`, unit length; NaN where the model has no inverse. Outside the field they continue smoothly, even
+        beyond the rim of a mirror.
     valid
-        `[...]`, bool: inside the cone of the field (so neither beyond the rim nor in the blind disc), on the image, and
-        nearest to a pixel that is used.
+        `[...]`, bool: in the field of view (so neither beyond the rim nor in the blind disc), on the image, and
+        nearest to a pixel that is not masked.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     flat = pixels.reshape(-1, 2)
@@ -222,7 +223,7 @@ def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
 
 
 def rays_of(sensor: Sensor, u: Array, v: Array) -> Array:
-    """Rays of many pixels, not of unit length, as three rows `[3, n]`: the quick form of `unproject`, no masks.
+    """Rays of many pixels, not of unit length, as three rows `[3, n]`: the fast form of `unproject`, without validity.
 
     Parameters
     ----------
@@ -236,7 +237,7 @@ def rays_of(sensor: Sensor, u: Array, v: Array) -> Array:
 
 
 def in_field(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
-    """Whether directions `[..., 3]` (any length) lie in the cone that the sensor sees."""
+    """Whether directions `[..., 3]` (any length) lie in the sensor's field of view."""
     directions = np.asarray(directions, dtype=np.float64)
     field = field_of(sensor)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -260,16 +261,16 @@ def on_image(sensor: Sensor, pixels: ArrayLike) -> np.ndarray:
 
 
 def in_use(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
-    """Whether directions `[..., 3]` (any length) lie in the cone that the sensor sees, and not on a masked pixel.
+    """Whether directions `[..., 3]` (any length) lie in the sensor's field of view, and not on a masked pixel.
 
-    Unlike what `project` says, beyond the borders of the image too.
+    Unlike `valid` of `project`, True beyond the borders of the image too.
     """
     inside = in_field(sensor, directions)
     return inside if sensor.mask is None else inside & not_masked(sensor, project(sensor, directions)[0])
 
 
 def used(sensor: Sensor) -> np.ndarray | None:
-    """`[height, width]`, bool: the pixels that the sensor's mask leaves; None where it has none. Errors of its file."""
+    """`[height, width]`, bool: the pixels that are not masked; None without a mask. Raises as `mask.used_pixels`."""
     camera = sensor.camera
     return None if sensor.mask is None else used_pixels(sensor.mask, camera.width_px, camera.height_px)
 
@@ -298,7 +299,7 @@ def not_masked(sensor: Sensor, pixels: Array) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
-    """Unit direction `[height, width, 3]` and validity `[height, width]` of every pixel centre; read-only, kept."""
+    """Unit direction `[height, width, 3]` and validity `[height, width]` of every pixel centre; read-only, cached."""
     camera = sensor.camera
     u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
     directions, valid = unproject(sensor, np.stack([u, v], axis=-1))
@@ -308,10 +309,10 @@ def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
 
 
 def seam_px(sensor: Sensor, reach_px: int = 32) -> int:
-    """How many columns of an image to repeat beyond its left and right borders, for what reaches `reach_px` pixels.
+    """Columns by which to pad an image left and right, for an operation that reaches `reach_px` pixels.
 
-    0 unless the image goes round: neighbours are on the image then, or there are none. 32 are enough for a spline's
-    prefilter, which lets 1e-12 of what is beyond through.
+    0 unless the image is periodic in azimuth. 32 are enough for a spline's prefilter, in which what lies farther away
+    has a weight of 1e-12.
     """
     return min(reach_px, sensor.camera.width_px) if sensor.model.goes_round(sensor.camera) else 0
 
@@ -360,12 +361,12 @@ def lens_from_sensor(sensor: Sensor) -> Array:
 
 @lru_cache(maxsize=64)
 def field_of(sensor: Sensor, margin_rad: float = 0.0) -> FieldLimits:
-    """The field of view as compiled loops take it.
+    """The limits of the field of view, in the form that compiled loops take.
 
     Parameters
     ----------
     margin_rad
-        By how much it is widened to all sides.
+        Angle by which the field is widened on all sides.
     """
     field, margin_deg = sensor.field, math.degrees(margin_rad)
     lowest, highest = field.elevation_min_deg - margin_deg, field.elevation_max_deg + margin_deg
@@ -373,7 +374,7 @@ def field_of(sensor: Sensor, margin_rad: float = 0.0) -> FieldLimits:
     up = sensor.mount.R_sensor_from_untilted[:, 2]
     axis = sensor.mount.R_sensor_from_untilted @ camera_from_sensor(sensor.looks, mirrored=sensor.mirrored)[2]
     return FieldLimits(
-        # Straight up and down, a rounding may make the sine larger than 1.
+        # Straight up or down, rounding may make the sine larger than 1.
         float(np.sin(np.radians(lowest))) if lowest > -90 else -2.0,
         float(np.sin(np.radians(highest))) if highest < 90 else 2.0,
         float(np.cos(np.radians(nearest))) if nearest < 180 else -2.0,

@@ -29,11 +29,11 @@ def unwrap(
     Parameters
     ----------
     image
-        `[sensor height, sensor width]`, grey levels. What is made of a pixel that is not finite, or masked, is not
-        valid.
+        `[sensor height, sensor width]`, grey levels. Samples that depend on a pixel that is not finite, or masked, are
+        not valid.
     R_sensor_from_panorama
-        `[3, 3]`; turns a direction of the cylinder's frame into the sensor's. Given the rotation between the views, the
-        second panorama is made in the first one's orientation, and what is left between them is a pure translation.
+        `[3, 3]`; turns directions of the cylinder's frame into the sensor's. With the rotation between the views, the
+        second panorama has the orientation of the first one, and what remains between them is a pure translation.
     interpolation
         `bilinear`, or `cubic`: the interpolating cubic B-spline.
 
@@ -66,8 +66,9 @@ def unwrap(
 
 
 def can_be_sampled(sensor: Sensor, directions: Array, order: int = 3) -> NDArray[np.bool_]:
-    """Whether an image can be sampled in directions `[rows, columns, 3]` of the sensor's frame: it sees them, and all
-    pixels that an interpolation of this order takes.
+    """Whether an image can be sampled in directions `[rows, columns, 3]` of the sensor's frame.
+
+    The sensor must see them, and all pixels that an interpolation of this order takes.
     """
     coordinates, in_view = _coordinates(sensor, directions)
     return in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order)
@@ -104,7 +105,7 @@ def _visible_pixels(sensor: Sensor) -> NDArray[np.bool_]:
 
 def _all_taps_visible(visible: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
     """Whether every pixel that an interpolation at `coordinates` (rows, columns) touches is seen by the sensor."""
-    # What lies far off the image is cut off, as it may be too large for an integer.
+    # Clipped: coordinates far off the image may be too large for an integer.
     first = np.floor(np.clip(coordinates, -1e6, 1e6)).astype(np.intp) - (order // 2)
     result = np.ones(coordinates.shape[1:], dtype=bool)
     for row in range(order + 1):

@@ -1,4 +1,4 @@
-"""The rows of a panorama that sensors see: `z_min` and `z_max` that are given as "auto"."""
+"""The rows of a panorama that the sensors see: the values of `z_min` and `z_max` when they are "auto"."""
 
 from functools import lru_cache
 
@@ -20,17 +20,17 @@ MOSTLY = 0.8
 
 
 def is_open(grid: Grid) -> bool:
-    """Whether `z_min` or `z_max` was given as "auto"; then they have to be worked out, for other sensors anew."""
+    """Whether `z_min` or `z_max` is "auto", and so has to be computed for each pair of sensors."""
     return "auto" in (grid.z_min, grid.z_max, *given_of(grid).values())
 
 
 def with_rows(grid: Grid, sensors: tuple[Sensor, ...], R_v2_from_v1: Array | None = None) -> Grid:
     """A panorama whose `z_min` and `z_max` are numbers: where they are "auto", the rows that all sensors see.
 
-    Elevations are tried every 0.1 degrees from -75 to 75, at 120 azimuths. A direction counts where every image can be
-    sampled, with all taps of the cubic interpolation seen; an elevation where at least four fifths as many directions
-    do as at the best one. `z_min` and `z_max` are the tangents of both ends of the longest unbroken run of those: all
-    around for an omnidirectional sensor, and as far as it reaches for one that looks ahead.
+    Elevations are tried every 0.1 degrees from -75 to 75, at 120 azimuths. A direction counts if every image can be
+    sampled there, with all taps of the cubic interpolation visible; an elevation counts if at least four fifths as many
+    of its directions count as at the best elevation. `z_min` and `z_max` are the tangents of the ends of the longest
+    unbroken run of such elevations.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def with_rows(grid: Grid, sensors: tuple[Sensor, ...], R_v2_from_v1: Array | Non
     Raises
     ------
     ValueError
-        When there is no direction that all of them see, or `z_min` is not below `z_max`.
+        When no direction is seen by all of them, or `z_min` is not below `z_max`.
     """
     if not is_open(grid):
         return grid
@@ -57,7 +57,7 @@ def with_rows(grid: Grid, sensors: tuple[Sensor, ...], R_v2_from_v1: Array | Non
 
 @lru_cache(maxsize=64)
 def _rows(sensors: tuple[Sensor, ...], rotation: bytes) -> tuple[float, float] | None:
-    """Z of the lowest and the highest elevation, None where nothing is seen."""
+    """The z of the lowest and the highest elevation; None when nothing is visible."""
     count = round(STEEPEST_DEG / STEP_DEG)
     elevations = np.radians(STEP_DEG * np.arange(-count, count + 1))
     azimuths = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS

@@ -38,7 +38,7 @@ def _tag(value: Any) -> str:
 
 
 def _of_elsewhere(value: Any) -> CameraModel:
-    """A model that is not one of the program's own, or the complaint that there is no such model."""
+    """The settings of a third-party model; raises if there is no such model."""
     if isinstance(value, CameraModel):
         return value
     if not isinstance(value, Mapping):
@@ -70,7 +70,7 @@ else:
 
 
 def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
-    """The table of a camera model after its `kind` was changed: keys of one name mean other things in other models."""
+    """The table of a camera model after its `kind` was changed: keys of the same name differ in meaning by model."""
     return dict(settings) if settings.get("kind", "hyperboloid") == kind else {"kind": kind}
 
 

@@ -1,8 +1,7 @@
-"""What models of lenses share: the optical axis is +Z, and the radius in the image depends on the angle to it alone.
+"""The base of lens models: the optical axis is +Z, and the radius in the image depends only on the angle to it.
 
-They are written in the frame of their literature: X right (u), Y down (v), Z along the optical axis, into the scene.
-The sensor's frame is that one, so that such a camera looks straight up, and the angle off its axis is 90° less the
-elevation.
+They are written in the usual frame: X right (u), Y down (v), Z along the optical axis, into the scene. By default the
+sensor's frame is that one, so that the camera looks straight up, and the angle off its axis is 90° less the elevation.
 """
 
 import math
@@ -23,7 +22,7 @@ _MARGIN_RAD = math.radians(0.01)
 
 
 class Domain(NamedTuple):
-    """Where a model ends."""
+    """The limit of a model's domain."""
 
     angle_rad: float
     """Angle off the optical axis."""
@@ -34,7 +33,7 @@ class Domain(NamedTuple):
 
 
 class AxialModel(CameraModel):
-    """Base of the models of lenses."""
+    """Base of the lens models."""
 
     elevations_deg: ClassVar[tuple[float, float]] = (-90.0, 90.0)
 
@@ -42,19 +41,19 @@ class AxialModel(CameraModel):
     def radius(self, angle_rad: float, lens: Lens) -> float:
         """Radius in the image of directions at this angle off the axis, in the model's own unit.
 
-        It grows with the angle throughout the domain. To the side where it grows least, if a lens makes sides differ.
+        It grows with the angle throughout the domain. If lens distortion makes it depend on the azimuth, the smallest.
         """
 
     @abstractmethod
     def domain(self, camera: Camera, lens: Lens) -> Domain:
-        """Where the model ends."""
+        """The limit of the model's domain."""
 
     def unit_px(self, camera: Camera) -> float:
-        """Pixels, at least, to the unit of `radius`: the smaller focal length, but for models in pixels."""
+        """Least number of pixels per unit of `radius`: the smaller focal length, unless that unit is the pixel."""
         return camera.focal_px * min(1.0, camera.aspect)
 
     def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:
-        """The angle off the optical axis to which a field may reach: one pixel inside the domain."""
+        """The largest angle off the optical axis that a field may include, radians: one pixel inside the domain."""
         end = self.domain(camera, lens)
         last = end.radius - _MARGIN_PX / self.unit_px(camera)
         most = end.angle_rad - _MARGIN_RAD
@@ -65,7 +64,7 @@ class AxialModel(CameraModel):
         return float(brentq(lambda angle: self.radius(angle, lens) - last, 0.0, most))
 
     def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
-        """Refuse keys that the model has no use for, and a field that reaches beyond its domain."""
+        """Check that no unused key is set, and that the field lies within the model's domain."""
         self.refuse_unused(camera, lens)
         largest = math.degrees(self.largest_angle_rad(camera, lens))
         if edge.angle_deg > largest:

@@ -1,5 +1,5 @@
-"""The double sphere model: a direction is put on one unit sphere, its point seen from xi behind on a second one, and
-that point by a pinhole. With d = |(x, y, z)|, `z_2 = xi d + z` and `d_2 = sqrt(x² + y² + z_2²)`,
+"""The double sphere model: a direction is projected onto a unit sphere, from there onto a second one whose centre is
+xi behind, and from there by a pinhole. With d = |(x, y, z)|, `z_2 = xi d + z` and `d_2 = sqrt(x² + y² + z_2²)`,
 
     (m, n) = (x, y)/(alpha d_2 + (1 - alpha) z_2),      u = f m + s n + cx,    v = f aspect n + cy.
 
@@ -8,10 +8,10 @@ xi = 0 is the unified model, whose xi is then alpha/(1 - alpha), with a focal le
 Back, with r² = m² + n²: `z_2 = (1 - alpha² r²)/(alpha sqrt(1 - (2 alpha - 1) r²) + 1 - alpha)`,
 `k = (xi z_2 + sqrt(z_2² + (1 - xi²) r²))/(z_2² + r²)`, direction (k m, k n, k z_2 - xi), of unit length.
 
-Domain: seen from the second sphere as in the unified model, `z_2 > -w d_2`, w = alpha/(1 - alpha) for alpha <= 1/2 and
-(1 - alpha)/alpha for larger ones. In terms of z that is `z > -(xi (1 - w²) + w sqrt(1 - xi² (1 - w²))) d`. (The paper's
-w_2 is another number unless w = 1: for a pinhole, alpha = 0, it admits directions behind the centre when xi < 0, and
-leaves out some that are seen when xi > 0.) For xi >= 1 the first sphere is seen up to its outline only, z > -d/xi.
+Domain: on the second sphere as in the unified model, `z_2 > -w d_2`, w = alpha/(1 - alpha) for alpha <= 1/2 and
+(1 - alpha)/alpha otherwise. In terms of z that is `z > -(xi (1 - w²) + w sqrt(1 - xi² (1 - w²))) d`. (The paper's w_2
+differs from this unless w = 1: for a pinhole, alpha = 0, it admits directions behind the centre when xi < 0, and
+excludes visible ones when xi > 0.) For xi >= 1 the first sphere is visible up to its outline only, z > -d/xi.
 
 Source: V. Usenko, N. Demmel and D. Cremers, The double sphere camera model, 3DV 2018.
 """
@@ -38,9 +38,9 @@ class DoubleSphere(AxialModel):
     kind: Literal["double_sphere"] = "double_sphere"
     """The double sphere model."""
     xi: Annotated[float, Field(gt=-1, le=100)]
-    """Distance between the spheres' centres, no unit; of fisheyes about -0.3 .. 0.3."""
+    """Distance between the spheres' centres, no unit; for fisheyes about -0.3 .. 0.3."""
     alpha: Annotated[float, Field(ge=0, le=1)]
-    """Where the pinhole stands behind the second sphere, alpha/(1 - alpha) from its centre, no unit."""
+    """Position of the pinhole, no unit: alpha/(1 - alpha) behind the centre of the second sphere."""
 
     def radius(self, angle_rad: float, lens: Lens) -> float:  # noqa: ARG002
         """|(m, n)|, in focal lengths."""
@@ -48,7 +48,7 @@ class DoubleSphere(AxialModel):
         return sine / (self.alpha * math.hypot(sine, z_2) + (1 - self.alpha) * z_2)
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where a sphere's image has no end, or folds back."""
+        """Where the radius becomes infinite, or folds back."""
         angle = math.acos(self._lowest)
         if self.xi >= 1:
             # The outline of the first sphere, seen from the second's centre at an angle whose sine is 1/xi.

@@ -1,14 +1,14 @@
-"""The equirectangular panorama, as spherical cameras and their stitching programs give it: longitude and latitude.
+"""The equirectangular panorama, longitude and latitude, as spherical cameras and stitching programs write it.
 
-Its axis is +Z, from pole to pole, not into the scene: in the sensor's frame (x forward, y left, z up) it stands
+Its axis runs from pole to pole, not into the scene: in the sensor's frame (x forward, y left, z up) the panorama stands
 upright and is seen from inside, so that u grows to the right, clockwise seen from above, and v down:
 
     u = cx - f atan2(y, x),      v = cy - f aspect atan2(z, hypot(x, y)),
 
-f being pixels per radian: an image of 360 degrees has f = width/(2 pi). +x is seen at cx. u is taken to the turn that
-lies on the image, whose middle is (width - 1)/2; an image of 360 degrees goes on across its left and right borders.
+f being pixels per radian: an image of 360 degrees has f = width/(2 pi). +x is at cx. u is taken modulo one turn to lie
+on the image, whose middle is (width - 1)/2; an image of 360 degrees is periodic in azimuth.
 
-Domain: all but the two poles, which lie on no single pixel.
+Domain: all but the two poles, whose longitude is undefined.
 """
 
 import math
@@ -37,7 +37,7 @@ class Equirectangular(CameraModel):
     """A panorama in longitude and latitude."""
 
     def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:  # noqa: ARG002
-        """Refuse keys without a meaning, an image of more than one turn, and one that goes on beyond a pole."""
+        """Check that no unused key is set, and that the image spans at most one turn and ends at the poles."""
         self.refuse_unused(camera, lens)
         if camera.width_px > 2 * math.pi * camera.focal_px + _SLACK_PX:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""The extended unified camera model: the unified model with an ellipsoid in place of the sphere.
+"""The extended unified camera model: the unified model with an ellipsoid instead of the sphere.
 
 With `d = sqrt(beta (x² + y²) + z²)`,
 
@@ -8,7 +8,7 @@ beta = 1 is the unified model with xi = alpha/(1 - alpha) and a focal length of 
 
 Back, with r² = m² + n²: direction `(m, n, (1 - beta alpha² r²)/(alpha sqrt(1 - (2 alpha - 1) beta r²) + 1 - alpha))`.
 
-Domain: `z > -w d`. For alpha <= 1/2 it is w = alpha/(1 - alpha), where the image has no end; for larger ones
+Domain: `z > -w d`. For alpha <= 1/2, w = alpha/(1 - alpha), where the radius becomes infinite; otherwise
 w = (1 - alpha)/alpha, beyond which two directions share a pixel.
 
 Source: B. Khomutenko, G. Garcia and P. Martinet, An enhanced unified camera model, RA-L 2016.
@@ -35,9 +35,9 @@ class ExtendedUnified(AxialModel):
     kind: Literal["eucm"] = "eucm"
     """The extended unified camera model."""
     alpha: Annotated[float, Field(ge=0, le=1)]
-    """Share of the distance in the denominator, no unit: 0 a pinhole; above 0.5 the image ends."""
+    """Weight of d in the denominator, no unit: 0 for a pinhole; above 0.5 the radius is bounded."""
     beta: Annotated[float, Field(ge=1e-3, le=1e3)]
-    """Squared ratio of the ellipsoid's axes, no unit: 1 a sphere."""
+    """Squared ratio of the ellipsoid's axes, no unit: 1 for a sphere."""
 
     def radius(self, angle_rad: float, lens: Lens) -> float:  # noqa: ARG002
         """|(m, n)|, in focal lengths."""
@@ -45,7 +45,7 @@ class ExtendedUnified(AxialModel):
         return sine / (self.alpha * math.sqrt(self.beta * sine**2 + cosine**2) + (1 - self.alpha) * cosine)
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the ellipsoid's image has no end, or folds back."""
+        """Where the radius becomes infinite, or folds back."""
         cosine = lowest_of(self.alpha)
         angle = math.atan2(math.sqrt((1 - cosine**2) / self.beta), cosine)
         if self.alpha <= 0.5:
@@ -63,7 +63,7 @@ class ExtendedUnified(AxialModel):
 
 
 def lowest_of(alpha: float) -> float:
-    """The least z/d that is seen, -w: where the denominator vanishes, or the radius stops growing."""
+    """The smallest z/d in the domain, -w: where the denominator vanishes, or the radius stops growing."""
     return -alpha / (1 - alpha) if alpha <= 0.5 else -(1 - alpha) / alpha
 
 

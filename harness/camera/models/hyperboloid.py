@@ -1,14 +1,14 @@
-"""The hyperboloid mirror, (z + e)²/a² - r²/b² = 1 with e² = a² + b², upper sheet, seen by a perspective camera.
+"""The hyperboloid mirror, (z + e)²/a² - r²/b² = 1 with e² = a² + b², upper sheet, viewed by a perspective camera.
 
 The mirror's focus F0 is the origin and the effective viewpoint; the camera centre is the other focus
 F1 = (0, 0, -2e) and looks up.
 
-Projection: direction d meets the mirror at `P = lambda d`, `lambda = b²/(a |d| - e d_z)`, which F1 sees at the
-normalised coordinates `(P_x, P_y)/(P_z + 2e)`; the lens bends them, the camera scales them to pixels. The same in
-the unified form, with `eps = e/a` and for |d| = 1: `(d_x, d_y)/(xi - d_z)`, `xi = 2 eps/(1 + eps²)`, focal length
-`gamma = f (eps² - 1)/(1 + eps²)`; derivatives are of that form, which is the shorter one.
+Projection: direction d meets the mirror at `P = lambda d`, `lambda = b²/(a |d| - e d_z)`. Its normalised coordinates
+seen from F1 are `(P_x, P_y)/(P_z + 2e)`; the lens distorts them, the camera matrix maps them to pixels. The same in the
+unified form, with `eps = e/a` and for |d| = 1: `(d_x, d_y)/(xi - d_z)`, `xi = 2 eps/(1 + eps²)`, focal length
+`gamma = f (eps² - 1)/(1 + eps²)`; derivatives are taken of that form, which is shorter.
 
-Domain: `a |d| > e d_z`, below the mirror's asymptote; and within the radius at which the lens folds the image over.
+Domain: `a |d| > e d_z`, below the mirror's asymptote; and within the radius at which lens distortion folds back.
 """
 
 import math
@@ -32,8 +32,8 @@ from harness.spec import Positive
 class Mirror(CameraModel):
     """Semi-axes of the hyperboloid in metres.
 
-    The default is the mirror made for the University of Amsterdam's robots in the years of the paper, which
-    does not state its own: a = 28.1 mm, b = 23.4 mm.
+    The paper does not state those of its mirror. The default is the mirror made for the University of Amsterdam's
+    robots in the same years: a = 28.1 mm, b = 23.4 mm.
     """
 
     title: ClassVar[str] = "hyperboloid mirror"
@@ -61,11 +61,11 @@ class Mirror(CameraModel):
 
     @property
     def asymptote_rad(self) -> float:
-        """Elevation that no point of the mirror reaches: the surface's asymptote, in radians."""
+        """Elevation of the surface's asymptote, radians, which no point of the mirror reaches."""
         return math.asin(self.a_m / self.e_m)
 
     def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
-        """Refuse a field that reaches beyond the mirror's asymptote, or to where the lens folds the image over."""
+        """Check that the field ends below the mirror's asymptote and before lens distortion folds back."""
         elevation_deg, asymptote_deg = edge.angle_deg - 90, math.degrees(self.asymptote_rad)
         if elevation_deg >= asymptote_deg - 0.01:
             raise ValueError(
@@ -116,10 +116,10 @@ class Mirror(CameraModel):
 
 
 def point_on_mirror(mirror: Mirror, directions: ArrayLike) -> Array:
-    """Where the mirror is met in a direction from F0, in metres.
+    """The point of the mirror in each direction from F0, metres.
 
-    `lambda d` with `lambda = b²/(a |d| - e d_z)`: the polar equation of a hyperbola about its focus, so there
-    is no quadratic and no branch to choose.
+    `lambda d` with `lambda = b²/(a |d| - e d_z)`: the polar equation of a hyperbola about its focus, which needs no
+    quadratic and no choice of a branch.
 
     Parameters
     ----------

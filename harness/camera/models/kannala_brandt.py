@@ -3,8 +3,8 @@
     r = theta (1 + k1 theta² + k2 theta⁴ + k3 theta⁶ + k4 theta⁸),   (m, n) = (r/rho) (x, y),   rho = hypot(x, y),
     u = f m + s n + cx,    v = f aspect n + cy,
 
-with theta = atan2(rho, z): as OpenCV's `fisheye` has it, which stops at 90°; here theta may be more. All k = 0 is the
-equidistant lens. Back, theta is found by Newton's method within the domain.
+with theta = atan2(rho, z): OpenCV's `fisheye`, which stops at 90°; here theta may be larger. With all k = 0 it is the
+equidistant lens. The inverse, theta of a radius, is computed by Newton's method within the domain.
 
 Domain: up to the first angle at which r stops growing; short of 180°, where all azimuths are one direction.
 
@@ -50,13 +50,13 @@ class KannalaBrandt(AxialModel):
     @property
     def _last(self) -> float:
         """The angle, in radians, at which the radius stops growing; pi where it does not."""
-        # In 1/theta² the polynomial is monic, so that coefficients next to nothing do no harm.
+        # In 1/theta² the polynomial is monic, so that tiny coefficients do no harm.
         roots = np.roots([1.0, 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4])
         real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
         return min(math.pi, 1 / math.sqrt(real.max())) if real.size else math.pi
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the polynomial turns round."""
+        """Where the polynomial stops growing."""
         last = self._last
         why = "r(theta) stops growing" if last < math.pi else "all azimuths are one direction"
         return Domain(last, self.radius(last, lens), why)
@@ -132,9 +132,9 @@ def _move(x, y, z, dx, dy, dz, camera):
 
 @kernel
 def _angle(r, camera):
-    """The angle whose radius is r; not a number beyond the domain.
+    """The angle whose radius is r; NaN beyond the domain.
 
-    Newton's method, between bounds that close in on the one solution: r(theta) grows throughout.
+    Newton's method, safeguarded by bisection bounds: r(theta) grows throughout, so the solution is unique.
     """
     if not r <= camera.rim:
         return math.nan

@@ -1,4 +1,4 @@
-"""What a camera model is made of. Each is one file beside this one; `docs/adding-a-camera-model.md` says how."""
+"""The base class of camera models. Each has a file beside this one; see `docs/adding-a-camera-model.md`."""
 
 import json
 import math
@@ -15,34 +15,34 @@ from harness.third_party import identity_of
 
 
 class CameraModel(Spec, ABC):
-    """Base of the settings of camera models: central ones, in which all rays meet in one viewpoint."""
+    """Base of the settings of central camera models, in which all rays meet in one viewpoint."""
 
     title: ClassVar[str]
     """In captions: `hyperboloid mirror`."""
     unused: ClassVar[tuple[str, ...]] = ()
-    """The keys of `camera` that the model has no use for."""
+    """The keys of `camera` that the model does not use."""
     has_lens: ClassVar[bool] = False
-    """Whether the terms of `lens` bend what the model projects."""
+    """Whether the distortion terms of `lens` apply to the model."""
     looks: ClassVar[Looks] = "up"
     """Where the optical axis points in the model's own frame."""
     mirrored: ClassVar[bool] = False
     """Whether the model's images are mirror images."""
     elevations_deg: ClassVar[tuple[float, float]] = (-75.0, 20.0)
-    """Lowest and highest elevation of the field of view where they are not given."""
+    """Default lowest and highest elevation of the field of view."""
 
     @abstractmethod
     def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:
-        """Refuse a field of view whose edge lies outside the model's domain.
+        """Check that the edge of a field of view lies within the model's domain.
 
         Raises
         ------
         ValueError
-            Says which key is wrong and what would be right.
+            Names the key and what would be right.
         """
 
     @abstractmethod
     def parameters(self, camera: Camera, lens: Lens) -> Any:
-        """What the compiled functions are given: a named tuple of numbers, of a class of the model's own."""
+        """The argument of the compiled functions: a named tuple of numbers, of a class that belongs to the model."""
 
     def identity(self) -> str:
         """What the settings do not say: a hash of the source of a model from elsewhere; empty for one of this program.
@@ -64,12 +64,14 @@ class CameraModel(Spec, ABC):
                 identity_of(cls)
 
     def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:  # noqa: ARG002
-        """The angle off the optical axis to which a field of view reaches that is given no limit."""
+        """The largest angle off the optical axis of a field of view without a limit of its own, radians."""
         return math.pi
 
     def filled_in(self, field: FieldOfView, camera: Camera, lens: Lens, looks: Looks) -> FieldOfView:
-        """A field of view with what was not given: the model's own elevations and, if neither an elevation nor an angle
-        says how far it reaches from the optical axis, the angle at which the model ends.
+        """A field of view whose missing limits are filled in.
+
+        They are the model's own elevations and, if neither an elevation nor an angle limits the field away from the
+        optical axis, the angle at which the model's domain ends.
 
         Raises
         ------
@@ -104,9 +106,9 @@ class CameraModel(Spec, ABC):
         return False
 
     def refuse_unused(self, camera: Camera, lens: Lens) -> None:
-        """Refuse what has been set and would change nothing.
+        """Check that no key is set that the model does not use.
 
-        A key that holds its default counts as not set: a sensor that is written out has all of them.
+        A key at its default counts as not set, as a sensor that is written to a file has all of them.
 
         Raises
         ------
@@ -121,6 +123,6 @@ class CameraModel(Spec, ABC):
         given = [key for key in Lens.model_fields if getattr(lens, key)]
         if given and not self.has_lens:
             raise ValueError(
-                f"lens.{given[0]} = {getattr(lens, given[0]):g}: the {self.title} has no lens terms beside its own; "
+                f"lens.{given[0]} = {getattr(lens, given[0]):g}: the {self.title} has no lens terms besides its own; "
                 "leave it out"
             )

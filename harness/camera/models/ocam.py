@@ -1,14 +1,14 @@
 """Scaramuzza's model (OCamCalib): the direction of a pixel is a polynomial in its distance r from the centre.
 
-A point (p, q) of the ideal image, in pixels down and to the right of the centre, r = hypot(p, q), sees the direction
-(in the frame of the other models: X right, Y down, Z along the optical axis)
+A point (p, q) of the ideal image, in pixels down and to the right of the centre, r = hypot(p, q), has the direction (in
+the frame of the other models: X right, Y down, Z along the optical axis)
 
     (x, y, z) ~ (q, p, Z(r)),    Z(r) = -(a_0 + a_1 r + a_2 r² + ...),    v = c p + d q + cy,    u = e p + q + cx.
 
 OCamCalib's own frame has x down, y to the right, and z out of the camera's back, which is why its a_0 is negative; its
-centre (xc, yc) is (row, column), which is (cy, cx) here. Its file ends with a polynomial for the way to the image,
-fitted to some hundredths of a pixel: that one is not used. The radius of a direction is the solution of
-`rho Z(r) = z r`, rho = hypot(x, y), found by Newton's method to 1e-12 pixels.
+centre (xc, yc) is (row, column), which is (cy, cx) here. Its files also have an inverse polynomial, from directions to
+radii, fitted to some hundredths of a pixel: it is not used. The radius of a direction is the solution of
+`rho Z(r) = z r`, rho = hypot(x, y), computed by Newton's method to 1e-12 pixels.
 
 Domain: up to the first radius at which the ray's angle off the axis, atan2(r, Z(r)), stops growing:
 `Z(r) - r Z'(r) = 0`; and up to ten times the distance of the image's farthest corner.
@@ -50,36 +50,38 @@ class OCam(AxialModel):
     """a_0, a_1, a_2, ... of the direct polynomial, from the image to the ray; a_k is in pixels to the power of 1 - k.
     a_0 is below 0, a_1 is 0."""
     c: Finite = 1.0
-    """Affine part of the image, no unit: rows of the image to a pixel down in the ideal one."""
+    """Affine part of the image, no unit: rows of the image per pixel down in the ideal one."""
     d: Finite = 0.0
-    """Affine part of the image, no unit: rows of the image to a pixel to the right in the ideal one."""
+    """Affine part of the image, no unit: rows of the image per pixel to the right in the ideal one."""
     e: Finite = 0.0
-    """Affine part of the image, no unit: columns of the image to a pixel down in the ideal one."""
+    """Affine part of the image, no unit: columns of the image per pixel down in the ideal one."""
 
     @model_validator(mode="after")
     def _as_ocamcalib_writes_it(self) -> "OCam":
         a = self.coefficients
         if not a[0] < 0:
             raise ValueError(
-                f"coefficients: a_0 = {a[0]:g} must be below 0, as in OCamCalib's files; where the axis is turned "
-                "round (MATLAB's fisheyeIntrinsics), give all of them the other sign"
+                f"coefficients: a_0 = {a[0]:g} must be below 0, as in OCamCalib's files; if the axis points the "
+                "other way (MATLAB's fisheyeIntrinsics), negate all coefficients"
             )
         if len(a) > 1 and a[1] != 0:
-            raise ValueError(f"coefficients: a_1 must be 0, or the image has a kink in its centre; found {a[1]:g}")
+            raise ValueError(
+                f"coefficients: a_1 must be 0, or the projection is not smooth at the centre; found {a[1]:g}"
+            )
         if not self.c - self.d * self.e > 1e-3:
             raise ValueError(f"c - d e must be above 0, about 1; found {self.c - self.d * self.e:g}")
         return self
 
     def unit_px(self, camera: Camera) -> float:  # noqa: ARG002
-        """Pixels, at least, to a pixel of the ideal image."""
+        """Least number of pixels of the image per pixel of the ideal image."""
         return float(np.linalg.svd([[1, self.e], [self.d, self.c]], compute_uv=False)[-1])
 
     def angle(self, radius: float) -> float:
-        """The angle off the axis, radians, of what is seen at this radius, in pixels of the ideal image."""
+        """The angle off the axis, radians, of the ray at this radius, in pixels of the ideal image."""
         return math.atan2(radius, -float(np.polynomial.polynomial.polyval(radius, self.coefficients)))
 
     def radius(self, angle_rad: float, lens: Lens) -> float:  # noqa: ARG002
-        """In pixels of the ideal image."""
+        """Radius of directions at this angle off the axis, in pixels of the ideal image."""
         most = self._last
         if math.isinf(most):
             most = 1.0
@@ -102,9 +104,9 @@ class OCam(AxialModel):
         return min(self._last, _FAR * math.hypot(across, down) / self.unit_px(camera))
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the ray's angle turns round."""
+        """Where the ray's angle stops growing."""
         rim = self._rim(camera)
-        why = "the ray's angle stops growing with r" if rim == self._last else "the image is long over"
+        why = "the ray's angle stops growing with r" if rim == self._last else "the radius is far off the image"
         return Domain(self.angle(rim), rim, why)
 
     def parameters(self, camera: Camera, lens: Lens) -> "OCamCamera":  # noqa: ARG002
@@ -151,10 +153,10 @@ def _height(r, camera):
 
 @kernel
 def _radius(rho, z, camera):
-    """The radius at which a direction is seen; not a number outside the domain.
+    """The radius of a direction; NaN outside the domain.
 
-    Within it rho Z(r) - z r changes its sign once, from above 0 to below. Newton's method, between bounds that close
-    in on that place.
+    Within it rho Z(r) - z r changes its sign once, from positive to negative. Newton's method, safeguarded by bisection
+    bounds around that root.
     """
     if not rho * camera.rim_height - z * camera.rim <= 0.0:
         return math.nan

@@ -1,19 +1,19 @@
 """The unified model of Geyer and Daniilidis with Mei's lens: mirrors of all conics, and fisheyes.
 
-A direction is put on the unit sphere and seen by a pinhole at the distance xi behind the sphere's centre. With
-d = |(x, y, z)|,
+A direction is projected onto the unit sphere, and from there by a pinhole at distance xi behind the sphere's centre.
+With d = |(x, y, z)|,
 
     (m, n) = (x, y)/(z + xi d),      u = f m' + s n' + cx,    v = f aspect n' + cy,
 
-(m', n') being (m, n) bent by the Brown-Conrady lens: as OpenCV's `omnidir` has it, K[0, 0] = f, K[0, 1] = s, which has
-no k3. xi = 0 is a pinhole, below 1 a hyperboloid mirror, 1 a paraboloid (or a stereographic lens); real sensors are
-calibrated to more than 1 as well.
+(m', n') being (m, n) after Brown-Conrady distortion. This is OpenCV's `omnidir` with K[0, 0] = f and K[0, 1] = s, which
+has no k3. xi = 0 is a pinhole, xi < 1 a hyperboloid mirror, xi = 1 a paraboloid (or a stereographic lens); calibrations
+of real sensors also give xi > 1.
 
 Back, with r² = m² + n²: `k = (xi + sqrt(1 - (xi² - 1) r²))/(1 + r²)`, direction (k m, k n, k - xi), of unit length.
 Here `k - xi = (1 - xi² r²)/(xi r² + sqrt(1 - (xi² - 1) r²))`, in which nothing cancels.
 
-Domain: `z > -min(xi, 1/xi) d`. For xi <= 1 the image has no end, beyond that two directions share a pixel; and within
-the radius at which the lens folds the image over.
+Domain: `z > -min(xi, 1/xi) d`, where for xi <= 1 the radius becomes infinite, and beyond which for xi > 1 two
+directions share a pixel; and within the radius at which lens distortion folds back.
 
 Source: C. Mei and P. Rives, Single view point omnidirectional camera calibration from planar grids, ICRA 2007.
 """
@@ -41,15 +41,15 @@ class Unified(AxialModel):
     kind: Literal["unified"] = "unified"
     """The unified model."""
     xi: Annotated[float, Field(ge=0, le=100)]
-    """Distance of the projection's centre from the sphere's, no unit: 0 a pinhole, below 1 a hyperboloid mirror, 1 a
-    paraboloid."""
+    """Distance of the centre of projection from that of the sphere, no unit: 0 for a pinhole, below 1 for a hyperboloid
+    mirror, 1 for a paraboloid."""
 
     def radius(self, angle_rad: float, lens: Lens) -> float:
         """|(m', n')|, in focal lengths."""
         return least_bent_radius(lens, math.sin(angle_rad) / (math.cos(angle_rad) + self.xi))
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the sphere's image folds back or has no end, or the lens folds it over."""
+        """Where the radius becomes infinite or folds back, or lens distortion folds back."""
         fold = fold_radius(lens)
         last = 1 / math.sqrt(self.xi**2 - 1) if self.xi > 1 else math.inf
         if fold < last:
