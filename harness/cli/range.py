@@ -113,6 +113,8 @@ def run(options: Namespace) -> None:
         print(f"{photograph.file}: {photograph.scale}")
     if estimate.matches.remark:
         print(estimate.matches.remark)
+    for line in estimate.geometry.lines():
+        print(line)
     print(f"{estimate.valid.mean():.1%} of the panorama has a range; {options.out / 'range.html'}")
 
 

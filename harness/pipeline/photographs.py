@@ -1,8 +1,10 @@
 """Range from two photographs: any matcher on real images, without a scene and without truth."""
 
 import io
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -25,9 +27,21 @@ from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
 from harness.matching.ranges import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
+from harness.pipeline.geometry_check import GeometryCheck, check_geometry, geometry_share
 from harness.pipeline.sight import check_sensor
 
-WRITTEN = ("range.npy", "range_mm.png", "sigma_m.npy", "alpha_2.npy", "reason.npy", "points.ply")
+WRITTEN = (
+    "range.npy",
+    "range_mm.png",
+    "sigma_m.npy",
+    "sigma_matching_m.npy",
+    "sigma_geometry_m.npy",
+    "alpha_2.npy",
+    "reason.npy",
+    "points.ply",
+    "range.json",
+    "across.csv",
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,7 +68,14 @@ class Estimate(OneLine):
     range_m: Array
     """From view 1; NaN where `reason` is not `Reason.MATCHED`."""
     sigma_m: Array
-    """Predicted standard deviation of the range, to first order; NaN where nothing is predicted."""
+    """Predicted standard deviation of the range, to first order; NaN where nothing is predicted. The root of the sum of
+    the squares of the next two."""
+    sigma_matching_m: Array
+    """The part of the matching: of the images' noise and texture."""
+    sigma_geometry_m: Array
+    """The part of motion and calibration, as far as the images show that these are wrong; 0 where they do not."""
+    geometry: GeometryCheck
+    """Whether motion and calibration agree with the images."""
     reason: NDArray[np.uint8]
 
     @property
@@ -66,6 +87,23 @@ class Estimate(OneLine):
     def points_m(self) -> Array:
         """`[pixels with a range, 3]`, in view 1's frame, z up."""
         return directions(self.pair.grid)[self.valid] * self.range_m[self.valid][:, None]
+
+    def summary(self) -> dict[str, Any]:
+        """The figures of the whole as plain values; None where there is none."""
+
+        def median(values: Array) -> float | None:
+            known = values[np.isfinite(values)]
+            return float(np.median(known)) if known.size else None
+
+        return {
+            "density": float(self.valid.mean()),
+            "range_median_m": median(self.range_m),
+            "sigma_median_m": median(self.sigma_m),
+            "sigma_matching_median_m": median(self.sigma_matching_m),
+            "sigma_geometry_median_m": median(self.sigma_geometry_m),
+            "baseline_m": self.pair.motion.baseline_m,
+            "geometry": self.geometry.summary(),
+        }
 
     @property
     def colours(self) -> NDArray[np.uint8]:
@@ -130,13 +168,19 @@ def estimate(
     range_m, reason = ranges_of(matches, a_1, motion.baseline_m)
     with np.errstate(invalid="ignore", divide="ignore"):
         law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, motion.baseline_m))
+    matching_m = np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan)
+    geometry = check_geometry(pair, range_m, matching_m)
+    geometry_m = geometry_share(geometry, pair) * range_m
     return Estimate(
         photographs=(first, second),
         pair=pair,
         matcher=matcher,
         matches=matches,
         range_m=range_m,
-        sigma_m=np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan),
+        sigma_m=np.hypot(matching_m, geometry_m),
+        sigma_matching_m=matching_m,
+        sigma_geometry_m=geometry_m,
+        geometry=geometry,
         reason=reason,
     )
 
@@ -152,7 +196,8 @@ def write_estimate(result: Estimate, folder: Path) -> None:
     """Write the files of `WRITTEN`.
 
     `range_mm.png` has 16 bits: millimetres, 0 where there is no range, 65535 from 65.535 m on. `points.ply` holds the
-    points in view 1's frame with the photograph's colours.
+    points in view 1's frame with the photograph's colours. `range.json` holds the medians and the verdict on the
+    geometry, `across.csv` how far each window of `harness.motion.across` lies off its epipolar curve.
 
     Raises
     ------
@@ -163,6 +208,8 @@ def write_estimate(result: Estimate, folder: Path) -> None:
     for name, array in (
         ("range.npy", result.range_m),
         ("sigma_m.npy", result.sigma_m),
+        ("sigma_matching_m.npy", result.sigma_matching_m),
+        ("sigma_geometry_m.npy", result.sigma_geometry_m),
         ("alpha_2.npy", result.matches.alpha_2),
         ("reason.npy", result.reason),
     ):
@@ -175,3 +222,5 @@ def write_estimate(result: Estimate, folder: Path) -> None:
     write(folder / "range_mm.png", stream.getvalue())
     cloud = trimesh.PointCloud(result.points_m, colors=result.colours)  # type: ignore[no-untyped-call]
     write(folder / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]
+    write(folder / "range.json", json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
+    write(folder / "across.csv", result.geometry.table().to_csv(index=False, float_format="%.6g", lineterminator="\n"))

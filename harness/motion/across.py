@@ -1,0 +1,164 @@
+"""How far matches lie off their epipolar curves: tiles of view 1 fitted to view 2 along the curve and across it.
+
+Whatever is wrong with a geometry moves view 2 along the curves, which looks like another range, and across them, which
+nothing in the scene explains. So each tile is fitted by least squares with its plane, gain and offset, and with an
+angle across: all its points turn by delta about y × n, from y towards n = t × x/|t × x|, y being the direction of its
+middle from viewpoint 2 in view 1's orientation.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from harness.camera.sensor import Sensor, jacobian
+from harness.display import OneLine
+from harness.geometry.angles import Array, normalise
+from harness.motion import _across_kernels as _kernels
+from harness.motion.residuals import Turn
+from harness.motion.tiles import LEAST_SHARE, LEAST_W, SIDE_PX, Image, Views, lay_tiles, tangents_at, views
+
+_ITERATIONS = 6
+_CORRELATION = 0.6
+"""Least correlation of both views on a tile."""
+_MOST_PX = 6.0
+"""Largest angle across, pixels of view 2: beyond, a tile has found something else."""
+_MOST_SIGMA_PX = 0.5
+_LEAST_KNOWN = 0.5
+"""Share of a tile's pixels that need an inverse range to begin with."""
+_OUTLYING = 9.0
+"""How many times the median distance from the middle an inverse range may lie from it, in a tile's first plane."""
+
+
+@dataclass(frozen=True, repr=False)
+class Across(OneLine):
+    """Tiles that are seen alike in both views, `[n]`."""
+
+    tiles: NDArray[np.int64]
+    """`[n, 2]`, first row and column in view 1's image."""
+    x_1: Array
+    """`[n, 3]`, unit directions of their middles from view 1."""
+    planes: Array
+    """`[n, 3]`: the inverse range in direction x is m · x, in 1/|t|."""
+    delta: Array
+    """The angle across, radians, from y towards n."""
+    sigma: Array
+    """Its standard deviation from the tile's own residual, radians."""
+    px_per_rad: Array
+    """Pixels of view 2 that an angle across makes."""
+    aside: Array
+    """How much the inverse range at the middle, 1/|t|, moves for each radian across that a fit along the curve alone
+    does not take: texture that is not at right angles to the curve lets one stand for the other."""
+
+    def __len__(self) -> int:
+        return len(self.delta)
+
+    def at(self, where: NDArray[np.bool_]) -> "Across":
+        """Some of the tiles."""
+        return Across(**{name: value[where] for name, value in vars(self).items()})
+
+    @property
+    def w(self) -> Array:
+        """Inverse range at the middles, 1/|t|."""
+        return np.asarray(np.sum(self.planes * self.x_1, axis=1))
+
+    @property
+    def pixels_1(self) -> Array:
+        """`[n, 2]`, (u, v) of the middles."""
+        return np.asarray(self.tiles[:, ::-1] + (SIDE_PX - 1) / 2, dtype=np.float64)
+
+
+def fit_across(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn: Turn, inverse_range: Array) -> Across:
+    """Fit tiles, from inverse ranges that are right to about a pixel.
+
+    Parameters
+    ----------
+    inverse_range
+        `[height, width]` of view 1's image, 1/|t|; NaN where it is not known.
+    """
+    given = views(images, sensors)
+    tiles, planes = _planes(given, lay_tiles(given), inverse_range)
+    count = len(tiles)
+    x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
+    n = normalise(np.cross(turn.t, x_c))
+    y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
+    axis = np.ascontiguousarray(np.cross(y, n))
+    delta, gain, offset = np.zeros(count), np.ones(count), np.zeros(count)
+    for iteration in range(_ITERATIONS + 1):
+        R = turn.R @ Rotation.from_rotvec(axis * delta[:, None]).as_matrix() if count else np.zeros((0, 3, 3))
+        H, g, sums = np.zeros((count, 6, 6)), np.zeros((count, 6)), np.zeros((count, 4))
+        _kernels.equations_across(
+            tiles, SIDE_PX, LEAST_W, given.known, given.x, given.grey, np.ascontiguousarray(R), turn.t, axis,
+            given.camera, given.coefficients, planes, gain, offset, H, g, sums,
+        )  # fmt: skip
+        H = H + np.triu(H, 1).transpose(0, 2, 1) + _ridge(x_c, H)
+        if iteration == _ITERATIONS:
+            break
+        step = np.linalg.solve(H, g[..., None])[..., 0]
+        delta = delta + np.clip(step[:, 0], -0.02, 0.02)
+        planes = planes + step[:, 1:4]
+        gain, offset = np.clip(gain + step[:, 4], 0.1, 10.0), offset + step[:, 5]
+    return _usable(sensors[1], turn, (tiles, x_c, planes, delta), (H, sums), n)
+
+
+def _usable(
+    sensor: Sensor,
+    turn: Turn,
+    fitted: tuple[NDArray[np.int64], Array, Array, Array],
+    equations: tuple[Array, Array],
+    n: Array,
+) -> Across:
+    """The tiles that were fitted well."""
+    (tiles, x_c, planes, delta), (H, sums) = fitted, equations
+    pixels = np.maximum(sums[:, 0], 7.0)
+    variance = sums[:, 1] / (pixels - 6)
+    correlation = 1 - sums[:, 1] / np.maximum(sums[:, 3] - sums[:, 2] ** 2 / pixels, 1e-9)
+    sigma = np.sqrt(np.linalg.inv(H)[:, 0, 0] * variance)
+    aside = -np.sum(np.linalg.solve(H[:, 1:, 1:], H[:, 1:, :1])[:, :3, 0] * x_c, axis=1)
+    y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
+    px_per_rad = np.linalg.norm(np.einsum("nij,nj->ni", jacobian(sensor, y @ turn.R.T), n @ turn.R.T), axis=1)
+    with np.errstate(invalid="ignore"):
+        good = (
+            (sums[:, 0] >= LEAST_SHARE * SIDE_PX**2)
+            & (correlation > _CORRELATION)
+            & (np.abs(delta) * px_per_rad < _MOST_PX)
+            & (sigma * px_per_rad < _MOST_SIGMA_PX)
+        )
+    return Across(tiles, x_c, planes, delta, sigma, px_per_rad, aside).at(good)
+
+
+def _planes(given: Views, tiles: NDArray[np.int64], inverse_range: Array) -> tuple[NDArray[np.int64], Array]:
+    """Planes `[n, 3]` through the inverse ranges of those tiles that have enough of them."""
+    within = np.arange(SIDE_PX)
+    rows, columns = tiles[:, 0, None, None] + within[:, None], tiles[:, 1, None, None] + within
+    w = inverse_range[rows, columns].reshape(len(tiles), SIDE_PX**2)
+    x = given.x[rows, columns].reshape(len(tiles), SIDE_PX**2, 3)
+    known = np.isfinite(w) & np.isfinite(x[..., 0])
+    enough = known.mean(axis=1) >= _LEAST_KNOWN
+    w, x, known, tiles = w[enough], x[enough], known[enough], tiles[enough]
+    # Of two surfaces the plane is that of the larger.
+    apart = np.abs(w - _median(w, known))
+    known &= apart <= _OUTLYING * _median(apart, known) + 1e-6
+    A, b = np.where(known[..., None], x, 0.0), np.where(known, w, 0.0)
+    H = A.transpose(0, 2, 1) @ A
+    ridge = 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    planes = np.linalg.solve(H + ridge, np.sum(A * b[..., None], axis=1)[..., None])[..., 0]
+    return np.ascontiguousarray(tiles), np.ascontiguousarray(planes)
+
+
+def _median(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Median of the known values of each row `[n, 1]`; every row has some."""
+    return np.asarray(np.nanmedian(np.where(known, values, np.nan), axis=1, keepdims=True))
+
+
+def _ridge(x_c: Array, H: Array) -> Array:
+    """What keeps a tile's unknowns where they are while its texture says nothing of them `[n, 6, 6]`."""
+    b_1, b_2 = tangents_at(x_c)
+    slopes = sum(np.einsum("ti,tj->tij", b, b) for b in (b_1, b_2))
+    size = np.einsum("ti,tij,tj->t", x_c, H[:, 1:4, 1:4], x_c)
+    ridge = np.zeros_like(H)
+    ridge[:, 1:4, 1:4] = 1e-4 * size[:, None, None] * slopes + 1e-9 * size[:, None, None] * np.eye(3)
+    for i in (0, 4, 5):
+        ridge[:, i, i] = 1e-9 * H[:, i, i]
+    return ridge + 1e-12 * np.eye(6)

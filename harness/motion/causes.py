@@ -1,0 +1,267 @@
+"""What may be wrong with a geometry, from how far matches lie off their epipolar curves.
+
+To first order an error theta of rotation, direction of t or calibration moves a match across its curve by E theta, and
+the inverse range that it gives by W theta. The E theta are measured (`harness.motion.across`); theta is fitted to them
+with a prior of typical sizes, times one factor lambda for all of them, which is what makes the measurements likeliest:
+no error where they are noise, and where they are not, errors of that size also of what cannot be seen.
+
+Errors are those of what is assumed, less what is true: with a centre that is given 1 px too far right, theta is 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.camera.sensor import Sensor, project
+from harness.display import OneLine
+from harness.geometry.angles import Array, normalise
+from harness.motion.across import Across
+from harness.motion.features import spreads
+from harness.motion.residuals import Turn
+from harness.motion.tiles import tangents_at
+
+FLOOR_PX = 0.01
+"""Standard deviation that is added to every tile's: of interpolation and of planes that are none."""
+FIRST_ORDER = 0.03
+"""The same as a share of what lies across: effects are known to first order."""
+_CAUCHY = 2.385
+"""Standard deviations at which a residual counts half."""
+_LAMBDAS = np.concatenate([[0.0], np.geomspace(1e-3, 30, 60)])
+_ROUNDS = 5
+_ALIKE = 0.97
+"""Causes that explain this share of what the best one does cannot be told from it."""
+_ENOUGH = 0.9
+"""What one cause has to explain to be called likely."""
+_SIGNIFICANT = 6.0
+"""Logarithm of the likelihood that an error has to gain."""
+
+TYPICAL = {
+    "centre u": 0.5,
+    "centre v": 0.5,
+    "focal length": 0.5,
+    "shape": 0.5,
+    "tilt u": 0.25,
+    "tilt v": 0.25,
+    "decentring u": 0.25,
+    "decentring v": 0.25,
+    "aspect": 0.25,
+    "skew": 0.25,
+    "turn x": np.radians(0.1),
+    "turn y": np.radians(0.1),
+    "turn z": np.radians(0.1),
+    "t aside": np.radians(1.0),
+    "t up": np.radians(1.0),
+}
+"""Typical sizes: pixels at the image's outermost tile, or radians."""
+_TURNS = ("turn x", "turn y", "turn z")
+_STEPS = ("t aside", "t up")
+CALIBRATION = tuple(name for name in TYPICAL if name not in _TURNS + _STEPS)
+CAUSES: dict[str, tuple[str, ...]] = {
+    "the rotation": _TURNS,
+    "the direction of t": _STEPS,
+    "the centre": ("centre u", "centre v"),
+    "the focal length": ("focal length",),
+    "the mirror or lens": CALIBRATION,
+}
+"""What is fitted alone, to tell likely causes; the last holds the two before it."""
+
+
+@dataclass(frozen=True, repr=False)
+class Effects(OneLine):
+    """What errors do to tiles: `[n, k]` for the k names."""
+
+    names: tuple[str, ...]
+    across: Array
+    """Radians across."""
+    w: Array
+    """Inverse range, 1/|t|, at the direction in which the tile seems to be."""
+
+    def columns(self, names: tuple[str, ...]) -> list[int]:
+        """Where these errors are, of either view."""
+        return [i for i, each in enumerate(self.names) if each.removesuffix(" of view 2") in names]
+
+
+def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Effects:
+    """How tiles move with errors, to first order."""
+    x, t = tiles.x_1, turn.t
+    y = normalise(x - tiles.w[:, None] * t)
+    n = normalise(np.cross(t, x))
+    alpha_1, alpha_2 = (np.arccos(np.clip(each @ t, -1, 1)) for each in (x, y))
+    sine_1, sine_2 = np.sin(alpha_1), np.sin(alpha_2)
+
+    def moved(dx: Array, dy: Array, dt: Array) -> tuple[Array, Array]:
+        across = (np.sum(np.cross(t, dx) * y, axis=1) + np.sum(np.cross(dt, x) * y, axis=1)) / sine_1
+        across = across + np.sum(n * dy, axis=1)
+        d_1 = -(np.sum(dt * x, axis=1) + dx @ t) / sine_1
+        d_2 = -(np.sum(dt * y, axis=1) + dy @ t) / sine_2
+        # w = sin(alpha_2 - alpha_1)/sin(alpha_2); what is seen in direction x + dx has m · dx more by itself.
+        parallax = alpha_2 - alpha_1
+        w = (np.cos(parallax) * (d_2 - d_1) - np.sin(parallax) * np.cos(alpha_2) / sine_2 * d_2) / sine_2
+        return across, w - np.sum(tiles.planes * dx, axis=1)
+
+    none = np.zeros_like(x)
+    names, moves = list(_TURNS + _STEPS), []
+    moves += [moved(none, np.cross(y, axis), none) for axis in np.eye(3)]
+    moves += [moved(none, none, np.broadcast_to(axis, x.shape)) for axis in directions_aside(t)]
+    fields = _pixel_fields(sensors, x, y @ turn.R.T)
+    for name in CALIBRATION:
+        first, second = (-np.einsum("nij,nj->ni", S, shift[name]) for S, shift in fields)
+        if sensors[0] == sensors[1]:
+            names.append(name)
+            moves.append(moved(first, second @ turn.R, none))
+        else:
+            names += [name, f"{name} of view 2"]
+            moves += [moved(first, none, none), moved(none, second @ turn.R, none)]
+    return Effects(tuple(names), *(np.stack(each, axis=1) for each in zip(*moves, strict=True)))
+
+
+def directions_aside(t: Array) -> tuple[Array, Array]:
+    """Unit vectors at right angles to t: level, and up as far as may be."""
+    level = np.cross([0.0, 0.0, 1.0], t)
+    if np.linalg.norm(level) < 1e-6:
+        one, other = tangents_at(t[None])
+        return one[0], other[0]
+    level = normalise(level)
+    return level, np.cross(t, level)
+
+
+def _pixel_fields(sensors: tuple[Sensor, Sensor], x_1: Array, x_2: Array) -> list[tuple[Array, dict[str, Array]]]:
+    """For each view how bearings move with pixels `[n, 3, 2]`, and the pixels' shifts `[n, 2]` for each error."""
+    fields = []
+    radii = [
+        project(sensor, x)[0] - [sensor.camera.cx_px, sensor.camera.cy_px]
+        for sensor, x in zip(sensors, (x_1, x_2), strict=True)
+    ]
+    longest = max(float(np.max(np.linalg.norm(each, axis=1), initial=1.0)) for each in radii)
+    for sensor, x, radius in zip(sensors, (x_1, x_2), radii, strict=True):
+        q = radius / longest
+        u, v, square = q[:, :1], q[:, 1:], np.sum(q * q, axis=1, keepdims=True)
+        one, zero = np.ones_like(u), np.zeros_like(u)
+        shifts = {
+            "centre u": np.hstack([one, zero]),
+            "centre v": np.hstack([zero, one]),
+            "focal length": q,
+            "shape": q * square,
+            "tilt u": q * u,
+            "tilt v": q * v,
+            "decentring u": np.hstack([square, zero]),
+            "decentring v": np.hstack([zero, square]),
+            "aspect": np.hstack([u, -v]),
+            "skew": np.hstack([v, u]),
+        }
+        fields.append((spreads(sensor, x), shifts))
+    return fields
+
+
+# -- The fit -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One kind of error, alone."""
+
+    name: str
+    """One of `CAUSES`, or that it is several of them."""
+    explains: float
+    """Share, 0 .. 1, of the likelihood that all errors together gain."""
+    errors: dict[str, float]
+    """The likeliest ones by their names: pixels, or radians."""
+    theta: Array
+    """`[k]`, the same among all errors."""
+
+
+@dataclass(frozen=True, repr=False)
+class Causes(OneLine):
+    """Errors of a geometry that explain how far tiles lie across."""
+
+    effects: Effects
+    theta: Array
+    """`[k]`: the likeliest error; 0 where there is none that stands out from the noise."""
+    covariance: Array
+    """`[k, k]`, of the error that remains open; 0 likewise."""
+    gain: float
+    """Logarithm of the likelihood that theta gains."""
+    weight: Array
+    """`[n]`, 0 .. 1: how far a tile goes with the rest."""
+    sigma: Array
+    """`[n]`, radians: standard deviation of what theta leaves."""
+    alone: tuple["Cause", ...]
+    """What each of `CAUSES` explains alone, the best first; empty where there is no error."""
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is an error that stands out from the noise."""
+        return bool(self.alone)
+
+    @property
+    def likely(self) -> tuple[Cause, ...]:
+        """The likeliest cause first, then those that cannot be told from it; none where nothing is wrong.
+
+        Where no kind of error alone explains what is seen that is several of them, as far as they were fitted together.
+        """
+        if self.alone and self.alone[0].explains < _ENOUGH:
+            errors = dict(zip(self.effects.names, self.theta.tolist(), strict=True))
+            return (Cause("several errors together", 1.0, errors, self.theta),)
+        return tuple(each for each in self.alone if each.explains > _ALIKE * self.alone[0].explains)
+
+
+def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Causes:
+    """Fit errors to how far tiles lie across."""
+    effects = effects_of(tiles, sensors, turn)
+    size = np.array([TYPICAL[each.removesuffix(" of view 2")] for each in effects.names])
+    E, e = effects.across * size, tiles.delta
+    # What is common to neighbours is left out of a tile's own residual: sigma is scaled to the scatter about the fit.
+    floor = np.hypot(FLOOR_PX / tiles.px_per_rad, FIRST_ORDER * 1.4826 * np.median(np.abs(e)) if len(e) else 0.0)
+    sigma = np.hypot(tiles.sigma, floor)
+    weight, factor = np.ones(len(e)), 1.0
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight) / (factor * sigma)
+        A, b = E * root[:, None], e * root
+        theta, covariance, gain = _likeliest(A, b)
+        left = (e - E @ theta) / sigma
+        factor = max(1.0, float(1.4826 * np.median(np.abs(left)))) if len(e) else 1.0
+        weight = 1 / (1 + (left / (_CAUCHY * factor)) ** 2)
+    if gain <= _SIGNIFICANT:
+        theta, covariance = np.zeros(len(size)), np.zeros((len(size), len(size)))
+    return Causes(
+        effects=effects,
+        theta=theta * size,
+        covariance=covariance * np.outer(size, size),
+        gain=gain,
+        weight=weight,
+        sigma=factor * sigma,
+        alone=() if gain <= _SIGNIFICANT else _alone(effects, A, b, size, gain),
+    )
+
+
+def _likeliest(A: Array, b: Array) -> tuple[Array, Array, float]:
+    """The error's mean with the factor of the prior that makes b likeliest, its covariance, and what it gains.
+
+    The covariance is that of a factor of 1, at most: gross errors, which are beyond first order, make factors that say
+    nothing of what cannot be seen.
+    """
+    k = A.shape[1]
+    values, vectors = np.linalg.eigh(A.T @ A)
+    values = np.maximum(values, 0.0)
+    c = vectors.T @ (A.T @ b)
+    squares = _LAMBDAS**2
+    gains = np.array([0.5 * np.sum(s * c**2 / (1 + s * values) - np.log1p(s * values)) for s in squares])
+    best = int(np.argmax(gains))
+    s = squares[best]
+    theta = vectors @ (s * c / (1 + s * values))
+    s = min(s, 1.0)
+    covariance = (vectors * (s / (1 + s * values))) @ vectors.T
+    return np.asarray(theta), np.asarray(covariance).reshape(k, k), float(gains[best])
+
+
+def _alone(effects: Effects, A: Array, b: Array, size: Array, most: float) -> tuple[Cause, ...]:
+    causes = []
+    for name, members in CAUSES.items():
+        columns = effects.columns(members)
+        theta, _, gain = _likeliest(A[:, columns], b)
+        errors = {effects.names[i]: float(theta[j] * size[i]) for j, i in enumerate(columns)}
+        full = np.zeros(len(size))
+        full[columns] = theta * size[columns]
+        causes.append(Cause(name, float(np.clip(gain / most, 0, 1)), errors, full))
+    # Of causes that explain as much the one with the fewest numbers comes first.
+    return tuple(sorted(causes, key=lambda each: (-round(each.explains / (1 - _ALIKE)), len(each.errors))))

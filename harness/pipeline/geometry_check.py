@@ -1,0 +1,275 @@
+"""A verdict on the geometry of a pair, from how far its matches lie off their epipolar curves.
+
+A centre a third of a pixel off, a quarter of a degree of yaw or a mirror a millimetre off cost per cents of range, of
+which the images' noise, which is all that a matcher's own standard deviation knows, says nothing. But it shows across
+the curves, where no range can move a match: see `harness.motion.across` and `harness.motion.causes`.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import erf
+
+from harness.camera.sensor import pixel_directions
+from harness.display import OneLine
+from harness.geometry.angles import Array
+from harness.geometry.panorama import directions, pixel_of, pixel_that_holds
+from harness.matching.pair import Pair
+from harness.motion.across import Across, fit_across
+from harness.motion.causes import Cause, Causes, fit_causes
+from harness.motion.residuals import Turn
+
+LEAST_TILES = 16
+"""Tiles that a verdict needs: as many as errors that are fitted, which their prior holds as well."""
+MOST_SHARE = 0.02
+"""Range error, as a share of the range, above which a geometry is called wrong."""
+LEAST_COVERED = 0.5
+"""Share of the ranges that have to be within one standard deviation of the matching alone; 0.68 of them should."""
+_NEIGHBOURHOOD = 0.05
+"""Share of the tiles that give the geometry's part about a tile."""
+_LEAST_NEIGHBOURS = 8
+_PERCENTILE = 62.0
+"""The percentile of the errors in a neighbourhood. The 68th covers more than that: the error's pattern is smooth, so that many are
+near the largest."""
+_WORTH_SAYING = 0.1
+"""Size of an error beside the largest one, at least."""
+_NO_RANGE = 0.02
+"""Least inverse range, 1/|t|, that an error is compared with."""
+
+
+class Verdict(StrEnum):
+    """What a geometry is good for."""
+
+    OK = "ok"
+    """Matches lie on their curves as far as the noise lets one see, or what is wrong costs less than the noise."""
+    DOUBTFUL = "doubtful"
+    """Something is wrong that costs more than the noise."""
+    WRONG = "wrong"
+    """Something is wrong that costs more than 2 % of the range."""
+    UNKNOWN = "unknown"
+    """There are too few matches to tell."""
+
+
+@dataclass(frozen=True, repr=False)
+class GeometryCheck(OneLine):
+    """How well motion and calibration of a pair agree with its images."""
+
+    verdict: Verdict
+    tiles: Across
+    """What was measured."""
+    causes: Causes | None
+    """What may be wrong; None where there are too few tiles."""
+    error_share: Array
+    """`[tiles]`: standard deviation that the geometry adds to ranges about a tile, as a share of the range."""
+    covered: float
+    """Share of the ranges that the matching's standard deviation alone should cover, by what was fitted; NaN where
+    there are too few tiles."""
+
+    @property
+    def across_px(self) -> Array:
+        """`[tiles]`: how far matches lie off their curves, pixels of view 2, towards t × x."""
+        return self.tiles.delta * self.tiles.px_per_rad
+
+    @property
+    def explained_px(self) -> Array:
+        """`[tiles]`: what of it the likeliest error explains."""
+        if self.causes is None:
+            return np.zeros(len(self.tiles))
+        theta = self.causes.likely[0].theta if self.causes.likely else self.causes.theta
+        return np.asarray(self.causes.effects.across @ theta * self.tiles.px_per_rad)
+
+    @property
+    def sigma_px(self) -> Array:
+        """`[tiles]`: what of it the noise explains, as a standard deviation."""
+        sigma = self.tiles.sigma if self.causes is None else self.causes.sigma
+        return np.asarray(sigma * self.tiles.px_per_rad)
+
+    @property
+    def rms_px(self) -> float:
+        """Robust root mean square of `across_px`: 1.48 times the median."""
+        return _robust(self.across_px)
+
+    @property
+    def noise_px(self) -> float:
+        """The same, if there were only noise."""
+        return float(np.sqrt(np.median(self.sigma_px**2))) if len(self.tiles) else math.nan
+
+    @property
+    def median_share(self) -> float:
+        """Median of `error_share`."""
+        return float(np.median(self.error_share)) if len(self.tiles) else math.nan
+
+    @property
+    def likely(self) -> tuple[str, ...]:
+        """The likeliest cause, and those that cannot be told from it, by name; none where nothing is wrong."""
+        if self.causes is None or not self.causes.significant:
+            return ()
+        best, *others = self.causes.likely
+        parts = {"the centre", "the focal length"}  # of the mirror or lens
+        return best.name, *(
+            each.name for each in others if not (best.name in parts and each.name == "the mirror or lens")
+        )
+
+    def lines(self) -> list[str]:
+        """The verdict in plain words, a sentence each."""
+        if self.verdict == Verdict.UNKNOWN:
+            text = (
+                f"geometry {self.verdict}: only {len(self.tiles)} windows look alike in both views, {LEAST_TILES} are "
+                "needed; there is no texture, or motion or calibration are far off"
+            )
+            return [text]
+        text = (
+            f"geometry {self.verdict}: matches lie {self.rms_px:.2g} px off their epipolar curves, of which noise "
+            f"explains {self.noise_px:.2g} px"
+        )
+        if not self.likely or self.causes is None:
+            return [text]
+        best, alike = self.causes.likely[0], self.likely[1:]
+        cause = f"likely cause: {best.name} ({_errors_in_words(best)}), which explains {best.explains:.0%} of it"
+        if alike:
+            cause = f"{cause}; it cannot be told from {' or '.join(alike)}"
+        cost = (
+            f"it costs {100 * self.median_share:.2g} % of the range in the median, which sigma counts in; without, "
+            f"sigma would cover {self.covered:.0%} of the ranges instead of 68%"
+        )
+        return [text, cause, cost]
+
+    def table(self) -> pd.DataFrame:
+        """A row for each tile: its direction from view 1, where it is on both images, and how far it lies across."""
+        x, y, z = self.tiles.x_1.T
+        count = len(self.tiles)
+        columns = {
+            "azimuth_deg": np.degrees(np.arctan2(y, x)),
+            "elevation_deg": np.degrees(np.arctan2(z, np.hypot(x, y))),
+            "u_px": self.tiles.pixels_1[:, 0],
+            "v_px": self.tiles.pixels_1[:, 1],
+            "across_px": self.across_px,
+            "sigma_px": self.sigma_px,
+            "explained_px": self.explained_px,
+            "weight": np.ones(count) if self.causes is None else self.causes.weight,
+            "range_error_share": self.error_share,
+        }
+        return pd.DataFrame(columns)
+
+    def summary(self) -> dict[str, Any]:
+        """The figures as plain values."""
+        return {
+            "verdict": str(self.verdict),
+            "tiles": len(self.tiles),
+            "across_rms_px": _finite(self.rms_px),
+            "noise_px": _finite(self.noise_px),
+            "range_error_share": _finite(self.median_share),
+            "covered_without_it": _finite(self.covered),
+            "likely_causes": list(self.likely),
+            "causes": {
+                each.name: {
+                    "explains": each.explains,
+                    **{_key(name): _plain(name, value) for name, value in each.errors.items()},
+                }
+                for each in (self.causes.alone if self.causes is not None else ())
+            },
+        }
+
+
+def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
+    """Judge motion and calibration by the images.
+
+    Parameters
+    ----------
+    range_m, sigma_m
+        `[height, width]` on the panorama: what was estimated with them, and the matching's standard deviation; NaN
+        where there is none.
+    """
+    turn = Turn(np.asarray(pair.motion.R_v2_from_v1, np.float64), pair.t_v1 / pair.motion.baseline_m)
+    first, second = pair.images
+    tiles = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
+    if len(tiles) < LEAST_TILES:
+        return GeometryCheck(Verdict.UNKNOWN, tiles, None, np.zeros(len(tiles)), math.nan)
+    causes = fit_causes(tiles, pair.sensors, turn)
+    if not causes.significant:
+        return GeometryCheck(Verdict.OK, tiles, causes, np.zeros(len(tiles)), 0.6827)
+    row, column = (np.rint(each).astype(np.intp) for each in pixel_of(pair.grid, tiles.x_1))
+    row = np.clip(row, 0, pair.grid.height_px - 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        matching = (sigma_m / range_m)[row, column % pair.grid.width_px]
+    share, covered = _cost(tiles, causes, matching)
+    verdict = Verdict.OK if covered >= LEAST_COVERED else Verdict.DOUBTFUL
+    return GeometryCheck(Verdict.WRONG if np.median(share) > MOST_SHARE else verdict, tiles, causes, share, covered)
+
+
+def geometry_share(check: GeometryCheck, pair: Pair) -> Array:
+    """The geometry's standard deviation at every pixel of the panorama, as a share of the range: the nearest tile's."""
+    if not check.error_share.any():
+        return np.zeros(pair.grid.shape)
+    _, nearest = cKDTree(check.tiles.x_1).query(directions(pair.grid).reshape(-1, 3))
+    return np.asarray(check.error_share[nearest].reshape(pair.grid.shape))
+
+
+def _inverse_ranges(pair: Pair, range_m: Array) -> Array:
+    """1/range of view 1's mirror pixels, in 1/|t|."""
+    x, seen = pixel_directions(pair.sensors[0])
+    row, column, inside = pixel_that_holds(pair.grid, np.nan_to_num(x))
+    inside = inside & seen
+    w = np.full(x.shape[:2], np.nan)
+    w[inside] = pair.motion.baseline_m / range_m[row[inside].astype(np.intp), column[inside]]
+    return w
+
+
+def _cost(tiles: Across, causes: Causes, matching: NDArray[np.floating]) -> tuple[Array, float]:
+    """Each tile's standard deviation as a share of the range, and how many ranges the matching's own covers.
+
+    What the likeliest error does to the range, or one that cannot be told from it if that does more; through the
+    texture too, see `Across.aside`. To it comes the spread of the error that remains open.
+    """
+    effects, w = causes.effects, np.maximum(tiles.w, _NO_RANGE)
+    thetas = np.stack([each.theta for each in causes.likely] or [causes.theta], axis=1)
+    moved = (effects.w @ thetas + tiles.aside[:, None] * (effects.across @ thetas)) / w[:, None]
+    spread = np.maximum(np.einsum("ni,ij,nj->n", effects.w, causes.covariance, effects.w), 0.0) / w**2
+    count = min(len(tiles), max(_LEAST_NEIGHBOURS, round(_NEIGHBOURHOOD * len(tiles))))
+    _, near = cKDTree(tiles.x_1).query(tiles.x_1, k=count)
+    local = np.percentile(np.abs(moved)[near], _PERCENTILE, axis=1)
+    share = np.sqrt(np.max(local, axis=1) ** 2 + np.mean(spread[near], axis=1))
+    known = np.isfinite(matching) & (matching > 0)
+    if not known.any():
+        return np.asarray(share), 0.0
+    ratio, wide = moved[known] / matching[known, None], np.sqrt(2 * (1 + spread[known] / matching[known] ** 2))
+    covered = np.mean(erf((1 - ratio) / wide[:, None]) + erf((1 + ratio) / wide[:, None]), axis=0) / 2
+    return np.asarray(share), float(np.min(covered))
+
+
+def _robust(values: Array) -> float:
+    return float(1.4826 * np.median(np.abs(values))) if values.size else math.nan
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _is_angle(name: str) -> bool:
+    return name.startswith(("turn ", "t "))
+
+
+def _plain(name: str, value: float) -> float:
+    return math.degrees(value) if _is_angle(name) else value
+
+
+def _key(name: str) -> str:
+    return f"{name.replace(' ', '_')}_{'deg' if _is_angle(name) else 'px'}"
+
+
+def _errors_in_words(cause: Cause) -> str:
+    """The largest errors, at most three, in degrees or pixels."""
+    plain = {name: _plain(name, value) for name, value in cause.errors.items()}
+    most = max(abs(value) for value in plain.values())
+    largest = sorted(plain.items(), key=lambda each: -abs(each[1]))[:3]
+    return ", ".join(
+        f"{name} {value:+.2g} {'degrees' if _is_angle(name) else 'px'}"
+        for name, value in largest
+        if abs(value) >= _WORTH_SAYING * most
+    )

@@ -1,0 +1,199 @@
+"""The verdict on a geometry: effects of errors, what lies across epipolar curves, causes, and standard deviations."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import harness
+from harness.camera.sensor import Sensor, project, unproject
+from harness.geometry.angles import angle_between, normalise
+from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.motion.across import Across
+from harness.motion.causes import directions_aside, effects_of, fit_causes
+from harness.motion.residuals import Turn
+from harness.pipeline.geometry_check import Verdict
+
+SENSOR = Sensor()
+MOTION = relative_motion(Pose(), Pose(position_m=(0.4, 0.25, 0.05), yaw_deg=70.0, pitch_deg=2.0))
+TURN = Turn(MOTION.R_v2_from_v1, normalise(MOTION.t_v1))
+STEP = 1e-5
+
+
+def _points(count=200):
+    """Directions from view 1 and planes, inverse ranges in 1/|t|, of points that both views see."""
+    rng = np.random.default_rng(5)
+    azimuth, elevation = rng.uniform(-np.pi, np.pi, count), np.radians(rng.uniform(-50, 15, count))
+    x = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    w = rng.uniform(0.05, 0.4, count)
+    planes = w[:, None] * x + rng.normal(0, 0.1, (count, 3)) @ (np.eye(3) * 0.3)
+    planes += (w - np.sum(planes * x, axis=1))[:, None] * x
+    in_view = project(SENSOR, (x - w[:, None] * TURN.t) @ TURN.R.T)[1] & (angle_between(x, TURN.t) > 0.3)
+    in_view &= np.pi - angle_between(x, TURN.t) > 0.3
+    return x[in_view], planes[in_view]
+
+
+def _tiles(x, planes, delta=None):
+    count = len(x)
+    return Across(
+        tiles=np.zeros((count, 2), np.int64),
+        x_1=x,
+        planes=planes,
+        delta=np.zeros(count) if delta is None else delta,
+        sigma=np.full(count, 1e-4),
+        px_per_rad=np.full(count, 200.0),
+        aside=np.zeros(count),
+    )
+
+
+def _apparent(x, planes, sensor, turn):
+    """Across and inverse range that a geometry makes of the true pixels, less the true inverse range there."""
+    w = np.sum(planes * x, axis=1)
+    pixels = [project(SENSOR, x)[0], project(SENSOR, (x - w[:, None] * TURN.t) @ TURN.R.T)[0]]
+    x_1, x_2 = (unproject(sensor, each)[0] for each in pixels)
+    y = x_2 @ turn.R
+    n = normalise(np.cross(turn.t, x_1))
+    across = np.arcsin(np.sum(n * y, axis=1))
+    alpha_1, alpha_2 = angle_between(x_1, turn.t), angle_between(y - np.sum(n * y, axis=1)[:, None] * n, turn.t)
+    return across, np.sin(alpha_2 - alpha_1) / np.sin(alpha_2) - np.sum(planes * x_1, axis=1)
+
+
+def _with_error(name, size):
+    """Sensor and motion that are off by an error, which this computes from its definition alone."""
+    camera, turn = SENSOR.camera, TURN
+    if name.startswith("turn"):
+        omega = size * np.eye(3)["xyz".index(name[-1])]
+        return SENSOR, Turn(TURN.R @ Rotation.from_rotvec(omega).as_matrix(), TURN.t)
+    if name.startswith("t "):
+        return SENSOR, Turn(TURN.R, normalise(TURN.t + size * directions_aside(TURN.t)[name == "t up"]))
+    change = {
+        "centre u": {"cx_px": camera.cx_px + size},
+        "centre v": {"cy_px": camera.cy_px + size},
+    }[name]
+    return SENSOR.model_copy(update={"camera": camera.model_copy(update=change)}), turn
+
+
+@pytest.mark.parametrize("name", ["turn x", "turn y", "turn z", "t aside", "t up", "centre u", "centre v"])
+def test_effects_are_differences_of_the_whole_geometry(name):
+    x, planes = _points()
+    effects = effects_of(_tiles(x, planes), (SENSOR, SENSOR), TURN)
+    column = effects.names.index(name)
+    ahead, behind = (_apparent(x, planes, *_with_error(name, sign * STEP)) for sign in (1, -1))
+    for mine, plus, minus in zip((effects.across, effects.w), ahead, behind, strict=True):
+        # Central differences: truncation STEP², rounding 1e-12/STEP, each times some ten.
+        np.testing.assert_allclose(mine[:, column], (plus - minus) / (2 * STEP), rtol=1e-5, atol=3e-7)
+
+
+def test_a_focal_length_moves_pixels_along_the_radius():
+    x, planes = _points()
+    effects = effects_of(_tiles(x, planes), (SENSOR, SENSOR), TURN)
+    camera = SENSOR.camera
+    centre = [camera.cx_px, camera.cy_px]
+    seen_at = x, (x - np.sum(planes * x, axis=1)[:, None] * TURN.t) @ TURN.R.T
+    outermost = max(np.linalg.norm(project(SENSOR, each)[0] - centre, axis=1).max() for each in seen_at)
+    ratio = STEP / outermost  # pixels of error at the outermost tile
+    ahead, behind = (
+        _apparent(x, planes, SENSOR.model_copy(update={"camera": camera.model_copy(update={"focal_px": f})}), TURN)
+        for f in (camera.focal_px * (1 + ratio), camera.focal_px * (1 - ratio))
+    )
+    column = effects.names.index("focal length")
+    # As above; that a focal length is off by a share of itself is exact to first order.
+    np.testing.assert_allclose(effects.across[:, column], (ahead[0] - behind[0]) / (2 * STEP), rtol=1e-5, atol=3e-7)
+    np.testing.assert_allclose(effects.w[:, column], (ahead[1] - behind[1]) / (2 * STEP), rtol=1e-5, atol=3e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "cause"),
+    [
+        ("turn z", np.radians(0.25), "the rotation"),
+        ("t aside", np.radians(3.0), "the direction of t"),
+        ("centre u", 1 / 3, "the centre"),
+    ],
+)
+def test_causes_are_told(name, size, cause):
+    x, planes = _points()
+    # What is across is the prediction of the wrong geometry, as tiles are fitted to it.
+    across, _ = _apparent(x, planes, *_with_error(name, size))
+    noise = np.random.default_rng(3).normal(0, 1e-4, len(x))
+    causes = fit_causes(_tiles(x, planes, across + noise), (SENSOR, SENSOR), TURN)
+    best = causes.likely[0]
+    assert best.name == cause
+    # To first order, and against noise of 1e-4 rad over 150 tiles.
+    assert best.errors[name] == pytest.approx(size, rel=0.05)
+
+
+def test_noise_alone_has_no_cause():
+    x, planes = _points()
+    for seed in range(20):
+        noise = np.random.default_rng(seed).normal(0, 1e-4, len(x))
+        causes = fit_causes(_tiles(x, planes, noise), (SENSOR, SENSOR), TURN)
+        assert not causes.significant
+        assert not causes.theta.any()
+
+
+# -- On images ---------------------------------------------------------------------------------------------------------
+
+SMALL = Sensor.model_validate(
+    {"camera": {"width_px": 320, "height_px": 240, "focal_px": 307.0, "cx_px": 159.5, "cy_px": 119.5}}
+)
+GRID = harness.Grid(width_px=360, height_px=100)
+POSES = {"position_m": (0.0, 0.0, 1.0)}, {"position_m": (0.4, 0.25, 1.05), "yaw_deg": 70.0}
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return tuple(harness.render("box", sensor=SMALL, samples=4, grid=GRID, **pose) for pose in POSES)
+
+
+def estimated(pair, sensor=SMALL, yaw_deg=0.0, noise=2.0):
+    motion = relative_motion(*(each.pose for each in pair))
+    R = motion.R_v2_from_v1 @ Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix()
+    rng = np.random.default_rng(1)
+    images = [(each.image + rng.normal(0, noise, each.image.shape)).astype(np.float32).clip(0, 255) for each in pair]
+    return harness.estimate_range(*images, sensor, Motion(R, motion.t_v1), "slanted", grid=GRID)
+
+
+def within_one_sigma(pair, sigma_m, range_m):
+    error = np.abs(range_m - pair[0].panorama_range_m) / sigma_m
+    return np.mean(error[np.isfinite(error)] < 1)
+
+
+@pytest.mark.slow
+def test_a_right_geometry_is_ok_and_costs_nothing(pair):
+    estimate = estimated(pair)
+    assert estimate.geometry.verdict == Verdict.OK
+    assert not estimate.sigma_geometry_m[estimate.valid].any()
+    np.testing.assert_array_equal(estimate.sigma_m, estimate.sigma_matching_m)
+    # The noise's part is as large as what is measured, within the spread of 100 tiles' median.
+    assert estimate.geometry.noise_px == pytest.approx(estimate.geometry.rms_px, rel=0.5)
+    assert estimate.summary()["geometry"]["verdict"] == "ok"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [
+        ({"yaw_deg": 0.5}, "the rotation"),
+        (
+            {"sensor": SMALL.model_copy(update={"camera": SMALL.camera.model_copy(update={"cx_px": 159.8})})},
+            "the centre",
+        ),
+    ],
+)
+def test_a_wrong_geometry_is_said_and_counted_in(pair, fault, cause):
+    estimate = estimated(pair, **fault)
+    check = estimate.geometry
+    assert check.verdict in {Verdict.DOUBTFUL, Verdict.WRONG}
+    assert check.likely[0] == cause
+    assert cause in " ".join(check.lines())
+    assert within_one_sigma(pair, estimate.sigma_matching_m, estimate.range_m) < 0.3
+    # The geometry's part is made for two thirds; its pattern is smooth, so that shares of a pair vary.
+    assert 0.5 < within_one_sigma(pair, estimate.sigma_m, estimate.range_m) < 0.95
+    assert len(check.table()) == len(check.tiles)
+
+
+def test_images_without_texture_give_no_verdict():
+    images = [np.full((240, 320), 128.0, np.float32)] * 2
+    estimate = harness.estimate_range(*images, SMALL, (0.5, 0, 0), "column", grid=GRID)
+    assert estimate.geometry.verdict == Verdict.UNKNOWN
+    assert "no texture" in estimate.geometry.lines()[0]
+    assert estimate.summary()["geometry"]["across_rms_px"] is None
