@@ -35,8 +35,8 @@ _NEIGHBOURHOOD = 0.05
 """Share of the tiles that give the geometry's part about a tile."""
 _LEAST_NEIGHBOURS = 8
 _PERCENTILE = 62.0
-"""The percentile of the errors in a neighbourhood. The 68th covers more than that: the error's pattern is smooth, so that many are
-near the largest."""
+"""The percentile of the errors in a neighbourhood. The 68th covers more than that: the error's pattern is smooth, so
+that many are near the largest."""
 _WORTH_SAYING = 0.1
 """Size of an error beside the largest one, at least."""
 _NO_RANGE = 0.02
