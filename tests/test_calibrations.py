@@ -265,7 +265,7 @@ OPENCV_D = "7.7531333953325700e-02, 2.7664400596417553e-02,\n       1.3229517533
         (files.CAMODOCAL, "gamma1: ", "gamma1: -", "projection_parameters.gamma1: must be above 0"),
         (files.OCAMCALIB, "-2.190000e+02", "many", "direct polynomial: must be a number; found 'many'"),
         (files.OCAMCALIB, "5 -2.19", "500 -2.19", "direct polynomial: must begin with the number of its coefficients"),
-        (files.OCAMCALIB, "480 748", "480", "image size: the file ends before it: 2 numbers must be here; found 1"),
+        (files.OCAMCALIB, "480 748", "480", "image size: must be 2 numbers; the file ends after 1 of them"),
         (files.OCAMCALIB, "480 748", "480.5 748", "image size: must be a whole number; found 480.5"),
         (files.BASALT, '"ds"', '"fov"', "value0.intrinsics[0].camera_type: 'fov' is not supported, only ds, eucm"),
         (files.BASALT, '"xi": -0.18', '"yi": -0.18', "value0.intrinsics[0].intrinsics.xi: this key is missing"),

@@ -115,6 +115,14 @@ def test_dry_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert not (tmp_path / "no").exists()
 
 
+def test_dry_run_says_what_would_hardly_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
+    """The mirror's focal length gives an equirectangular image 60 degrees of azimuth: a sixth of the panorama."""
+    assert main(["run", "paper", "--dry-run", "--set", "sensor.model.kind=equirectangular"]) == 0
+    assert "only 7.2% of the panorama is on the image; see trial.sensor.camera.focal_px" in capsys.readouterr().err
+    assert main(["run", "paper", "--dry-run", "--set", "sensor.camera.focal_px=1e6"]) == 0
+    assert "no pixel of the image falls on the panorama" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_set_and_axis_are_folded_into_what_is_written(small: Path, tmp_path: Path) -> None:
     changed = ("--set", "noise.sigma_grey=3", "--axis", "matching.window_px=5,9")

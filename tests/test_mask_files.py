@@ -118,6 +118,10 @@ def test_what_is_written_reads_back_and_needs_no_file_until_it_is_used(small, tm
             ["sensor.mask=other.png"],
             r"--set: sensor\.mask: '.*other\.png': the image is 80x60 pixels, the masked sensor 160x120",
         ),
+        (
+            ["sensor.mask.file=other.png"],
+            r"--set: sensor\.mask\.file: '.*other\.png': the image is 80x60 pixels, the sensor that it",
+        ),
         (["sensor_2.mask=other.png"], r"--set: sensor_2\.mask: '.*other\.png': the image is 80x60 pixels"),
     ],
 )

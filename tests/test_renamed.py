@@ -125,6 +125,12 @@ def test_attributes_and_arguments() -> None:
 MIRROR = r"'mirror' is now called 'model'"
 
 
+def test_in_python() -> None:
+    with pytest.warns(Notice, match=f"^Sensor: {MIRROR}"):
+        sensor = Sensor(mirror={"a_m": 0.03})
+    assert sensor.model == Mirror(a_m=0.03)
+
+
 def test_sensor_file(tmp_path: Path) -> None:
     path = tmp_path / "sensor.toml"
     path.write_text("[mirror]\na_m = 0.03\n", encoding="utf-8")
@@ -246,5 +252,6 @@ def test_noise_is_that_of_the_version_before() -> None:
 
 def test_a_trial_is_the_same_under_both_names() -> None:
     tables = ({"scene": harness.load_scene("box"), "sensor": {name: {"a_m": 0.03}}} for name in ("model", "mirror"))
-    one, other = (Trial.model_validate(table) for table in tables)
+    with pytest.warns(Notice, match=f"^Sensor: {MIRROR}"):
+        one, other = (Trial.model_validate(table) for table in tables)
     assert one.key == other.key

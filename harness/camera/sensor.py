@@ -28,6 +28,7 @@ from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
 from harness.errors import InputError
 from harness.files import path_of
 from harness.geometry.angles import Array
+from harness.renamed import Renaming, give_notice
 from harness.spec import Spec, as_given, given_of, parse, remember
 
 
@@ -52,6 +53,14 @@ class Sensor(Spec):
     mask: Mask = None
     """Which pixels are used: the path of an 8-bit grey image of the sensor's size, white where they are; relative to
     the sensor's file. Mask the pixels that show the robot itself or the mirror's support."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _notices_former_names(cls, given: Any) -> Any:
+        """Tables have been brought up to date before: what is left is written in Python."""
+        if isinstance(given, Mapping) and "mirror" in given:
+            give_notice([Renaming("Sensor", "mirror", "model")])
+        return given
 
     @property
     def looks(self) -> Looks:

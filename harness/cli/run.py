@@ -2,6 +2,7 @@
 
 import json
 import os
+import warnings
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,9 +12,13 @@ from harness.api.progress import Progress, duration
 from harness.cli import options as declare
 from harness.cli.exits import OK
 from harness.cli.results import say_unused_rows, show, write
+from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
     from harness.runs.experiment import Experiment
+
+_MOST_CHECKED = 8
+"""So many different sensors are looked through before a run that is not made."""
 
 
 def add(commands: declare.Commands) -> None:
@@ -89,8 +94,16 @@ def run(options: Namespace) -> int:
 
 def _dry_run(experiment: "Experiment") -> int:
     from harness.machine import available_cpus
+    from harness.pipeline.sight import check_sight
     from harness.runs.plan import plan
 
+    # The first trial of each pair of sensors: what would be refused, or noticed, when it is run.
+    by_sensors = {each.trial.sensors: each.trial for each in reversed(experiment.planned)}
+    for trial in list(by_sensors.values())[:_MOST_CHECKED]:
+        try:
+            check_sight(trial, trial.motion)
+        except InputError as error:
+            warnings.warn(f"{error}: this trial will fail", Notice, stacklevel=1)
     whole = plan(experiment.planned)
     seconds = whole.total_s / available_cpus()
     print(

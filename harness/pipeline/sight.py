@@ -16,6 +16,9 @@ from harness.pipeline.specification import Trial
 LITTLE = 0.05
 """A share of pixels below which there is a notice: figures over so few pixels mean little."""
 
+LITTLE_OF_FIELD = 0.25
+"""A share of what a sensor's field has of the panorama: less of it on the image, and there is a notice."""
+
 _CIRCLE = "camera.focal_px, camera.cx_px and camera.cy_px"
 """The keys that set the size and position of the mirror's circle on the image."""
 
@@ -86,8 +89,9 @@ def _say_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Ar
     masked = f"{key}.mask, " if sensor.mask is not None else ""
     if on_sensor < LITTLE:
         _notice(f"only {on_sensor:.1%} of the image's pixels see the mirror; see {masked}{key}.{_CIRCLE}")
-    if on_panorama < LITTLE:
-        if _share_in_field(sensor, grid, rotation) >= LITTLE:
+    in_field_of_it = _share_in_field(sensor, grid, rotation)
+    if on_panorama < max(LITTLE, LITTLE_OF_FIELD * in_field_of_it):
+        if in_field_of_it >= LITTLE:
             _notice(f"only {on_panorama:.1%} of the panorama is on the image; see {masked}{key}.{_CIRCLE}")
         else:
             stem, dot, _ = key.rpartition(".")

@@ -15,7 +15,7 @@ from harness.report.panoramas import extent_of, panorama_axes, unmirrored
 from harness.report.sections.error_maps import reasons_picture
 from harness.report.sensor_images import draw_mask, image_axes, mask_words
 from harness.report.theme import Picture
-from harness.report.words import images_of
+from harness.report.words import images_of, kind_of_image
 from harness.spec import dump_toml
 
 _NOTHING = "#D4D4D4"
@@ -52,6 +52,7 @@ def build_page(estimate: Estimate) -> str:
         settings=dump_toml(estimate.matcher),
         masked=_masked(estimate.pair.sensors),
         images=images_of(estimate.pair.sensors),
+        kind=kind_of_image(estimate.pair.sensors),
         sensors=[dump_toml(each) for each in dict.fromkeys(estimate.pair.sensors)],
         grid=dump_toml(estimate.pair.grid),
         t=[float(each) for each in estimate.pair.t_v1],

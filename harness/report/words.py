@@ -6,6 +6,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor
 from harness.evaluation.metric_table import Metric
 from harness.evaluation.metrics import CORE
@@ -61,7 +62,7 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
     matcher, grid = trial.matching, trial.panorama
     noise = f" and noise of σ = {trial.noise.sigma_grey:g} grey levels" if trial.noise.sigma_grey else ""
     yield (
-        f"Two mirror images of {images_of(trial.sensors)}, rendered "
+        f"Two {kind_of_image(trial.sensors)}s of {images_of(trial.sensors)}, rendered "
         f"{trial.view_2.baseline_m:g}\u00a0m apart in the scene “{trial.scene.name}” with exact truth{noise}, are "
         f"unwrapped to panoramas of {grid.width_px} × {grid.height_px} pixels and matched {_by(matcher)}."
     )
@@ -71,6 +72,11 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
         return
     yield from _compared("On wall pixels", walls, methods)
     yield from _compared("Over the whole domain, floor and ceiling included,", everything, methods, gross=True)
+
+
+def kind_of_image(sensors: tuple[Sensor, Sensor]) -> str:
+    """What to call the images: `mirror image` where both sensors have a mirror, else `image`."""
+    return "mirror image" if all(isinstance(each.model, Mirror) for each in sensors) else "image"
 
 
 def images_of(sensors: tuple[Sensor, Sensor]) -> str:

@@ -66,7 +66,7 @@ def load_experiment(
         if error.key in {f"axes.{key}" for key in values}:
             raise InputError(error.problem, file=axis_option, key=error.key.removeprefix("axes.")) from error
         for key in settings:
-            if f"{error.key}.".startswith(f"trial.{key}."):
+            if f"{error.key}.".startswith(f"trial.{key}.") or f"trial.{key}" == f"{error.key}.file":
                 raise InputError(error.problem, file=set_option, key=key) from error
         raise InputError(error.problem, file=file, key=error.key) from error
     return changed

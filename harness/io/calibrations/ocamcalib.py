@@ -128,7 +128,7 @@ def _counted(content: Content, words: list[str], key: str, least: int) -> list[f
 def _taken(content: Content, words: list[str], count: int, key: str) -> list[float]:
     """The next numbers, taken off."""
     if len(words) < count:
-        raise refusal(content, key, f"the file ends before it: {count} numbers must be here; found {len(words)}")
+        raise refusal(content, key, f"must be {count} numbers; the file ends after {len(words)} of them")
     taken = [number(content, word, key) for word in words[:count]]
     del words[:count]
     return taken

@@ -271,10 +271,22 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     margin = 0.07 * ((max(positions) - min(positions)) or 1)
     ax.set_xlim(min(positions) - margin, max(positions) + margin)
     if not axis.numeric:
-        ax.set_xlim(min(positions) - 0.35, max(positions) + 0.35)
-        ax.set_xticks(positions, [theme.plain(text) for text in shortened_labels(axis.texts, 16)])
+        texts = [theme.plain(text) for text in shortened_labels(axis.texts, 16)]
+        span = max(positions) - min(positions)
+        before, after = (max(0.35, _room(texts[i]) * span) for i in (0, -1))
+        ax.set_xlim(min(positions) - before, max(positions) + after)
+        ax.set_xticks(positions, texts)
     elif len(positions) <= 6 and _apart(positions):
         ax.set_xticks(positions, axis.texts)
+
+
+def _room(text: str) -> float:
+    """What a label in the middle of its tick needs beyond the last one, as a share of what lies between the ticks.
+
+    A panel is some 210 px wide, a letter 6 px.
+    """
+    half = min(0.014 * len(text) + 0.01, 0.25)
+    return half / (1 - 2 * half)
 
 
 def _apart(positions: list[float]) -> bool:
