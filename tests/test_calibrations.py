@@ -191,7 +191,7 @@ def test_how_far_the_two_polynomials_of_ocamcalib_are_apart(tmp_path):
     assert short.endswith("from the centre")
     (long,) = one(tmp_path, text.replace("480 748", "81 251")).doubts
     assert f"off by {200 - 200 * np.arctan(1):.2g} px at most" in long
-    assert long.endswith("from the centre, and gives programs that project with it other pixels")
+    assert long.endswith("from the centre; programs that project with it get other pixels")
 
 
 def test_what_follows_the_size_is_named(tmp_path):
@@ -256,7 +256,7 @@ OPENCV_D = "7.7531333953325700e-02, 2.7664400596417553e-02,\n       1.3229517533
         (files.KALIBR, "833.0", "-833.0", "cam0.intrinsics: fu and fv must be above 0; found -833 and 830.3"),
         (files.KALIBR, "resolution: [752, 480]", "resolution: [752]", "cam0.resolution: must be width and height"),
         (files.KALIBR, "resolution: [752, 480]", "r: 1", "cam0.resolution: this key is missing; there are:"),
-        (files.KALIBR, "- [1.0, 0.0, 0.0, 0.2]", "- [1.0, 0.1, 0.0, 0.2]", "cam1.T_cn_cnm1: is no rotation"),
+        (files.KALIBR, "- [1.0, 0.0, 0.0, 0.2]", "- [1.0, 0.1, 0.0, 0.2]", "cam1.T_cn_cnm1: is not a rotation"),
         (files.KALIBR, "  - [1.0, 0.0, 0.0, 0.2]\n", "", "cam1.T_cn_cnm1: must be 4 x 4 numbers; found 3 x 4"),
         (files.KALIBR, "[752, 480]", "&a [752, 480]\n  b: *a", "has references (*name); write the values out"),
         (files.KALIBR, "[752, 480]", "!!python/tuple [752, 480]", "not valid YAML"),

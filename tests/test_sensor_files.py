@@ -278,7 +278,7 @@ def test_an_experiment_names_a_calibration(sensor, looks, angle, tmp_path):
         ('[trial.sensor]\nfile = "absent.yaml"', "absent.yaml: no such file"),
         ("[trial.sensor]\nfile = 3", "trial.sensor.file: must be text in quotes; found 3"),
         ('[trial.sensor]\nfile = "mei.yaml"\nnumber = -1', "trial.sensor.number: must be at least 0; found -1"),
-        ('[trial.sensor]\nfile = "mei.yaml"\nfield = 3', "trial.sensor.field: must be a table, whose keys stand over"),
+        ('[trial.sensor]\nfile = "mei.yaml"\nfield = 3', "trial.sensor.field: must be a table, whose keys override"),
         ('[trial.sensor]\nfile = "mei.yaml"\nfild = {a = 3}', "trial.sensor.fild: unknown key 'fild'"),
         ('[trial.sensor]\nfile = "camchain.yaml"', "camchain.yaml: --camera: has 4 cameras"),
     ],
@@ -317,7 +317,7 @@ def test_a_motion_between_any_two(tmp_path):
     assert harness.load_motion(path, 2, 1).t_v1 == pytest.approx([-0.5, 0, 0], abs=1e-12)
     with pytest.raises(InputError, match="there is no camera 7; the file has 0 to 3"):
         harness.load_motion(path, 0, 7)
-    with pytest.raises(InputError, match="does not tell where camera 1 is"):
+    with pytest.raises(InputError, match="does not contain the pose of camera 1"):
         harness.load_motion(files.write(tmp_path, files.COLMAP))
     with pytest.raises(InputError, match="there is no camera 1"):
         harness.load_motion(Path(files.write(tmp_path, files.CAMODOCAL)))
@@ -336,7 +336,7 @@ def test_a_spherical_camera_of_colmap_stands_upright(tmp_path):
     assert described.coverage.used == 1
     assert described.coverage.sphere == pytest.approx(1, abs=1e-3)
     assert harness.convert_sensor(sensor_file.sensor, "toml").conversion.is_exact
-    with pytest.raises(InputError, match="an equirectangular image is no camera's, and is near none"):
+    with pytest.raises(InputError, match="an equirectangular panorama cannot be written in another camera model"):
         harness.convert_sensor(sensor_file.sensor, "kalibr")
 
 

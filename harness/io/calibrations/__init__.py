@@ -1,4 +1,4 @@
-"""Calibration files of other programs, one file a format, told apart by what is in them."""
+"""Calibration files of other programs, one module per format; formats are recognised by content."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ FORMATS: dict[str, Format] = {
 }
 """Those that are written as well, by name."""
 READERS: dict[str, Reader] = {**FORMATS, "omnimvs": OMNIMVS}
-"""By name, in the order in which a file is held against them."""
+"""The formats by name, in the order in which they are tried."""
 
 __all__ = [
     "FORMATS",
@@ -44,13 +44,13 @@ def read_calibration(file: Path) -> Calibration:
     Raises
     ------
     InputError
-        When the file cannot be read, is of no known format, or is wrong; names the file and the key.
+        When the file cannot be read, is of no known format, or is invalid; names the file and the key.
     """
     return calibration_in(read_content(file))
 
 
 def calibration_in(content: Content) -> Calibration:
-    """The cameras in a calibration file that has been parsed; errors as in `read_calibration`."""
+    """The cameras in a parsed calibration file; raises as `read_calibration`."""
     for known in READERS.values():
         if known.recognises(content):
             return known.read(content)

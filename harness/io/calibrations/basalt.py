@@ -1,4 +1,4 @@
-"""basalt's calibration JSON: `value0` with lists of intrinsics, resolutions and poses on the IMU."""
+"""basalt's calibration JSON: `value0` with lists of intrinsics, resolutions and poses relative to the IMU."""
 
 import json
 from collections.abc import Mapping
@@ -21,13 +21,13 @@ _OWN = {
     "kb4": ("kannala_brandt", {"k1": "k1", "k2": "k2", "k3": "k3", "k4": "k4"}),
     "pinhole": ("unified", {}),
 }
-"""For each `camera_type` our kind, and its keys here by ours."""
+"""For each `camera_type` our kind, and basalt's keys by ours."""
 _MORE: dict[str, dict[str, Any]] = {"ucm": {"beta": 1.0}, "pinhole": {"xi": 0.0}}
 _NOTES = {"ucm": "ucm is eucm with beta = 1", "pinhole": PERSPECTIVE}
 
 
 def recognises(content: Content) -> bool:
-    """Whether it has basalt's `value0.intrinsics`."""
+    """Whether the file has basalt's `value0.intrinsics`."""
     inside = content.table.get("value0")
     return content.syntax == "json" and isinstance(inside, Mapping) and "intrinsics" in inside
 
@@ -90,7 +90,7 @@ def _camera(
 
 
 def _pose(content: Content, value: Any, key: str) -> Array:
-    """`[4, 4]` of a position and a quaternion."""
+    """The rigid motion `[4, 4]` of a position and a unit quaternion."""
     inside = table(content, value, key)
     values = {
         name: number(content, *member(content, inside, name, key))
@@ -106,7 +106,7 @@ def _pose(content: Content, value: Any, key: str) -> Array:
 
 
 def write(optics: Optics) -> str:
-    """A calibration of one camera; what it has to say of the IMU is zero or identity."""
+    """The text of a calibration with one camera; all IMU parameters are zero or identity."""
     camera, keys = optics.camera, keys_of(optics)
     kind = {"double_sphere": "ds", "eucm": "eucm", "kannala_brandt": "kb4"}[keys["kind"]]
     fx, fy = focal_lengths(optics)

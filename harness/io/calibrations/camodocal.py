@@ -14,7 +14,7 @@ _LENS = ("k1", "k2", "p1", "p2")
 
 
 def recognises(content: Content) -> bool:
-    """Whether it has CamOdoCal's `model_type` and a table of parameters."""
+    """Whether the file has CamOdoCal's `model_type` and a table of parameters."""
     table = content.table
     return "model_type" in table and any(str(key).endswith("_parameters") for key in table)
 
@@ -58,7 +58,7 @@ def _pinhole(content: Content, root: Mapping[str, Any]) -> CalibratedCamera:
 
 
 def _kannala_brandt(content: Content, root: Mapping[str, Any]) -> CalibratedCamera:
-    """Numbered from 2 in this file: r = theta + k2 theta³ + k3 theta⁵ + k4 theta⁷ + k5 theta⁹."""
+    """The camera of model KANNALA_BRANDT, r = theta + k2 theta³ + k3 theta⁵ + k4 theta⁷ + k5 theta⁹."""
     theirs = _values(content, root, "projection_parameters", "k2", "k3", "k4", "k5")
     model = {"kind": "kannala_brandt"} | dict(zip(("k1", "k2", "k3", "k4"), theirs, strict=True))
     camera = _intrinsics(content, root, "mu", "mv", "u0", "v0")
@@ -85,7 +85,7 @@ _KEYS = {
 
 
 def write(optics: Optics) -> str:
-    """A camera of `model_type` MEI or KANNALA_BRANDT."""
+    """The text of a camera of `model_type` MEI or KANNALA_BRANDT."""
     camera, lens, keys = optics.camera, optics.lens, keys_of(optics)
     fu, fv = focal_lengths(optics)
     is_mei = keys["kind"] == "unified"

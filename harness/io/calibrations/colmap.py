@@ -1,6 +1,6 @@
-"""COLMAP's cameras.txt: fisheyes, EUCM, and the perspective models whose distortion is Brown and Conrady's.
+"""COLMAP's cameras.txt: fisheyes, EUCM, and the perspective models with Brown-Conrady distortion.
 
-COLMAP has the corner of the first pixel at (0, 0) where all others have its centre: centres move by half a pixel.
+COLMAP puts the corner of the first pixel at (0, 0), all others its centre: principal points shift by half a pixel.
 """
 
 from typing import Any
@@ -27,13 +27,13 @@ PARAMETERS = {
     "EUCM": "fx fy cx cy alpha beta",
     "EQUIRECTANGULAR": "w h",
 }
-"""The order of the parameters, in the names of our keys."""
+"""The parameters of each model in COLMAP's order, under the names of our keys."""
 _NOT_SUPPORTED = ("FOV", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION")
 _HALF = 0.5
 
 
 def recognises(content: Content) -> bool:
-    """Whether its first line that is no comment is a number and a word in capitals."""
+    """Whether the first line that is no comment begins with a number and a word in capitals."""
     if content.syntax != "text":
         return False
     for words in _lines(content).values():
@@ -48,7 +48,7 @@ def read(content: Content) -> Calibration:
 
 
 def _lines(content: Content) -> dict[int, list[str]]:
-    """The words of each line that is no comment, by its number."""
+    """The words of each line that is no comment, by line number."""
     lines = enumerate(content.text.splitlines(), 1)
     return {number: words for number, line in lines if (words := line.partition("#")[0].split())}
 
@@ -80,7 +80,7 @@ def _camera(content: Content, line: int, words: list[str]) -> CalibratedCamera:
 
 
 def _model(kind: str, values: dict[str, float]) -> tuple[dict[str, Any], dict[str, float], set[str]]:
-    """The tables of model and lens, and the parameters that are in them or in the camera's."""
+    """The tables `model` and `lens`, and the names of the parameters that are used."""
     used = {"f", "fx", "fy", "cx", "cy", "w", "h"}
     if kind == "EQUIRECTANGULAR":
         return {"kind": "equirectangular"}, {}, used
@@ -111,7 +111,7 @@ def _intrinsics(
 
 
 def write(optics: Optics) -> str:
-    """A cameras.txt with camera 1 alone."""
+    """The text of a cameras.txt with one camera, number 1."""
     camera, keys = optics.camera, keys_of(optics)
     fx, fy = focal_lengths(optics)
     values = {"fx": fx, "fy": fy, "cx": camera.cx_px + _HALF, "cy": camera.cy_px + _HALF} | keys

@@ -1,4 +1,4 @@
-"""A sensor written as another program's calibration: exactly where its model allows it, else by the nearest camera."""
+"""A sensor written as another program's calibration: exactly if the format allows it, else by the closest camera."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +13,13 @@ from harness.io.calibrations import FORMATS
 from harness.spec import as_table, dump_toml, parse
 
 TOML = "toml"
-"""The name of our own format among those that are written."""
+"""The name of our own format among the output formats."""
 _NO_LENS = "equirectangular"
 
 
 @dataclass(frozen=True, repr=False)
 class WrittenSensor(OneLine):
-    """The text of a calibration file, and how far its camera is from the sensor."""
+    """The text of a calibration file, and the residuals of its camera against the sensor."""
 
     text: str
     format: str
@@ -29,27 +29,27 @@ class WrittenSensor(OneLine):
 
 
 def formats() -> tuple[str, ...]:
-    """The names of the formats that can be written."""
+    """The names of the output formats."""
     return (TOML, *FORMATS)
 
 
 def written(sensor: Sensor, to: str, kind: str | None = None) -> WrittenSensor:
-    """A sensor as a calibration file.
+    """The text of a sensor as a calibration file, and its residuals.
 
-    Of the models that the format has, the one is taken that is the sensor's exactly, or else the one with the smallest
-    RMS residual in pixels.
+    Among the format's camera models, takes the one that represents the sensor exactly, or else the one with the
+    smallest RMS residual in pixels.
 
     Parameters
     ----------
     to
         A name in `formats()`.
     kind
-        The camera model to write; any that the format has when None.
+        The camera model to write; any model of the format when None.
 
     Raises
     ------
     InputError
-        When there is no such format, it has no such model, or no camera of its models comes near.
+        When the format is unknown, does not have the model, or none of its models approximates the sensor.
     """
     if to not in formats():
         raise InputError(f"unknown format '{to}'; {nearest(to, formats())}", key="--to")
@@ -82,7 +82,7 @@ def _kind(sensor: Sensor) -> str:
 
 
 def _targets(sensor: Sensor, to: str, kind: str | None) -> list[Target]:
-    """What may be written, what is likely to be exact first."""
+    """The models that may be written; those that are likely to be exact come first."""
     own = _kind(sensor)
     there = [Target(each) for each in BUILT_IN if each != _NO_LENS] if to == TOML else list(FORMATS[to].targets)
     if to == TOML:
@@ -93,12 +93,12 @@ def _targets(sensor: Sensor, to: str, kind: str | None) -> list[Target]:
         known = ", ".join(dict.fromkeys(each.kind for each in there))
         raise InputError(f"{to} has no model '{kind}'; it has {known}", key="--model")
     if own == _NO_LENS and [each.kind for each in chosen] != [own]:
-        raise InputError("an equirectangular image is no camera's, and is near none", key="--to")
+        raise InputError("an equirectangular panorama cannot be written in another camera model", key="--to")
     return sorted(chosen, key=lambda each: each.kind != own)
 
 
 def _our_text(sensor: Sensor, conversion: Conversion, kind: str) -> str:
-    """The sensor's TOML with another model; mount and field stay."""
+    """The sensor's TOML with another model; mount and field are unchanged."""
     optics = conversion.optics
     table: dict[str, Any] = as_table(sensor)
     table |= {"model": as_table(optics.model) | {"kind": kind}, "camera": as_table(optics.camera)}

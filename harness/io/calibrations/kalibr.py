@@ -1,4 +1,4 @@
-"""Kalibr's camchain YAML: `omni`, `eucm`, `ds` and `pinhole` cameras, and the motion from each to the next."""
+"""Kalibr's camchain YAML: `omni`, `eucm`, `ds` and `pinhole` cameras, and the motion from each to the next one."""
 
 import re
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ _KINDS = {"omni": "unified", "eucm": "eucm", "ds": "double_sphere", "pinhole": "
 
 
 def recognises(content: Content) -> bool:
-    """Whether it has tables cam0, cam1, ... with a `camera_model`."""
+    """Whether the file has tables cam0, cam1, ... with a `camera_model`."""
     return any(isinstance(each, Mapping) and "camera_model" in each for each in _chain(content).values())
 
 
@@ -107,7 +107,7 @@ def _word(content: Content, entry: Mapping[str, Any], name: str, key: str, known
 
 
 def write(optics: Optics) -> str:
-    """A camchain with cam0 alone."""
+    """The text of a camchain with one camera, cam0."""
     camera, keys = optics.camera, keys_of(optics)
     shape = {"unified": ["xi"], "eucm": ["alpha", "beta"], "double_sphere": ["xi", "alpha"], "kannala_brandt": []}
     intrinsics = [*(keys[name] for name in shape[keys["kind"]]), *focal_lengths(optics), camera.cx_px, camera.cy_px]
@@ -132,7 +132,7 @@ def write(optics: Optics) -> str:
 
 
 def _listed(values: list[float]) -> str:
-    """A list as YAML 1.1 reads it back: an exponent is a number's only with a point before it."""
+    """A list of floats that YAML 1.1 reads back as numbers: a number with an exponent needs a decimal point."""
     words = (repr(float(value)) for value in values)
     return f"[{', '.join(word if '.' in word else word.replace('e', '.0e') for word in words)}]"
 

@@ -1,8 +1,8 @@
 """OCamCalib's text file (calib_results.txt): direct and inverse polynomial, centre, affine part, size.
 
-The centre is (row, column), the size height before width, and x runs along rows: (row, column) = [c d; e 1] (x, y) +
-centre. A pixel sees (x, y, a_0 + a_1 rho + ...) with rho = |(x, y)| in pixels and a_0 < 0: the optical axis is -z. So
-a camera's frame as all others have it is (X, Y, Z) = (y, x, -z), a rotation.
+The centre is (row, column), the size is height before width, and x counts rows: (row, column) = [c d; e 1] (x, y) +
+centre. The ray of a pixel is (x, y, a_0 + a_1 rho + ...) with rho = |(x, y)| in pixels and a_0 < 0: the optical axis is
+-z. The usual frame of a camera is then (X, Y, Z) = (y, x, -z), a rotation.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ from harness.io.calibrations.record import CalibratedCamera, Calibration, Conten
 from harness.io.calibrations.values import number, refusal, whole
 
 _MUCH_PX = 0.5
-"""RMS by which the two polynomials of a file may differ without a word of warning."""
+"""RMS, in pixels, up to which the two polynomials of a file may differ without a warning."""
 _MOST = 64
-"""Coefficients of a polynomial; OCamCalib's own reader has room for as many."""
+"""The most coefficients of a polynomial: as many as OCamCalib's own reader takes."""
 DIRECT, INVERSE, CENTRE, AFFINE, SIZE = (
     "direct polynomial",
     "inverse polynomial",
@@ -28,7 +28,7 @@ DIRECT, INVERSE, CENTRE, AFFINE, SIZE = (
 
 
 def recognises(content: Content) -> bool:
-    """Whether its numbers begin with two counted lists, or its first comment is OCamCalib's."""
+    """Whether the file begins with two counted lists of numbers, or with OCamCalib's first comment."""
     if content.syntax != "text":
         return False
     first = content.text.lstrip().partition("\n")[0].lower()
@@ -55,7 +55,7 @@ def read(content: Content) -> Calibration:
     notes: list[str] = []
     doubts: list[str] = []
     if words:
-        notes.append(f"what follows the image size is not used: {shortened(' '.join(words))}")
+        notes.append(f"what follows the image size is ignored: {shortened(' '.join(words))}")
     if inverse:
         text, much = _agreement(np.array(direct), np.array(inverse), row, column, (height, width))
         (doubts if much else notes).append(text)
@@ -74,7 +74,7 @@ def read(content: Content) -> Calibration:
 
 
 def inverse_radius(inverse: Array, theta: Array) -> Array:
-    """The radius rho in pixels by the inverse polynomial, whose powers of theta ascend.
+    """The radius rho, pixels, by the inverse polynomial, with coefficients of ascending powers of theta.
 
     theta
         Angle above the plane z = 0, radians; -pi/2 on the axis.
@@ -83,20 +83,21 @@ def inverse_radius(inverse: Array, theta: Array) -> Array:
 
 
 def _reach(row: float, column: float, shape: tuple[int, int]) -> float:
-    """How far the farthest corner of the image is from the centre, pixels."""
+    """The distance of the farthest corner of the image from the centre, pixels."""
     return max(np.hypot(row - at_row, column - at_column) for at_row in (0, shape[0]) for at_column in (0, shape[1]))
 
 
 def _monotonic(direct: Array, rho: Array) -> tuple[Array, Array]:
-    """Radii, as far as the angle above the plane z = 0 grows with them, and these angles."""
+    """The radii up to which the angle above the plane z = 0 grows, and these angles."""
     theta = np.arctan2(np.polynomial.polynomial.polyval(rho, direct), rho)
     grows = np.logical_and.accumulate(np.concatenate([[True], np.diff(theta) > 0]))
     return rho[grows], theta[grows]
 
 
 def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: tuple[int, int]) -> tuple[str, bool]:
-    """How far the two polynomials of a file are apart, in words, and whether that is much: to the farthest side, as
-    lenses end before corners.
+    """A sentence on how far the two polynomials of a file differ, and whether that is too much.
+
+    They are compared up to the farthest side of the image: image circles end before its corners.
     """
     reach = max(row, shape[0] - 1 - row, column, shape[1] - 1 - column)
     rho, theta = _monotonic(direct, np.linspace(0.0, reach, 400))
@@ -108,7 +109,7 @@ def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: 
     )
     if rms < _MUCH_PX:
         return text, False
-    return f"{text}, and gives programs that project with it other pixels", True
+    return f"{text}; programs that project with it get other pixels", True
 
 
 def _words(content: Content) -> list[str]:
@@ -126,7 +127,7 @@ def _counted(content: Content, words: list[str], key: str, least: int) -> list[f
 
 
 def _taken(content: Content, words: list[str], count: int, key: str) -> list[float]:
-    """The next numbers, taken off."""
+    """The next `count` numbers, removed from `words`."""
     if len(words) < count:
         raise refusal(content, key, f"must be {count} numbers; the file ends after {len(words)} of them")
     taken = [number(content, word, key) for word in words[:count]]
@@ -135,7 +136,7 @@ def _taken(content: Content, words: list[str], count: int, key: str) -> list[flo
 
 
 def write(optics: Optics) -> str:
-    """A calib_results.txt; the inverse polynomial is fitted to the direct one as far as the image reaches."""
+    """The text of a calib_results.txt; its inverse polynomial is fitted to the direct one over the image."""
     camera, keys = optics.camera, keys_of(optics)
     direct = np.array(keys["coefficients"])
     inverse = fitted_inverse(direct, _reach(camera.cy_px, camera.cx_px, (camera.height_px, camera.width_px)))
@@ -155,8 +156,9 @@ def write(optics: Optics) -> str:
 
 
 def fitted_inverse(direct: Array, reach: float) -> Array:
-    """The inverse polynomial up to a radius in pixels: the least degree that is right to a thousandth of a pixel, or
-    the best of at most 24.
+    """The inverse polynomial up to a radius in pixels.
+
+    Its degree is the lowest that is accurate to a thousandth of a pixel, or the best one up to 24.
     """
     rho, theta = _monotonic(direct, reach * 0.5 * (1 - np.cos(np.linspace(0, np.pi, 1001))))
     best: Array = np.zeros(1)

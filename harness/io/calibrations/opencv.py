@@ -1,8 +1,8 @@
-"""What OpenCV calibrates, from a FileStorage file (YAML, XML, JSON) or ROS's `camera_info`, which has the same keys.
+"""OpenCV's calibrations in FileStorage files (YAML, XML, JSON), and ROS's `camera_info`, which has the same keys.
 
 - with `xi`: `cv2.omnidir`, the unified model with k1, k2, p1, p2;
-- four coefficients without `xi`: `cv2.fisheye`, Kannala and Brandt's polynomial of the angle;
-- five or more, or a file that says so: a perspective camera, which is the unified model with xi = 0.
+- four coefficients without `xi`: `cv2.fisheye`, the Kannala-Brandt polynomial of the angle;
+- five or more, or a file that declares it: a perspective camera, which is the unified model with xi = 0.
 
 K may have a skew, `K[0, 1]`. Several cameras have numbered keys: K1, D1, xi1, K2, ... or camera_matrix_0, ...
 """
@@ -25,7 +25,7 @@ _STEMS = {
     "D": ("d", "distortioncoefficients", "distcoeffs", "distortion", "cameradistortion"),
     "xi": ("xi", "cameraxi"),
 }
-"""Names in use, in lower case and without underscores; a number may follow."""
+"""Common names, in lower case and without underscores; a number may follow."""
 _LENS = ("k1", "k2", "p1", "p2", "k3")
 _FISHEYE = {"fisheye", "equidistant", "kannala_brandt"}
 _PERSPECTIVE = {"pinhole", "plumb_bob", "radtan", "rational_polynomial"}
@@ -35,7 +35,7 @@ PERSPECTIVE = "a perspective camera, which is the unified model with xi = 0"
 
 
 def recognises(content: Content) -> bool:
-    """Whether there is a camera matrix, or FileStorage's root element."""
+    """Whether the file has a camera matrix, or FileStorage's root element."""
     return (content.syntax == "xml" and "opencv_storage" in content.table) or (
         content.syntax in {"yaml", "xml", "json"} and bool(_cameras(_root(content)))
     )
@@ -60,7 +60,7 @@ def _root(content: Content) -> Mapping[str, Any]:
 
 
 def _cameras(root: Mapping[str, Any]) -> dict[int, dict[str, str]]:
-    """For each camera's number (-1 for none) the keys of its K, D and xi."""
+    """The keys of K, D and xi by camera number (-1 without a number)."""
     cameras: dict[int, dict[str, str]] = {}
     for key in root:
         name, digits = re.fullmatch(r"(.*?)(\d{0,3})", str(key).lower().replace("_", ""), re.DOTALL).groups()  # type: ignore[union-attr]
@@ -115,7 +115,7 @@ def _camera_matrix(content: Content, value: Any, key: str) -> Array:
 def _kind(
     content: Content, root: Mapping[str, Any], keys: Mapping[str, str], D: list[float]
 ) -> tuple[str, tuple[str, ...]]:
-    """The model's kind and what to note of the choice."""
+    """The model's kind, and a note on how it was chosen."""
     said = {str(root[key]).strip().lower() for key in ("distortion_model", "camera_model") if key in root}
     flag = root.get("fisheye_model")
     is_fisheye = bool(said & _FISHEYE) or (flag is not None and number(content, flag, "fisheye_model") != 0)
@@ -156,14 +156,14 @@ def _size(content: Content, root: Mapping[str, Any]) -> tuple[int, int] | None:
 
 
 def _placed(content: Content, root: Mapping[str, Any], second: CalibratedCamera) -> CalibratedCamera:
-    """The second camera with the motion of `stereoCalibrate`: x_2 = R x_1 + T."""
+    """The second camera, with the motion of `stereoCalibrate`: x_2 = R x_1 + T."""
     if not ("R" in root and "T" in root):
         return second
     R, T = matrix(content, root["R"], "R"), matrix(content, root["T"], "T").ravel()
     if R.size == 9:
         R = R.reshape(3, 3)
     if R.shape != (3, 3) or T.shape != (3,):
-        raise refusal(content, "R" if R.shape != (3, 3) else "T", "must be 3 x 3 numbers, and T three numbers")
+        raise refusal(content, "R" if R.shape != (3, 3) else "T", "R must be 3 x 3 numbers, T three numbers")
     check_rotation(content, R, "R")
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = R, T
@@ -171,7 +171,7 @@ def _placed(content: Content, root: Mapping[str, Any], second: CalibratedCamera)
 
 
 def _values(optics: Optics) -> tuple[Array, list[float], dict[str, float]]:
-    """K, the coefficients, and the numbers beside them."""
+    """K, the distortion coefficients, and further numbers by name."""
     camera, keys = optics.camera, keys_of(optics)
     fx, fy = focal_lengths(optics)
     K = np.array([[fx, camera.skew_px, camera.cx_px], [0, fy, camera.cy_px], [0, 0, 1]])
@@ -181,7 +181,7 @@ def _values(optics: Optics) -> tuple[Array, list[float], dict[str, float]]:
 
 
 def write_yaml(optics: Optics) -> str:
-    """FileStorage as YAML: `cv2.omnidir`'s K, D and xi, or `cv2.fisheye`'s K and D."""
+    """The text of a FileStorage in YAML: K, D and xi of `cv2.omnidir`, or K and D of `cv2.fisheye`."""
     K, D, more = _values(optics)
     lines = [
         "%YAML:1.0",
@@ -199,7 +199,7 @@ def write_yaml(optics: Optics) -> str:
 
 
 def write_xml(optics: Optics) -> str:
-    """FileStorage as XML."""
+    """The text of a FileStorage in XML, with the same keys."""
     K, D, more = _values(optics)
     plain = {"image_width": optics.camera.width_px, "image_height": optics.camera.height_px} | more
     lines = ['<?xml version="1.0"?>', "<opencv_storage>"]

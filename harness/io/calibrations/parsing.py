@@ -1,4 +1,4 @@
-"""A calibration file's text parsed by its own syntax, within limits: YAML, OpenCV's XML, JSON, TOML, or plain text."""
+"""Parsing a calibration file by its own syntax, within limits: YAML, OpenCV's XML, JSON, TOML, or plain text."""
 
 import json
 import re
@@ -20,7 +20,7 @@ _TOO_DEEP = f"tables and lists are nested more than {MOST_LEVELS} deep"
 
 
 class _Loader(_LOADER):  # type: ignore[misc]
-    """Plain values only, and OpenCV's matrices as tables."""
+    """Loads plain values only, and OpenCV's matrices as tables."""
 
 
 def _opencv_matrix(loader: Any, node: Any) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def read_content(file: Path) -> Content:
     Raises
     ------
     InputError
-        When it cannot be read, is no text, or breaks off.
+        When the file cannot be read, is not text, or is cut off.
     """
     data = read_regular(file, MOST_BYTES, "sensor")
     try:
@@ -79,12 +79,12 @@ def _yaml(text: str) -> Any:
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader's class
     except yaml.YAMLError as error:
         raise InputError(f"not valid YAML: {error}") from error
-    except (ValueError, TypeError) as error:  # a date or a number that there cannot be; a table as a key
+    except (ValueError, TypeError) as error:  # an impossible date or number; a table as a key
         raise InputError(f"not valid YAML: {error}") from error
 
 
 def _check_depth(text: str) -> None:
-    """Refuse what is nested deeply, which the loader in C would crash on, and references within the file."""
+    """Check that nesting is shallow, as the loader in C crashes otherwise, and that there are no references."""
     level = 0
     for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.AliasEvent):
@@ -112,7 +112,7 @@ def _xml(text: str) -> Any:
 
 
 def _xml_value(element: ET.Element, level: int) -> Any:
-    """An element of OpenCV's XML: a table, a list of elements named `_`, a list of words, or text."""
+    """The value of an element of OpenCV's XML: a table, a list of elements named `_`, a list of words, or text."""
     if level > MOST_LEVELS:
         raise InputError(_TOO_DEEP)
     children = list(element)

@@ -1,4 +1,4 @@
-"""What a calibration file says, in the terms of a sensor file: the record that every reader makes."""
+"""The contents of a calibration file in the terms of a sensor file, as returned by every reader."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,19 +13,19 @@ from harness.geometry.angles import Array
 
 @dataclass(frozen=True)
 class Content:
-    """The text of a calibration file and what a parser makes of it."""
+    """A parsed calibration file."""
 
     file: Path
-    """For messages."""
+    """The path, for messages."""
     syntax: str
-    """`yaml`, `xml`, `json`, `toml`, or `text` for all else."""
+    """`yaml`, `xml`, `json`, `toml`, or `text` for anything else."""
     text: str
     data: Any = None
     """The parsed text: tables, lists, text and numbers; None for `text`."""
 
     @property
     def table(self) -> Mapping[str, Any]:
-        """The parsed text where it is a table; an empty one where it is not."""
+        """The parsed text if it is a table, else an empty table."""
         return self.data if isinstance(self.data, Mapping) else {}
 
 
@@ -34,24 +34,24 @@ class CalibratedCamera(OneLine):
     """One camera of a calibration file. Tables and keys are those of a sensor file."""
 
     name: str
-    """What the file calls it, such as `cam0`; may be empty."""
+    """The camera's name in the file, such as `cam0`; may be empty."""
     model: dict[str, Any]
     """`kind` and the model's own keys."""
     camera: dict[str, float]
     """Focal length, aspect, skew and centre; pixel centres at the integers."""
     lens: dict[str, float] = field(default_factory=dict)
     size: tuple[int, int] | None = None
-    """Width and height, pixels; None where the file does not say."""
+    """Width and height, pixels; None if the file does not contain them."""
     keys: dict[str, str] = field(default_factory=dict)
-    """Where a value of a sensor file, by its dotted key, comes from: the key in this file, for messages."""
+    """The key in this file of each value, by its dotted key in a sensor file; for messages."""
     notes: tuple[str, ...] = ()
-    """What a user should know of how the file was read, one sentence each."""
+    """Notes for the user on how the file was read, one sentence each."""
     doubts: tuple[str, ...] = ()
-    """What every user of the file has to know, likewise: it is a warning where the sensor is used."""
+    """Problems of the file, one sentence each, of which every use of the sensor warns."""
     angle_max_deg: float | None = None
-    """How far the lens sees off its optical axis; None where the file does not say."""
+    """Largest angle of the field off the optical axis, degrees; None if the file does not contain it."""
     T_cam_from_first: Array | None = None
-    """`[4, 4]`: a point in the frame of the file's first camera in this one's, metres; None where it is not told."""
+    """`[4, 4]`: takes points from the frame of the file's first camera to this one's, metres; None if it is unknown."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,32 +65,32 @@ class Calibration(OneLine):
 
 
 def keys_of(optics: Optics) -> dict[str, Any]:
-    """The model's keys, `kind` among them."""
+    """The model's keys, including `kind`."""
     return optics.model.model_dump()
 
 
 def focal_lengths(optics: Optics) -> tuple[float, float]:
-    """Along u and along v, pixels."""
+    """The focal lengths along u and along v, pixels."""
     return optics.camera.focal_px, optics.camera.focal_px * optics.camera.aspect
 
 
 @dataclass(frozen=True)
 class Reader:
-    """A kind of calibration file that is read."""
+    """A format of calibration files that can be read."""
 
     title: str
-    """For people: `Kalibr camchain`."""
+    """The name for messages: `Kalibr camchain`."""
     recognises: Callable[[Content], bool]
-    """Whether a file is of this kind, by what is in it."""
+    """Whether a file is of this format, by its content."""
     read: Callable[[Content], Calibration]
-    """Raises an `InputError` with file and key where something is missing, wrong or not supported."""
+    """Reads a file; raises an `InputError` with file and key when something is missing, wrong or not supported."""
 
 
 @dataclass(frozen=True)
 class Format(Reader):
-    """A kind of calibration file that is written, too."""
+    """A format of calibration files that can also be written."""
 
     targets: tuple[Target, ...]
-    """The models that it can hold, and what it has room for beside them."""
+    """The camera models that the format has, with the other parameters that it can hold."""
     write: Callable[[Optics], str]
-    """The text of a file with one camera, whose model is that of a target."""
+    """Writes the text of a file with one camera, whose model is that of a target."""

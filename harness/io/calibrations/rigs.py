@@ -8,7 +8,7 @@ from harness.io.calibrations.record import Calibration
 
 
 def transform_between(calibration: Calibration, first: int, second: int) -> Array:
-    """`[4, 4]`: a point in the frame of one camera's lens, in that of another's.
+    """`[4, 4]`: takes points from the frame of one camera's lens to that of another's, metres.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ def transform_between(calibration: Calibration, first: int, second: int) -> Arra
     Raises
     ------
     InputError
-        When the file does not tell where both cameras are.
+        When there is no such camera, or the file does not contain the poses of both.
     """
     cameras = calibration.cameras
     for number in (first, second):
@@ -29,6 +29,6 @@ def transform_between(calibration: Calibration, first: int, second: int) -> Arra
     for number in (first, second):
         T_cam_from_first = cameras[number].T_cam_from_first if number else np.eye(4)
         if T_cam_from_first is None:
-            raise InputError(f"does not tell where camera {number} is", file=calibration.file)
+            raise InputError(f"does not contain the pose of camera {number}", file=calibration.file)
         transforms.append(T_cam_from_first)
     return np.asarray(transforms[1] @ np.linalg.inv(transforms[0]))

@@ -1,4 +1,4 @@
-"""A sensor from a file: its own TOML, or a camera of another program's calibration."""
+"""Reading a sensor from a file: a sensor's TOML, or a camera of another program's calibration."""
 
 import math
 import re
@@ -26,43 +26,43 @@ from harness.io.calibrations.record import CalibratedCamera, Calibration
 from harness.spec import Spec, as_given, parse
 
 _UNMOUNTED = (
-    "the file does not say how the camera is mounted: it looks up and is not mirrored; a camera below a mirror has "
-    "--looks down --mirrored"
+    "the file does not say how the camera is mounted; assumed: it looks up and is not mirrored; a camera below a "
+    "mirror has --looks down --mirrored"
 )
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """What a calibration file does not say, or what is to be taken instead of what a sensor file says."""
+    """The user's choices: what a calibration file does not contain, or overrides of a sensor file."""
 
     camera: int | None = None
-    """Which camera of several, counted from 0."""
+    """The number of the camera, from 0."""
     looks: Looks | None = None
-    """Where the optical axis points; up when nothing is said."""
+    """Where the optical axis points; up by default."""
     mirrored: bool | None = None
     """Whether the image is mirrored left to right, as a mirror's is."""
     size: tuple[int, int] | None = None
-    """Width and height in pixels, of a file that has none."""
+    """Width and height in pixels, for a file that does not contain them."""
     angle_max_deg: float | None = None
-    """How far the field reaches off the optical axis; as far as model and image do when nothing is said."""
+    """Largest angle of the field off the optical axis; by default as far as model and image allow."""
     elevation_deg: tuple[float, float] | None = None
     """The field's lowest and highest elevation."""
 
 
 @dataclass(frozen=True)
 class SensorFile:
-    """A sensor and where it is from."""
+    """A sensor and its origin."""
 
     sensor: Sensor
     calibration: Calibration | None
-    """None of a sensor's own TOML."""
+    """None for a sensor's own TOML."""
     camera: CalibratedCamera | None
     notes: tuple[str, ...]
-    """How the file was read, a sentence each."""
+    """Notes on how the file was read, one sentence each."""
 
 
 class _Parts(Spec):
-    """A sensor without its field, which follows from these."""
+    """The parts of a sensor from which its field follows."""
 
     model: AnyModel
     camera: Camera
@@ -93,7 +93,7 @@ def read_sensor(file: Path, chosen: Chosen | None = None) -> SensorFile:
 
 
 def says_its_mount(file: Path) -> bool:
-    """Whether a file is a sensor's own TOML, or a shipped sensor's name, and no calibration of another program.
+    """Whether a file is a sensor's own TOML, or names a shipped sensor, rather than a calibration of another program.
 
     Raises
     ------
@@ -104,8 +104,7 @@ def says_its_mount(file: Path) -> bool:
 
 
 def load_sensor(file: Path, chosen: Chosen | None = None) -> Sensor:
-    """The sensor in a file of any known format; says as a `Notice` what it had to guess, and where the file
-    contradicts itself.
+    """The sensor in a file of any known format; warns (`Notice`) of assumptions, and where the file contradicts itself.
 
     Raises
     ------
@@ -120,13 +119,15 @@ def load_sensor(file: Path, chosen: Chosen | None = None) -> Sensor:
 
 
 def sensor_of_table(table: Mapping[str, Any], file: str | Path | None = None, key: str = "") -> dict[str, Any]:
-    """The table of a sensor from one that names a file: `file`, with `number` of several cameras and `size` where the
-    file needs them, and tables of a sensor whose keys stand over those of the file.
+    """The complete table of a sensor from a table that names a file.
+
+    The table has the key `file`, `number` and `size` if that file needs them, and tables of a sensor whose keys
+    override those of the file.
 
     Parameters
     ----------
     file, key
-        Where the table stands, for messages.
+        The file and the key of the table itself, for messages.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def sensor_of_table(table: Mapping[str, Any], file: str | Path | None = None, ke
     named = parse(_NamedFile, {name: value for name, value in table.items() if name in _OF_FILE}, file=file, key=key)
     for name, value in over.items():
         if not isinstance(value, Mapping) and name != "mask":
-            raise InputError("must be a table, whose keys stand over the file's", file=file, key=_below(key, name))
+            raise InputError("must be a table, whose keys override the file's", file=file, key=_below(key, name))
     mount, field = over.get("mount", {}), over.get("field", {})
     chosen = Chosen(
         camera=named.number,
@@ -158,7 +159,7 @@ def _below(key: str, name: str) -> str:
 
 
 class _NamedFile(Spec):
-    """What a table says of the file that it names."""
+    """The keys of a table that names a file."""
 
     file: str
     number: Annotated[int, Field(ge=0)] | None = None
@@ -169,7 +170,7 @@ _OF_FILE = tuple(_NamedFile.model_fields)
 
 
 def _with_choices(table: dict[str, Any], file: Path, chosen: Chosen) -> Sensor:
-    """A sensor's own TOML, with what was chosen in place of what it says."""
+    """The sensor of a TOML file, with the user's choices instead of its own values."""
     if chosen.camera not in (None, 0):
         raise InputError("has one camera, number 0", file=file, key="--camera")
     if chosen.size is not None:
@@ -200,7 +201,7 @@ def _the_camera(calibration: Calibration, chosen: Chosen) -> CalibratedCamera:
 
 
 def _sensor_of(calibration: Calibration, camera: CalibratedCamera, chosen: Chosen) -> tuple[Sensor, tuple[str, ...]]:
-    """The sensor, and a note on its field if that was not chosen."""
+    """The sensor, and a note on its field if the user did not choose one."""
     file = calibration.file
     size = camera.size
     if size is None:
@@ -228,13 +229,13 @@ def _sensor_of(calibration: Calibration, camera: CalibratedCamera, chosen: Chose
 
 
 def _parsed(spec: Any, table: dict[str, Any], file: Path, camera: CalibratedCamera) -> Any:
-    """A specification of the tables; an error names the file's own key."""
+    """The specification in a table; an error names the key in the file."""
     try:
         return parse(spec, table, file=file)
     except InputError as error:
         ours = error.key or ""
         first = re.match(r"\w*", error.problem)
-        # What is wrong with several keys together names the table, and begins with one of them.
+        # An error that concerns several keys has the table's key, and its message begins with one of them.
         places = [f"{ours}.{first[0] if first else ''}", ours, ours.rpartition(".")[0], ours.partition(".")[0]]
         theirs = next((camera.keys[each] for each in places if each in camera.keys), ours)
         raise InputError(error.problem, file=file, key=theirs or None) from error
@@ -251,7 +252,7 @@ def _elevations(low: float, high: float) -> dict[str, float]:
 
 
 def _field(parts: _Parts, chosen: Chosen, by_file: float | None) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The table of the field: as chosen, as the file says, or as far as model and image reach."""
+    """The table of the field: as chosen, as in the file, or as far as model and image allow."""
     model = parts.model
     if not isinstance(model, AxialModel):
         return _elevations(*(chosen.elevation_deg or (-90.0, 90.0))), ()

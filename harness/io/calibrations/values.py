@@ -1,4 +1,4 @@
-"""Values taken out of a parsed file, checked: numbers, whole numbers, lists, tables, matrices."""
+"""Checked access to the values of a parsed file: numbers, whole numbers, lists, tables, matrices."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from harness.geometry.angles import Array
 from harness.io.calibrations.record import Content
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-"""YAML 1.1 takes `1e-05` for text."""
+"""YAML 1.1 reads `1e-05` as text."""
 
 
 def refusal(content: Content, key: str, problem: str) -> InputError:
@@ -22,7 +22,7 @@ def refusal(content: Content, key: str, problem: str) -> InputError:
 
 
 def number(content: Content, value: Any, key: str) -> float:
-    """A finite number; text that spells one counts."""
+    """The value as a finite number; text that spells one is accepted."""
     if isinstance(value, str) and _NUMBER.fullmatch(value.strip()):
         value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -37,7 +37,7 @@ def number(content: Content, value: Any, key: str) -> float:
 
 
 def whole(content: Content, value: Any, key: str) -> int:
-    """A whole number."""
+    """The value as a whole number."""
     as_float = number(content, value, key)
     if as_float != int(as_float):
         raise refusal(content, key, f"must be a whole number; found {as_float:g}")
@@ -45,12 +45,12 @@ def whole(content: Content, value: Any, key: str) -> int:
 
 
 def numbers(content: Content, value: Any, key: str, names: str | None = None) -> list[float]:
-    """A list of finite numbers.
+    """The value as a list of finite numbers.
 
     Parameters
     ----------
     names
-        What they are called, in order and between spaces; their number is checked.
+        The names of the numbers in order, separated by spaces; their count is checked.
     """
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise refusal(content, key, f"must be a list of numbers; found {_shown(value)}")
@@ -62,14 +62,14 @@ def numbers(content: Content, value: Any, key: str, names: str | None = None) ->
 
 
 def table(content: Content, value: Any, key: str) -> Mapping[str, Any]:
-    """A table."""
+    """The value as a table."""
     if not isinstance(value, Mapping):
         raise refusal(content, key, f"must be a table; found {_shown(value)}")
     return value
 
 
 def member(content: Content, parent: Mapping[str, Any], name: str, above: str = "") -> tuple[Any, str]:
-    """The value of a key that must be there, and its dotted key."""
+    """The value of a required key, and its dotted key."""
     key = f"{above}.{name}" if above else name
     if name not in parent:
         there = ", ".join(map(str, parent)) or "none"
@@ -78,14 +78,14 @@ def member(content: Content, parent: Mapping[str, Any], name: str, above: str = 
 
 
 def is_matrix(value: Any) -> bool:
-    """Whether it is written as OpenCV writes a matrix, or as a list of numbers or of rows."""
+    """Whether a value is a matrix of OpenCV's, or a list of numbers or of rows."""
     if isinstance(value, Mapping):
         return {"rows", "cols", "data"} <= set(value)
     return isinstance(value, list) and bool(value)
 
 
 def matrix(content: Content, value: Any, key: str) -> Array:
-    """An array `[rows, columns]` from a table with `rows`, `cols` and `data`, from a list of rows, or from one row."""
+    """The array `[rows, columns]` of a table with `rows`, `cols` and `data`, of a list of rows, or of one row."""
     if isinstance(value, Mapping):
         rows, cols = (whole(content, *member(content, value, each, key)) for each in ("rows", "cols"))
         data, data_key = member(content, value, "data", key)
@@ -102,7 +102,7 @@ def matrix(content: Content, value: Any, key: str) -> Array:
 
 
 def transform(content: Content, value: Any, key: str) -> Array:
-    """A rigid motion `[4, 4]`."""
+    """The value as a rigid motion `[4, 4]`."""
     rows = matrix(content, value, key)
     if rows.shape != (4, 4):
         raise refusal(content, key, f"must be 4 x 4 numbers; found {rows.shape[0]} x {rows.shape[1]}")
@@ -113,13 +113,13 @@ def transform(content: Content, value: Any, key: str) -> Array:
 
 
 def check_rotation(content: Content, rotation: Array, key: str) -> None:
-    """Refuse what is no rotation; files have five digits at least."""
+    """Check that a matrix is a rotation, to the five digits that files have at least."""
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-        raise refusal(content, key, "is no rotation: its rows must be of unit length, at right angles and right-handed")
+        raise refusal(content, key, "is not a rotation: its rows must be orthonormal and right-handed")
 
 
 def pixels(content: Content, value: Any, key: str) -> tuple[int, int]:
-    """Width and height from a list of two whole numbers."""
+    """Width and height, pixels, from a list of two whole numbers."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
         raise refusal(content, key, f"must be width and height, pixels; found {_shown(value)}")
     width, height = (whole(content, each, f"{key}[{i}]") for i, each in enumerate(value))
