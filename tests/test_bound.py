@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import ndimage
 
 from harness.camera.intrinsics import Camera
@@ -14,6 +12,7 @@ from harness.geometry.angles import normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Pose, relative_motion
 from harness.geometry.triangulation import exact_alpha_2
+from harness.simulation.chip import Chip, grey_variance
 from harness.simulation.render import render
 from harness.simulation.scene import Box, Scene
 from harness.simulation.texture import GreyTexture, NoiseTexture
@@ -82,65 +81,6 @@ def bound_of(images, reference, sensor_2=SENSOR, **changes):
 @pytest.fixture(scope="module")
 def slanted(images, reference):
     return bound_of(images, reference)
-
-
-# The formula ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@given(
-    samples=st.tuples(st.integers(20, 60), st.integers(20, 60)),
-    waves=st.integers(1, 8),
-    amplitude=st.floats(1.0, 100.0),
-)
-def test_a_wave_moved_along_itself(samples, waves, amplitude):
-    # T = c sin(k x) over whole waves on N_1 and N_2 samples: Σ g² = N c² k²/2, var = 2 sigma² (1/N_1 + 1/N_2)/(c k)².
-    # Gain and offset take nothing away, since cosines are at right angles to sines and to constants.
-    k, sigma = 2 * np.pi * waves, 1.7
-    s = []
-    for n in samples:
-        x = (np.arange(n) + 0.3) / n
-        s.append(np.stack([amplitude * k * np.cos(k * x), amplitude * np.sin(k * x), np.ones(n)], axis=-1))
-    expected = sigma * np.sqrt(2 / samples[0] + 2 / samples[1]) / (amplitude * k)
-    assert least_std(s[0], s[1], np.array([1.0, 0, 0]), sigma) == pytest.approx(expected, rel=1e-9)
-    assert least_std(s[0][:, :1], s[1][:, :1], np.ones(1), sigma) == pytest.approx(expected, rel=1e-9)
-
-
-def test_alike_images_give_the_formula_of_the_books():
-    g = np.random.default_rng(0).normal(size=(50, 1))
-    assert least_std(g, g, np.ones(1), 3.0) == pytest.approx(np.sqrt(2 * 9 / np.sum(g**2)), rel=1e-12)
-
-
-@pytest.mark.parametrize("samples", [(64, 64), (96, 48)])
-def test_the_most_likely_shift_of_an_unknown_texture_attains_it(samples):
-    # Periodic, band-limited to 8 waves, both images noisy. With T unknown the likelihood is greatest where the images'
-    # correlation is: the sum over waves of Y_1* Y_2 exp(i k shift).
-    draws, sigma, shift = 20_000, 1.0, 0.013
-    rng = np.random.default_rng(1)
-    waves = np.arange(1, 9)
-    amplitudes = 30 * np.exp(1j * rng.uniform(0, 2 * np.pi, 8)) / waves
-
-    def texture(x, derivative):
-        terms = amplitudes * (2j * np.pi * waves) ** derivative * np.exp(2j * np.pi * np.multiply.outer(x, waves))
-        return terms.real.sum(axis=-1)
-
-    spectra, slopes = [], []
-    for n, moved in zip(samples, (0.0, shift), strict=True):
-        x = np.arange(n) / n
-        noisy = texture(x - moved, 0) + sigma * rng.standard_normal((draws, n))
-        spectra.append(np.fft.fft(noisy, axis=-1)[:, waves] / n)
-        slopes.append(texture(x - moved, 1)[:, None])
-    product = np.conj(spectra[0]) * spectra[1]
-    result = np.full(draws, shift)
-    for _ in range(5):
-        turned = product * np.exp(2j * np.pi * waves * result[:, None])
-        slope = -np.sum(2 * np.pi * waves * turned.imag, axis=-1)
-        curvature = -np.sum((2 * np.pi * waves) ** 2 * turned.real, axis=-1)
-        result -= slope / curvature
-    bound = least_std(slopes[0], slopes[1], np.ones(1), sigma)
-    # Four standard deviations of a standard deviation from 20,000 draws; noise times noise adds 0.1 %.
-    assert np.std(result) / bound == pytest.approx(1, abs=4 / np.sqrt(2 * draws) + 0.002)
-    assert np.mean(result) == pytest.approx(shift, abs=4 * bound / np.sqrt(draws))
 
 
 # The panorama against brute force over raw pixels --------------------------------------------------------------------
@@ -343,6 +283,22 @@ def test_scales_with_the_noise(images, reference, slanted):
     assert both.sum() > 0.95 * np.isfinite(one).sum()
 
 
+def test_noise_pixel_by_pixel(images, reference):
+    """Even noise is one sigma, whichever way it is given; twice the noise in a third of it costs up to twice there."""
+    even = tuple(np.full_like(image, 2.5) for image in images)
+    one, other = bound_of(images, reference, sigma_grey=2.5), bound_of(images, reference, sigma_grey=even)
+    known = np.isfinite(one.range_m)
+    assert other.range_m[known] == pytest.approx(one.range_m[known], rel=1e-9)
+    assert other.count_1[one.pixels] == pytest.approx(one.count_1[one.pixels])
+    for each in even:
+        each[:, : each.shape[1] // 3] *= 2
+    left = bound_of(images, reference, sigma_grey=even)
+    ratio = left.range_m[known] / other.range_m[known]
+    ratio = ratio[np.isfinite(ratio)]  # some windows' range is as uncertain as itself then
+    assert ratio.min() == pytest.approx(1, abs=1e-9)
+    assert 1.5 < ratio.max() < 2 + 1e-9
+
+
 def test_knowing_more_never_hurts(images, reference, slanted):
     frontal = bound_of(images, reference, model="frontal")
     np.testing.assert_array_equal(frontal.pixels, slanted.pixels)
@@ -395,13 +351,15 @@ def test_flat_images_tell_nothing(reference):
 
 
 @pytest.mark.slow
-def test_least_squares_comes_near_it(images, reference, slanted):
-    """Gauss-Newton on a slanted window with gain and offset, from the truth, under noise.
+@pytest.mark.parametrize("chip", [Chip(), Chip(saturation_e=40_000.0, bits=8)])
+def test_least_squares_comes_near_it(images, reference, chip):
+    """Gauss-Newton on a slanted window with gain and offset, from the truth, under noise, each pixel by its variance.
 
     It compares raw pixels of image 1 with a quintic spline of image 2, so it attains the bound where both images show
     the texture equally well.
     """
-    draws, sigma = 60, 1.0
+    draws, sigmas = 60, tuple(np.sqrt(grey_variance(image, chip, float(chip.is_ideal))) for image in images)
+    slanted = bound_of(images, reference, sigma_grey=sigmas)
     chosen = textured(reference) & slanted.pixels
     first = raw_pixels_1()
     place_1 = np.argwhere(pixel_directions(SENSOR)[1])
@@ -426,9 +384,10 @@ def test_least_squares_comes_near_it(images, reference, slanted):
 
     step = 1e-5
     motion_by_m = [(positions(planes + step * e) - positions(planes - step * e)) / (2 * step) for e in np.eye(3)]
+    weight = 1 / sigmas[0][place[:, 0], place[:, 1]] ** 2
     rng, result = np.random.default_rng(5), []
     for _ in range(draws):
-        noisy = [image + sigma * rng.standard_normal(image.shape) for image in images]
+        noisy = [image + sigma * rng.standard_normal(image.shape) for image, sigma in zip(images, sigmas, strict=True)]
         y = noisy[0][place[:, 0], place[:, 1]]
         spline = ndimage.spline_filter(noisy[1], order=5, mode="mirror")
         m, exposure = planes.copy(), np.tile([1.0, 0.0], (len(planes), 1))
@@ -438,10 +397,11 @@ def test_least_squares_comes_near_it(images, reference, slanted):
         )
         slopes = [by_row * moved[0] + by_column * moved[1] for moved in motion_by_m]
         jacobian = np.stack([*slopes, grey(spline, seen_at), np.ones(len(y))], axis=-1)
-        normal = np.add.reduceat(jacobian[:, :, None] * jacobian[:, None, :], start)
+        weighted = jacobian * weight[:, None]
+        normal = np.add.reduceat(weighted[:, :, None] * jacobian[:, None, :], start)
         for _ in range(3):
             residual = y - exposure[window, 0] * grey(spline, positions(m)) - exposure[window, 1]
-            change = np.linalg.solve(normal, np.add.reduceat(jacobian * residual[:, None], start)[..., None])[..., 0]
+            change = np.linalg.solve(normal, np.add.reduceat(weighted * residual[:, None], start)[..., None])[..., 0]
             m, exposure = m + change[:, :3], exposure + change[:, 3:]
         result.append(1 / np.sum(m * X[rows, columns], axis=-1))
     ratio = np.std(result, axis=0, ddof=1) / slanted.range_m[rows, columns]
@@ -462,6 +422,8 @@ def test_least_squares_comes_near_it(images, reference, slanted):
         ({"window_px": 91}, "within the panorama"),
         ({"sigma_grey": 0.0}, "above zero"),
         ({"sigma_grey": np.nan}, "above zero"),
+        ({"sigma_grey": (np.zeros((240, 320)),) * 2}, "above zero in every pixel"),
+        ({"sigma_grey": (np.ones((3, 3)),) * 2}, "sigma_grey is"),
         ({"model": "curved"}, "slanted or frontal"),
     ],
 )

@@ -84,6 +84,7 @@ def entry(sigma_grey, seeds, std):
     names = ("density", "median_abs_px", "bad_1px", "bad_3px", "bias_px", "rms_over_bound")
     return dict.fromkeys(names, 0.1) | {
         "matcher": "slanted", "subpixel": "own", "condition": "the base trial", "sigma_grey": sigma_grey,
+        "noise_grey": sigma_grey,
         "seeds": seeds, "bound_px": 0.01 * sigma_grey, "std_px": std, "std_over_bound": std and 1.0,
         "std_over_bound_quartiles": std and (0.9, 1.1), "within_sigma": None,
         "within_sigma_without_bias": None,

@@ -7,8 +7,8 @@ import numpy as np
 from harness.camera._spline_kernels import QUINTIC_TAPS, quintic_weights
 from harness.compiled import kernel
 
-PRODUCTS = 15
-"""Different entries of a symmetric 5 x 5 matrix."""
+PRODUCTS = 16
+"""Different entries of a symmetric 5 x 5 matrix, and the count of pixels."""
 
 _NOTHING = 1e-10
 """A pivot below this share of its diagonal is rounding: sums of 10⁴ products, parted into three directions of which two
@@ -17,7 +17,24 @@ differ by a window's half angle (0.01 rad or more), keep twelve digits."""
 
 @kernel
 def add_raw_pixels(
-    spline_1, spline_2, pixel, cell, omega, omega_u, omega_v, plane, R, t, pixel_2, ray, ray_u, ray_v, cells_1, cells_2
+    spline_1,
+    spline_2,
+    pixel,
+    cell,
+    omega,
+    omega_u,
+    omega_v,
+    plane,
+    R,
+    t,
+    pixel_2,
+    weight_1,
+    weight_2,
+    ray,
+    ray_u,
+    ray_v,
+    cells_1,
+    cells_2,
 ):
     """Add the products of each raw pixel's derivatives (slope x, slope y, slope z, grey, 1) to its cell, both images.
 
@@ -27,8 +44,9 @@ def add_raw_pixels(
 
     pixel : `[n, 2]`, (row, column) in image 1. cell : `[n]`, index into the cells. omega, omega_u, omega_v : `[n, 3]`,
     the pixel's unit direction and that direction's derivatives by u and v. plane : `[n, 3]`, m. pixel_2 : `[n, 2]`,
-    (u, v) in image 2, NaN for a pixel that is left out; ray, ray_u, ray_v : `[3, n]`, its ray, of any length, and the
-    ray's derivatives. cells_1, cells_2 : added to, `[cells, 15]`, lower triangles row by row.
+    (u, v) in image 2, NaN for a pixel that is left out; weight_1, weight_2 : `[n]`, inverse variance of the noise there
+    in either image; ray, ray_u, ray_v : `[3, n]`, its ray, of any length, and the ray's derivatives. cells_1, cells_2 :
+    added to, `[cells, 16]`, lower triangles row by row, and the count of pixels.
     """
     shift = np.empty(3)
     by_u = np.empty(3)
@@ -74,7 +92,9 @@ def add_raw_pixels(
         determinant = u_u * v_v - u_v * v_u
         u_1 = (v_v * u_2 - u_v * v_2) / determinant
         v_1 = (u_u * v_2 - v_u * u_2) / determinant
-        quarter_1, quarter_2 = 0.25, 0.25 * abs(determinant)
+        cells_1[cell[i], PRODUCTS - 1] += 1.0
+        cells_2[cell[i], PRODUCTS - 1] += abs(determinant)
+        quarter_1, quarter_2 = 0.25 * weight_1[i], 0.25 * abs(determinant) * weight_2[i]
         for part in range(4):
             u = 0.25 if part % 2 else -0.25
             v = 0.25 if part // 2 else -0.25
@@ -143,7 +163,7 @@ def _mirrored(index, size):
 def window_information(cells, pixels, half, directions, slanted, information, count):
     """What one image's raw pixels in each window tell of the inverse range at the window's middle.
 
-    cells : `[height, width, 15]`. pixels : `[height, width]`, where it is wanted; windows there are whole. directions :
+    cells : `[height, width, 16]`. pixels : `[height, width]`, where it is wanted; windows there are whole. directions :
     `[height, width, 3]`. information : written, in (grey levels times metres)²; 0 where there is none. count : written,
     raw pixels. Every window is summed from its own cells: running sums would leave rounding where there is no texture.
     """

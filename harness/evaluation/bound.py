@@ -87,7 +87,7 @@ def cramer_rao(
     *,
     R_world_from_v1: Array,
     window_px: int,
-    sigma_grey: float,
+    sigma_grey: float | tuple[Array, Array],
     model: Model = "slanted",
     frame: Frame = "panorama",
 ) -> Bound:
@@ -106,7 +106,8 @@ def cramer_rao(
     window_px
         Side of the window in pixels of its frame, odd. A filter before the matcher widens its support.
     sigma_grey
-        Standard deviation of the noise in grey levels, above zero.
+        Standard deviation of the noise in grey levels, above zero: one number, or `[sensor height, sensor width]` for
+        each image where it differs from pixel to pixel, as shot noise does.
     frame
         Whose pixels the window is a square of: view 1's panorama, around the pixel itself, or mirror image 1, around
         the mirror pixel nearest to where the panorama's looks.
@@ -116,7 +117,8 @@ def cramer_rao(
     ValueError
         When sizes do not fit, the window is even or less than 3, or sigma is not above zero.
     """
-    _check(grid, truth, window_px, sigma_grey, model)
+    _check(grid, truth, window_px, model)
+    information, unit_grey = _information(sigma_grey, sensors)
     x = directions(grid)
     planes = _planes(truth, x, np.asarray(R_world_from_v1, dtype=np.float64))
     visible = truth.visible & ~truth.discontinuity & np.all(np.isfinite(planes), axis=-1)
@@ -130,7 +132,7 @@ def cramer_rao(
         planes, visible = (_scattered(each, raw, cell, towards.shape[:2]) for each in (planes, visible))
     goes_round = frame == "panorama" or seam_px(sensors[0]) > 0
     pixels = _on_one_plane(visible, planes, window_px, goes_round=goes_round)
-    cells = _cells(images, sensors, motion, raw, cell, planes)
+    cells = _cells(images, information, sensors, motion, raw, cell, planes)
     informations, counts = np.zeros((2, *pixels.shape)), np.full((2, *pixels.shape), np.nan)
     for view in range(2):
         _bound_kernels.window_information(
@@ -144,7 +146,7 @@ def cramer_rao(
         pixels = pixels[row, column] & valid_1
         informations, counts = informations[:, row, column], np.where(pixels, counts[:, row, column], np.nan)
     with np.errstate(divide="ignore"):
-        std_xi = np.where(pixels, sigma_grey * np.sqrt(1 / informations[0] + 1 / informations[1]), np.nan)
+        std_xi = np.where(pixels, unit_grey * np.sqrt(1 / informations[0] + 1 / informations[1]), np.nan)
     range_m = truth.range_m**2 * std_xi
     range_m[range_m > truth.range_m] = np.inf
     alpha_2 = exact_alpha_2(truth.range_m[..., None] * x, motion.t_v1)
@@ -157,15 +159,31 @@ def cramer_rao(
     return bound
 
 
-def _check(grid: Grid, truth: Truth, window_px: int, sigma_grey: float, model: str) -> None:
+def _check(grid: Grid, truth: Truth, window_px: int, model: str) -> None:
     if truth.range_m.shape != grid.shape:
         raise ValueError(f"the truth is {truth.range_m.shape}, the panorama {grid.shape} (rows, columns)")
     if window_px < 3 or window_px % 2 == 0 or window_px > min(grid.shape):
         raise ValueError(f"window_px must be odd, at least 3, within the panorama; found {window_px}")
-    if not sigma_grey > 0:
-        raise ValueError(f"sigma_grey must be above zero; found {sigma_grey}")
     if model not in {"slanted", "frontal"}:
         raise ValueError(f"model must be slanted or frontal; found {model!r}")
+
+
+def _information(
+    sigma_grey: float | tuple[Array, Array], sensors: tuple[Sensor, Sensor]
+) -> tuple[tuple[Array, Array], float]:
+    """The inverse variance of each pixel of both images, and the noise in whose units it is."""
+    shapes = [(each.camera.height_px, each.camera.width_px) for each in sensors]
+    if not isinstance(sigma_grey, tuple):
+        if not sigma_grey > 0:
+            raise ValueError(f"sigma_grey must be above zero; found {sigma_grey}")
+        return (np.ones(shapes[0]), np.ones(shapes[1])), sigma_grey
+    for sigma, shape in zip(sigma_grey, shapes, strict=True):
+        if sigma.shape != shape:
+            raise ValueError(f"sigma_grey is {sigma.shape}, the sensor {shape} (rows, columns)")
+        if not np.all(sigma > 0):
+            raise ValueError("sigma_grey must be above zero in every pixel")
+    first, second = (1 / np.asarray(sigma, dtype=np.float64) ** 2 for sigma in sigma_grey)
+    return (first, second), 1.0
 
 
 def least_std(s_1: Array, s_2: Array, towards: Array, sigma_grey: float) -> float:
@@ -228,15 +246,17 @@ def _smallest(values: Array, window_px: int) -> Array:
 
 def _cells(
     images: tuple[Image, Image],
+    information: tuple[Array, Array],
     sensors: tuple[Sensor, Sensor],
     motion: Motion,
     raw: "_RawPixels",
     cell: NDArray[np.int64],
     planes: Array,
 ) -> tuple[Array, Array]:
-    """For each image the products of derivatives of all raw pixels of view 1 in each cell of a frame, `[h, w, 15]`.
+    """For each image the products of derivatives of all raw pixels of view 1 in each cell of a frame, `[h, w, 16]`.
 
-    cell : `[n]`, of each raw pixel. planes : `[h, w, 3]`, of each cell.
+    information : the inverse variance of each pixel, of both images. cell : `[n]`, of each raw pixel. planes :
+    `[h, w, 3]`, of each cell.
     """
     plane = planes.reshape(-1, 3)[cell]
     omega = raw.omega
@@ -250,6 +270,8 @@ def _cells(
         usable = (xi > 0) & np.all(np.abs(pixel_2 + 0.5) < np.array([camera.width_px, camera.height_px]) + 1, axis=-1)
         usable &= np.all(pixel_2 > -1.5, axis=-1)
     pixel_2[~usable] = np.nan
+    nearest = np.rint(np.where(usable[:, None], pixel_2, 0.0)).astype(np.intp)
+    nearest = np.clip(nearest, 0, np.array([camera.width_px, camera.height_px]) - 1)
     u, v = np.ascontiguousarray(pixel_2[:, 0]), np.ascontiguousarray(pixel_2[:, 1])
     cells = np.zeros((2, planes.shape[0] * planes.shape[1], _bound_kernels.PRODUCTS))
     _bound_kernels.add_raw_pixels(
@@ -264,6 +286,8 @@ def _cells(
         R,
         t,
         pixel_2 + np.array([seam_px(second), 0.0]),
+        information[0][raw.pixel[:, 0], raw.pixel[:, 1]],
+        information[1][nearest[:, 1], nearest[:, 0]],
         rays_of(second, u, v),
         (rays_of(second, u + _STEP_PX, v) - rays_of(second, u - _STEP_PX, v)) / (2 * _STEP_PX),
         (rays_of(second, u, v + _STEP_PX) - rays_of(second, u, v - _STEP_PX)) / (2 * _STEP_PX),

@@ -17,7 +17,7 @@ from harness.evaluation.metrics import (
 from harness.evaluation.regions import FLOOR, VISIBLE, WALL
 from harness.evaluation.tally import tally
 from harness.matching.interface import Reason
-from harness.pipeline.sample import calibration_of, confidence_of, sampled, with_bounds
+from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
 from harness.pipeline.trial import Outcome
 
 
@@ -29,14 +29,15 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
     dict
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
-        their `Reason`; `sample`, `confidence` and `calibration`, where the trial has them: see `sample`; `remark`, the
-        matcher's, if it has one.
+        their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
+        `remark`, the matcher's, if it has one.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
     regions = measure_regions(errors)
     optional = {
         "sample": sampled(outcome),
+        "noise_grey": noise_grey(outcome) if trial.scoring.sample_px else None,
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
         "calibration": calibration_of(outcome),
         "remark": outcome.matches.remark or None,

@@ -4,9 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from harness.camera.sensor import pixel_directions
 from harness.evaluation.confidence import calibration, exceeding, roc, sparsification
 from harness.geometry.angles import Array
 from harness.pipeline.trial import Outcome
+from harness.simulation.chip import grey_variance
 
 _EVERY = 5
 """Steps of the curve, of its hundred, between the points of a figure."""
@@ -21,9 +23,9 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
     Returns
     -------
     dict
-        `error_px`, None where there is no estimate; `bound_px`, the smallest standard deviation possible at a noise of
-        one grey level, None where there is none, and `sigma_px`, the one predicted: all of the same length, which
-        depends on the geometry alone. None when sampling is off.
+        `error_px`, None where there is no estimate; `bound_px`, the smallest standard deviation possible in units of
+        `Trial.bound_noise_grey`, None where there is none, and `sigma_px`, the one predicted: all of the same length,
+        which depends on the geometry alone. None when sampling is off.
     """
     step = outcome.trial.scoring.sample_px
     if not step:
@@ -38,6 +40,15 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
         "bound_px": _plain(nothing if bound is None else bound[some][domain]),
         "sigma_px": _plain(nothing if sigma is None else sigma[some][domain] / pitch),
     }
+
+
+def noise_grey(outcome: Outcome) -> float:
+    """Standard deviation of the noise of view 1's grey levels: the root of the mean variance of the pixels in use."""
+    trial = outcome.trial
+    if trial.chip.is_ideal:
+        return trial.noise.sigma_grey
+    variance = grey_variance(outcome.clean[0], trial.chip, trial.noise.sigma_grey)
+    return float(np.sqrt(variance[pixel_directions(trial.sensor)[1]].mean()))
 
 
 def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
@@ -84,10 +95,10 @@ def with_bounds(outcome: Outcome, cells: list[dict[str, Any]]) -> list[dict[str,
 
     Only where `scoring.bound` asks for it; None in a cell where fewer than half of the estimates have a bound.
     """
-    sigma_grey = outcome.trial.noise.sigma_grey
-    if not outcome.trial.scoring.bound or outcome.bound_px is None or not sigma_grey:
+    noise = outcome.trial.bound_noise_grey
+    if not outcome.trial.scoring.bound or outcome.bound_px is None or not noise:
         return cells
-    bound = (sigma_grey * outcome.trial.panorama.phi_pitch) * outcome.bound_px.ravel()
+    bound = (noise * outcome.trial.panorama.phi_pitch) * outcome.bound_px.ravel()
     matched = outcome.valid.ravel()
     bounds = {}
     for part in outcome.layout.cells:

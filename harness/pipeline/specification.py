@@ -14,8 +14,10 @@ from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
 from harness.matching.window.settings import WindowMatcher
+from harness.simulation.chip import Chip
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator
+from harness.simulation.optics import Optics
 from harness.simulation.scene import Scene
 from harness.spec import Finite, Positive, Spec, as_table
 
@@ -142,10 +144,17 @@ class Trial(Spec):
     """The random part of both views' poses."""
     render: Rendering = Rendering()
     """How images are rendered."""
+    optics: Optics = Optics()
+    """What the lens makes of both images, or of the first if the second has its own."""
+    optics_2: Optics | None = None
+    """What the lens makes of the second image, where it is not the same. Keys that are not given have their defaults; a
+    dotted key, as on an axis, changes a copy of the first view's."""
     exposure_2: Exposure = Exposure()
     """How the second image differs from the first in exposure."""
     noise: Noise = Noise()
-    """Noise on the mirror images."""
+    """Noise on the mirror images, beside the chip's own."""
+    chip: Chip = Chip()
+    """The image sensor of both cameras: shot noise, bits, gamma, JPEG."""
     panorama: Grid = Grid()
     """The panorama on which ranges are estimated."""
     unwrap: Unwrapping = Unwrapping()
@@ -187,6 +196,11 @@ class Trial(Spec):
                 sensor.pop("misalignment", None)  # as before there was one
             if mask := sensor.pop("mask", None):
                 sensor["mask"] = mask["sha256"]
+        for name in ("optics", "optics_2", "chip"):
+            if getattr(self, name) == type(self).model_fields[name].default:
+                del settings[name]  # as before there was one
+        if self.optics_2 == self.optics:
+            settings.pop("optics_2", None)
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
         if any(models := [sensor.model.identity() for sensor in self.sensors]):
@@ -213,6 +227,23 @@ class Trial(Spec):
     def sensors(self) -> tuple[Sensor, Sensor]:
         """The sensor of each view."""
         return self.sensor, self.sensor if self.sensor_2 is None else self.sensor_2
+
+    @property
+    def lenses(self) -> tuple[Optics, Optics]:
+        """What the lens makes of the image of each view."""
+        return self.optics, self.optics if self.optics_2 is None else self.optics_2
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the seed's draws change the images."""
+        return self.noise.sigma_grey > 0 or self.chip.is_noisy
+
+    @property
+    def bound_noise_grey(self) -> float:
+        """What `Outcome.bound_px` is to be multiplied with: the white noise; 1 where the chip has a noise of its own,
+        which differs from pixel to pixel and is in the bound already.
+        """
+        return self.noise.sigma_grey if self.chip.is_ideal else 1.0
 
     @property
     def motion(self) -> Motion:

@@ -26,9 +26,11 @@ from harness.pipeline.sight import check_sight
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Observer, Setup, Stage, StageKeys, Work, setup_of
+from harness.simulation.chip import captured, expected_grey, grey_variance
 from harness.simulation.exposure import with_exposure
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator, with_noise, words_of
+from harness.simulation.optics import with_optics
 from harness.simulation.render import render
 from harness.simulation.scene_geometry import check_viewpoint, geometry_near
 from harness.simulation.truth import Truth, truth
@@ -45,7 +47,7 @@ class Outcome(OneLine):
     pair: Pair
     """What the matcher was given."""
     clean: tuple[NDArray[np.float32], NDArray[np.float32]]
-    """The mirror images of both views before their noise."""
+    """The light on the chip of both views: the mirror images before their noise."""
     truth: Truth
     curves: Curves
     """The epipolar curves that whole samples are counted on."""
@@ -58,7 +60,7 @@ class Outcome(OneLine):
     layout: Layout
     errors: Errors
     bound_px: Array | None
-    """The Cramér-Rao bound of the matcher's own window at a noise of one grey level, pixels of disparity; see
+    """The Cramér-Rao bound of the matcher's own window, pixels of disparity, in units of `Trial.bound_noise_grey`; see
     `bound.cramer_rao`. None where it is not requested, or the matcher has no window of its own."""
     seconds: dict[str, float]
     """Wall time of each stage, in the order of the pipeline."""
@@ -133,32 +135,43 @@ RENDER = Stage("render", _render, _rendered_from, per_view=True)
 
 
 def _expose(work: Work, view: int) -> Image:
-    image, exposure = work(RENDER, view), work.trial.exposure_2
-    exposed = with_exposure(image, work.trial.sensors[view], exposure.gain, exposure.offset_grey) if view else image
+    trial = work.trial
+    sensor, exposure = trial.sensors[view], trial.exposure_2
+    image = with_optics(work(RENDER, view), sensor, trial.lenses[view])
+    exposed = with_exposure(image, sensor, exposure.gain, exposure.offset_grey) if view else image
     return _finite(exposed, work, "trial.exposure_2")
 
 
 EXPOSURE = Stage(
-    "exposure", _expose, lambda setup, view: setup.trial.exposure_2 if view else None, after=(RENDER,), per_view=True
+    "exposure",
+    _expose,
+    lambda setup, view: (setup.trial.lenses[view], setup.trial.exposure_2 if view else None),
+    after=(RENDER,),
+    per_view=True,
 )
-"""The mirror image after the camera's response to light."""
+"""The light on the chip: through the lens, and exposed."""
 
 
 def _add_noise(work: Work, view: int) -> Image:
     trial, setup = work.trial, work.setup
     sensor = trial.sensors[view]
-    draws = generator(trial.seed, "noise", setup.scene, words_of(sensor), f"view {view + 1}")
-    noisy = with_noise(work(EXPOSURE, view), sensor, trial.noise.sigma_grey, draws)
-    return _finite(noisy, work, "trial.noise")
+    white, shot = (
+        generator(trial.seed, purpose, setup.scene, words_of(sensor), f"view {view + 1}")
+        for purpose in ("noise", "shot noise")
+    )
+    light, sigma_grey = work(EXPOSURE, view), trial.noise.sigma_grey
+    if trial.chip.is_ideal:
+        return _finite(with_noise(light, sensor, sigma_grey, white), work, "trial.noise")
+    return _finite(captured(light, sensor, trial.chip, sigma_grey, shot, white), work, "trial.chip")
 
 
 def _noise_settings(setup: Setup, view: int) -> Hashable:
-    noise = setup.trial.noise
-    return noise, noise.sigma_grey and (setup.trial.seed, view)
+    trial = setup.trial
+    return trial.noise, trial.chip, (trial.seed, view) if trial.is_noisy else 0
 
 
 NOISE = Stage("noise", _add_noise, _noise_settings, after=(EXPOSURE,), per_view=True)
-"""The mirror image with its noise."""
+"""The mirror image that the chip captured, with its noise."""
 
 
 def _truth(work: Work, _view: int) -> Truth:
@@ -259,16 +272,20 @@ def _bound(work: Work, _view: int) -> Array | None:
     support = _support(trial)
     if support is None:
         return None
-    clean = work.both(EXPOSURE)
+    light, sigma_grey = work.both(EXPOSURE), trial.noise.sigma_grey
+    noise: float | tuple[Array, Array] = 1.0
+    if not trial.chip.is_ideal:
+        first, second = (np.sqrt(grey_variance(each, trial.chip, sigma_grey)) for each in light)
+        noise = first, second
     return cramer_rao(
-        clean,
+        (expected_grey(light[0], trial.chip), expected_grey(light[1], trial.chip)),
         trial.sensors,
         setup.motion,
         trial.panorama,
         work(TRUTH),
         R_world_from_v1=setup.poses[0].R_world_from_view,
         window_px=min(support.window_px, _odd_up_to(trial.panorama.height_px)),
-        sigma_grey=1.0,
+        sigma_grey=noise,
         model=support.model,
         frame=support.frame,
     ).disparity_px
@@ -285,7 +302,12 @@ def _odd_up_to(number: int) -> int:
     return number if number % 2 else number - 1
 
 
-BOUND = Stage("bound", _bound, lambda setup, _view: _support(setup.trial), after=(EXPOSURE, TRUTH))
+def _bound_settings(setup: Setup, _view: int) -> Hashable:
+    trial = setup.trial
+    return _support(trial), None if trial.chip.is_ideal else (trial.chip, trial.noise)
+
+
+BOUND = Stage("bound", _bound, _bound_settings, after=(EXPOSURE, TRUTH))
 """The Cramér-Rao bound of the matcher's own window."""
 
 STAGES: tuple[Stage[Any], ...] = (RENDER, EXPOSURE, NOISE, TRUTH, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND)

@@ -61,6 +61,7 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
     """Sentences for the head of the report, about the base trial and how the methods compare on it."""
     matcher, grid = trial.matching, trial.panorama
     noise = f" and noise of σ = {trial.noise.sigma_grey:g} grey levels" if trial.noise.sigma_grey else ""
+    noise += "".join(f", {each}" for each in camera_effects(trial))
     yield (
         f"Two {kind_of_image(trial.sensors)}s of {images_of(trial.sensors)}, rendered "
         f"{trial.view_2.baseline_m:g}\u00a0m apart in the scene “{trial.scene.name}” with exact truth{noise}, are "
@@ -77,6 +78,22 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
 def kind_of_image(sensors: tuple[Sensor, Sensor]) -> str:
     """What to call the images: `mirror image` where both sensors have a mirror, else `image`."""
     return "mirror image" if all(isinstance(each.model, Mirror) for each in sensors) else "image"
+
+
+def camera_effects(trial: Trial) -> list[str]:
+    """What lens and chip add to an ideal image, in words."""
+    chip, effects = trial.chip, []
+    if any(not each.is_ideal for each in trial.lenses):
+        effects.append("through a lens that is not ideal")
+    if chip.saturation_e:
+        effects.append(f"with shot noise (saturation capacity {chip.saturation_e:,.0f} electrons)")
+    if chip.bits:
+        effects.append(f"in {chip.bits} bits")
+    if chip.gamma != 1:
+        effects.append(f"with a gamma of {chip.gamma:g}")
+    if chip.jpeg_quality:
+        effects.append(f"as JPEG of quality {chip.jpeg_quality}")
+    return effects
 
 
 def images_of(sensors: tuple[Sensor, Sensor]) -> str:
@@ -128,6 +145,11 @@ def _few(texts: list[str]) -> str:
     return ", ".join(texts) if len(texts) <= 8 else f"{len(texts)} values from {texts[0]} to {texts[-1]}"
 
 
+def _figure(value: float, least: float, spec: str) -> str:
+    """A number as `spec` writes it; below `least`, with two significant digits."""
+    return format(value, spec if value >= least else ".2g")
+
+
 def _compared(where: str, measures: dict[str, Any], methods: Sequence[Named], *, gross: bool = False) -> Iterator[str]:
     named = {method.key: measures[method.key] for method in methods if method.key in measures}
     known = {key: m for key, m in named.items() if m["range_median_abs_m"] is not None}
@@ -146,8 +168,8 @@ def _compared(where: str, measures: dict[str, Any], methods: Sequence[Named], *,
                 m = known[method.key]
                 yield (
                     f"{where} the median absolute error, {method.label}, is "
-                    f"{1000 * m['range_median_abs_m']:.0f}\u00a0mm of range and "
-                    f"{m['disparity_median_abs_px']:.2f}\u00a0px of disparity ({density})."
+                    f"{_figure(1000 * m['range_median_abs_m'], 10, '.0f')}\u00a0mm of range and "
+                    f"{_figure(m['disparity_median_abs_px'], 0.1, '.2f')}\u00a0px of disparity ({density})."
                 )
     if gross:
         shares = " and ".join(

@@ -92,17 +92,18 @@ _NOT_A_DRAW = ("seed", "noise.sigma_grey", *METHOD_KEYS)
 
 
 def _limit(trials: list[tuple[Planned, dict[str, Any]]]) -> dict[str, Any]:
-    sigma_grey = trials[0][0].trial.noise.sigma_grey
+    trial = trials[0][0].trial
     errors = np.array([payload["sample"]["error_px"] for _, payload in trials], dtype=np.float64)
     unit = np.array(trials[0][1]["sample"]["bound_px"], dtype=np.float64)
-    bound = unit * sigma_grey if sigma_grey and np.isfinite(unit).any() else None
-    spread = efficiency(errors, bound) if sigma_grey else None
+    bound = unit * trial.bound_noise_grey if trial.is_noisy and np.isfinite(unit).any() else None
+    spread = efficiency(errors, bound) if trial.is_noisy else None
     sigma = np.array([payload["sample"]["sigma_px"] for _, payload in trials], dtype=np.float64)
-    without_bias = within_without_bias(errors, sigma) if sigma_grey else None
+    without_bias = within_without_bias(errors, sigma) if trial.is_noisy else None
     absolute = np.abs(errors[np.isfinite(errors)])
     calibrated = [payload["calibration"] for _, payload in trials if "calibration" in payload]
     return {
         "seeds": len(trials),
+        "noise_grey": trials[0][1].get("noise_grey", trial.noise.sigma_grey),
         "median_abs_px": float(np.median(absolute)) if absolute.size else None,
         "bad_1px": float(np.mean(absolute > 1)) if absolute.size else None,
         "bad_3px": float(np.mean(absolute > GROSS_PX)) if absolute.size else None,

@@ -16,13 +16,14 @@ KIND = "matching.kind"
 MODEL_KINDS = ("sensor.model.kind", "sensor_2.model.kind")
 """The same of camera models."""
 
-_OF_SENSOR_2 = "sensor_2."
+_OF_VIEW_2 = {"sensor_2": "sensor", "optics_2": "optics"}
+"""Tables of the second view, and the first view's that they are where they are not given."""
 
 
 def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
     """A trial's table with some of its values changed, the innermost last; scene and sensor files are read in.
 
-    A key of `sensor_2`, where there is none, changes the first view's sensor for the second view.
+    A key of `sensor_2` or `optics_2`, where there is none, changes a copy of the first view's.
 
     Raises
     ------
@@ -30,10 +31,11 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
         When a key leads through a value that has no keys, or past the end of a list.
     """
     for dotted in sorted(
-        settings, key=lambda each: (each.startswith(_OF_SENSOR_2), each.count("."), not each.endswith(".kind"))
+        settings, key=lambda each: (_table_of_view_2(each) is not None, each.count("."), not each.endswith(".kind"))
     ):
-        if dotted.startswith(_OF_SENSOR_2) and table.get("sensor_2") is None:
-            table = {**table, "sensor_2": table.get("sensor")}
+        name = _table_of_view_2(dotted)
+        if name and table.get(name) is None and table.get(_OF_VIEW_2[name]) is not None:
+            table = {**table, name: table[_OF_VIEW_2[name]]}
         where = f"{key}.{dotted}" if key else dotted
         if dotted == KIND and isinstance(table.get("matching"), Mapping):
             # Before what else is said of the matcher: another kind has other keys.
@@ -47,6 +49,12 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
         if dotted == "scene" or dotted in SENSORS:
             table = read_in(table, Path(), file, key)
     return table
+
+
+def _table_of_view_2(dotted: str) -> str | None:
+    """The second view's table that a key leads into."""
+    name, dot, _ = dotted.partition(".")
+    return name if dot and name in _OF_VIEW_2 else None
 
 
 def value_at(table: Any, key: str) -> Any:

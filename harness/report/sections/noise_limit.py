@@ -63,13 +63,15 @@ class Limit:
 def limit(sweep: Sweep, entries: list[Entry]) -> Limit:
     """Draw and tabulate the `limit` of a summary."""
     conditions = list(dict.fromkeys(entry["condition"] for entry in entries))
-    drawn = [entry for entry in entries if entry["condition"] == conditions[0]]
+    # Where chips differ, and no white noise is varied beside them, each setting is a noise of its own.
+    is_of_chips = len({entry["sigma_grey"] for entry in entries}) == 1 < len({entry["noise_grey"] for entry in entries})
+    drawn = [entry for entry in entries if is_of_chips or entry["condition"] == conditions[0]]
     of_method = [(method, [each for each in drawn if _is_of(each, method)]) for method in sweep.methods]
     return Limit(
-        pictures=[_efficiency(of_method), _apart(of_method)],
+        pictures=[_efficiency(of_method, joined=not is_of_chips), _apart(of_method, joined=not is_of_chips)],
         table=_table(sweep, entries, several=len(conditions) > 1),
         data=Data("limit", _NAMES, [[_flat(entry, name) for name in _NAMES] for entry in entries]),
-        condition=in_words(sweep.conditions[conditions[0]]) if len(conditions) > 1 else "",
+        condition=in_words(sweep.conditions[conditions[0]]) if len(conditions) > 1 and not is_of_chips else "",
     )
 
 
@@ -78,6 +80,7 @@ _NAMES = [
     "subpixel",
     "condition",
     "sigma_grey",
+    "noise_grey",
     "seeds",
     "density",
     "median_abs_px",
@@ -116,12 +119,12 @@ def _axes(ordinate: str) -> tuple[Any, Any]:
 
 
 def _line(entries: list[Entry], value: Callable[[Entry], float | None]) -> tuple[list[float], list[float]]:
-    known = [(each["sigma_grey"], number) for each in entries if (number := value(each))]
+    known = sorted((each["noise_grey"], number) for each in entries if (number := value(each)))
     return [x for x, _ in known], [y for _, y in known]
 
 
 @theme.panel
-def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
+def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]], *, joined: bool) -> Picture:
     fig, ax = _axes("standard deviation / bound")
     ax.axhline(1, color=theme.TRUTH, linewidth=1.0, zorder=1)
     described, values = [], [1.0]
@@ -133,12 +136,13 @@ def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
             x,
             y,
             color=method.colour,
-            linestyle=method.stroke,
+            linestyle=method.stroke if joined else "none",
             marker=method.marker,
             markersize=4.5,
             label=theme.plain(method.label),
         )
-        ends = [each["std_over_bound_quartiles"] for each in entries if each["std_over_bound"]]
+        in_order = sorted(entries, key=lambda each: (each["noise_grey"], each["std_over_bound"] or 0))
+        ends = [each["std_over_bound_quartiles"] for each in in_order if each["std_over_bound"]]
         low, high = (np.array([end[i] for end in ends]) for i in (0, 1))
         ax.vlines(x, low, high, color=method.colour, linewidth=0.8, alpha=0.6)
         values += [*low[low > 0], *high]
@@ -154,7 +158,7 @@ def _efficiency(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
 
 
 @theme.panel
-def _apart(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
+def _apart(of_method: list[tuple[MethodStyle, list[Entry]]], *, joined: bool) -> Picture:
     fig, ax = _axes("disparity (px)")
     described, values = [], []
     for method, entries in of_method:
@@ -162,12 +166,15 @@ def _apart(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
         if not x:
             continue
         style = {"color": method.colour, "markersize": 4.5}
-        ax.plot(x, std, linestyle=method.stroke, marker=method.marker, label=theme.plain(method.label), **style)
+        stroke = method.stroke if joined else "none"
+        ax.plot(x, std, linestyle=stroke, marker=method.marker, label=theme.plain(method.label), **style)
         x_bias, bias = _line(entries, lambda entry: entry["bias_px"])
-        ax.plot(x_bias, bias, linestyle=(0, (1, 1.5)), linewidth=1.0, **style)
+        dots = {"linestyle": (0, (1, 1.5))} if joined else {"linestyle": "none", "marker": "."}
+        ax.plot(x_bias, bias, linewidth=1.0, **dots, **style)
         x_bound, bound = _line(entries, lambda entry: entry["bound_px"])
         if bound:
-            ax.plot(x_bound, bound, color=method.colour, linewidth=0.6, alpha=0.7)
+            thin = {"linewidth": 0.6} if joined else {"linestyle": "none", "marker": "_", "markersize": 12}
+            ax.plot(x_bound, bound, color=method.colour, alpha=0.7, **thin)
         values += [*std, *bias, *bound]
         described.append(f"{method.label} spread {std[-1]:.3g} px, bias {bias[-1] if bias else 0:.3g} px")
     if values:
@@ -178,7 +185,10 @@ def _apart(of_method: list[tuple[MethodStyle, list[Entry]]]) -> Picture:
     ax.set_xlim(0, None)
     ends = "; ".join(described) or "nothing drawn"
     alt = f"Spread and bias of the disparity against the noise; at the last point drawn of each {ends}."
-    return theme.picture(fig, alt, "(b) spread (marked lines), bias (dotted), bound (thin)")
+    drawn = (
+        "spread (marked lines), bias (dotted), bound (thin)" if joined else "spread (discs), bias (dots), bound (bars)"
+    )
+    return theme.picture(fig, alt, f"(b) {drawn}")
 
 
 def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
@@ -208,7 +218,7 @@ def _table(sweep: Sweep, entries: list[Entry], *, several: bool) -> Table:
             [
                 words(method.label, method.colour),
                 *([words(in_words(sweep.conditions[entry["condition"]]))] if several else []),
-                number(entry["sigma_grey"], "g"),
+                number(entry["noise_grey"], ".3g"),
                 count(entry["seeds"]),
                 number(entry["density"], ".1f", 100),
                 number(entry["median_abs_px"], ".3f"),
