@@ -120,7 +120,7 @@ def test_what_is_written_reads_back_and_needs_no_file_until_it_is_used(small, tm
         ),
         (
             ["sensor.mask.file=other.png"],
-            r"--set: sensor\.mask\.file: '.*other\.png': the image is 80x60 pixels, the sensor that it",
+            r"--set: sensor\.mask\.file: '.*other\.png': the image is 80x60 pixels, the masked sensor 160x120",
         ),
         (["sensor_2.mask=other.png"], r"--set: sensor_2\.mask: '.*other\.png': the image is 80x60 pixels"),
     ],

@@ -8,7 +8,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion, Pose, relative_motion
-from harness.io.calibrations import FORMATS
+from harness.io.calibrations import READERS
 from harness.io.calibrations.parsing import read_content
 from harness.io.calibrations.rigs import transform_between
 from harness.io.trajectories import Trajectory, is_trajectory, read_trajectory
@@ -51,7 +51,7 @@ def read_motion(
     if is_trajectory(content):
         return _of_trajectory(read_trajectory(content), lens_from_sensor, views, frame)
     is_pose = content.syntax == "toml" and any(key in content.table for key in Pose.model_fields)
-    known = next((each for each in FORMATS.values() if each.recognises(content)), None)
+    known = next((each for each in READERS.values() if each.recognises(content)), None)
     if not is_pose and known is None:
         raise InputError(_UNKNOWN, file=file)
     if frame is not None:
