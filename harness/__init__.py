@@ -38,8 +38,8 @@ load_experiment, load_scene, load_sensor
 describe_sensor, convert_sensor, load_motion
     What a sensor sees; its calibration in another program's format; the motion between the cameras of a calibration.
 render, estimate_range, estimate_motion
-    `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images. `MotionEstimate`: how they
-    stand to each other, and its `Status`.
+    `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images, with a `Verdict` on their
+    geometry. `MotionEstimate`: how they stand to each other, and its `Status`.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 run_trial
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult, calibrate
     from harness.api.loading import load_experiment, load_motion, load_scene, load_sensor
     from harness.api.motion import MotionEstimate, Status, estimate_motion
-    from harness.api.ranging import RangeEstimate, estimate_range
+    from harness.api.ranging import RangeEstimate, Verdict, estimate_range
     from harness.api.results import RunResult, open_results
     from harness.api.running import run
     from harness.api.sensors import convert_sensor, describe_sensor
@@ -114,6 +114,7 @@ __all__ = [
     "Status",
     "Trial",
     "TrialMaps",
+    "Verdict",
     "__version__",
     "calibrate",
     "convert_sensor",
@@ -138,7 +139,7 @@ _MODULES = {
     "api.calibrating": ("CalibrationResult", "calibrate"),
     "api.loading": ("load_experiment", "load_motion", "load_scene", "load_sensor"),
     "api.motion": ("MotionEstimate", "Status", "estimate_motion"),
-    "api.ranging": ("RangeEstimate", "estimate_range"),
+    "api.ranging": ("RangeEstimate", "Verdict", "estimate_range"),
     "api.results": ("RunResult", "open_results"),
     "api.running": ("run",),
     "api.sensors": ("convert_sensor", "describe_sensor"),

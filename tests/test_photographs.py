@@ -1,6 +1,9 @@
 """`omnirange range`: two images of one's own, through the real command line."""
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
 import trimesh
 from browser import chromium, visit
@@ -74,6 +77,12 @@ def test_files_say_the_same(answer):
     sigma = np.load(answer / "sigma_m.npy")
     assert np.isfinite(sigma[there]).mean() > 0.95
     assert (sigma[np.isfinite(sigma)] >= 0).all()
+    parts = [np.load(answer / f"sigma_{part}_m.npy") for part in ("matching", "geometry")]
+    np.testing.assert_allclose(np.hypot(*parts), sigma, rtol=1e-15)
+    figures = json.loads((answer / "range.json").read_text())
+    assert figures["geometry"]["verdict"] == "ok"
+    assert figures["density"] == there.mean()
+    assert len(pd.read_csv(answer / "across.csv")) == figures["geometry"]["tiles"] > 300
     cloud = trimesh.load(answer / "points.ply")
     # The file has single precision: 1e-6 of ten metres.
     assert np.allclose(np.linalg.norm(cloud.vertices, axis=1), result[there], atol=1e-5)
@@ -98,7 +107,8 @@ def test_page(answer, tmp_path):
             assert visited.requests == []
             assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
             sizes = visited.page.locator("figure img").evaluate_all("all => all.map(one => one.naturalWidth)")
-            assert len(sizes) == 6
+            # Panorama, range, sigma, reasons, two of the cloud, what lies across, photographs with curves and without.
+            assert len(sizes) == 11
             assert min(sizes) > 0
 
 

@@ -17,6 +17,7 @@ from harness.files import write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.matching.interface import MatcherSettings
+from harness.pipeline.geometry_check import Verdict
 from harness.pipeline.maps import range_limits
 from harness.pipeline.photographs import Estimate, estimate, write_estimate
 from harness.runs.photograph_settings import OwnSettings
@@ -27,8 +28,10 @@ from harness.spec import parse
 class RangeEstimate(Estimate):
     """Range from a pair of images; arrays on view 1's panorama, `[height, width]`. Missing is NaN.
 
-    `range_m` and its predicted standard deviation `sigma_m`, metres; `reason`, why there is no range (0: there is one);
-    `matches` with `alpha_2`; `points_m` and `colours` of the point cloud.
+    `range_m` and its predicted standard deviation `sigma_m`, metres, of the parts `sigma_matching_m` and
+    `sigma_geometry_m`; `geometry`, whether motion and calibration agree with the images: its `verdict`, `lines()` and
+    `table()`; `reason`, why there is no range (0: there is one); `matches` with `alpha_2`; `points_m` and `colours` of
+    the point cloud.
     """
 
     def write(self, folder: str | Path) -> None:
@@ -146,3 +149,6 @@ def _vector(given: Any) -> NDArray[np.float64]:
         text = f"must be a Motion, a Pose or three finite numbers, metres; found {brief(given)}"
         raise InputError(text, key="motion")
     return vector
+
+
+__all__ = ["RangeEstimate", "Verdict", "estimate_range"]

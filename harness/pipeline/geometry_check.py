@@ -37,6 +37,8 @@ _LEAST_NEIGHBOURS = 8
 _PERCENTILE = 62.0
 """The percentile of the errors in a neighbourhood. The 68th covers more than that: the error's pattern is smooth, so
 that many are near the largest."""
+_MIDDLE_RAD = 0.02
+"""Distance from a tile's middle below which its own value counts most: half a tile."""
 _WORTH_SAYING = 0.1
 """Size of an error beside the largest one, at least."""
 _NO_RANGE = 0.02
@@ -131,7 +133,7 @@ class GeometryCheck(OneLine):
         if not self.likely or self.causes is None:
             return [text]
         best, alike = self.causes.likely[0], self.likely[1:]
-        cause = f"likely cause: {best.name} ({_errors_in_words(best)}), which explains {best.explains:.0%} of it"
+        cause = f"likely cause: {best.name} ({errors_in_words(best)}), which explains {best.explains:.0%} of it"
         if alike:
             cause = f"{cause}; it cannot be told from {' or '.join(alike)}"
         cost = (
@@ -204,11 +206,16 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
 
 
 def geometry_share(check: GeometryCheck, pair: Pair) -> Array:
-    """The geometry's standard deviation at every pixel of the panorama, as a share of the range: the nearest tile's."""
+    """The geometry's standard deviation at every pixel of the panorama, as a share of the range: between tiles the mean
+    of those about it, weighted by 1/distance².
+    """
     if not check.error_share.any():
         return np.zeros(pair.grid.shape)
-    _, nearest = cKDTree(check.tiles.x_1).query(directions(pair.grid).reshape(-1, 3))
-    return np.asarray(check.error_share[nearest].reshape(pair.grid.shape))
+    count = min(_LEAST_NEIGHBOURS, len(check.tiles))
+    apart, near = cKDTree(check.tiles.x_1).query(directions(pair.grid).reshape(-1, 3), k=count)
+    weight = 1 / (apart**2 + _MIDDLE_RAD**2)
+    share = np.sum(weight * check.error_share[near], axis=1) / np.sum(weight, axis=1)
+    return np.asarray(share.reshape(pair.grid.shape))
 
 
 def _inverse_ranges(pair: Pair, range_m: Array) -> Array:
@@ -263,7 +270,7 @@ def _key(name: str) -> str:
     return f"{name.replace(' ', '_')}_{'deg' if _is_angle(name) else 'px'}"
 
 
-def _errors_in_words(cause: Cause) -> str:
+def errors_in_words(cause: Cause) -> str:
     """The largest errors, at most three, in degrees or pixels."""
     plain = {name: _plain(name, value) for name, value in cause.errors.items()}
     most = max(abs(value) for value in plain.values())

@@ -8,10 +8,13 @@ from numpy.typing import NDArray
 from harness.camera.sensor import Sensor
 from harness.geometry.angles import Array
 from harness.matching.registry import method_of
+from harness.pipeline.geometry_check import errors_in_words
 from harness.pipeline.photographs import Estimate
 from harness.report import theme
 from harness.report.markup import template
 from harness.report.panoramas import extent_of, panorama_axes, unmirrored
+from harness.report.photographs_cloud import cloud_pictures
+from harness.report.photographs_geometry import across_picture, curve_pictures, draw_photograph
 from harness.report.sections.error_maps import reasons_picture
 from harness.report.sensor_images import draw_mask, image_axes, mask_words
 from harness.report.theme import Picture
@@ -37,6 +40,9 @@ def build_page(estimate: Estimate) -> str:
             if predicted.size
             else [],
             "reasons": [reasons_picture(estimate.reason, estimate.pair.grid)],
+            "cloud": cloud_pictures(estimate),
+            "across": [across_picture(estimate)],
+            "curves": curve_pictures(estimate),
         }
     return template("photographs.html.j2").render(
         estimate=estimate,
@@ -48,6 +54,10 @@ def build_page(estimate: Estimate) -> str:
         span_m=_span(estimate.range_m),
         median_sigma_m=_median(estimate.sigma_m),
         median_share=_median(share),
+        at_limits=_at_limits(estimate),
+        verdict=estimate.geometry.verdict,
+        geometry=[_sentence(each) for each in estimate.geometry.lines()],
+        causes=_causes(estimate),
         own_sigma=estimate.matches.sigma_alpha_2 is not None,
         settings=dump_toml(estimate.matcher),
         masked=_masked(estimate.pair.sensors),
@@ -58,6 +68,29 @@ def build_page(estimate: Estimate) -> str:
         t=[float(each) for each in estimate.pair.t_v1],
         turned=not np.allclose(estimate.pair.motion.R_v2_from_v1, np.eye(3)),
     )
+
+
+_AT_LIMIT = 0.05
+"""Ranges within this share of a limit of the search lie at it."""
+
+
+def _at_limits(estimate: Estimate) -> tuple[float, float] | None:
+    """Shares of the ranges that lie at the shortest and at the longest range that was searched."""
+    known = estimate.range_m[estimate.valid]
+    if not known.size:
+        return None
+    near, far = estimate.matcher.d_min_m * (1 + _AT_LIMIT), estimate.matcher.d_max_m * (1 - _AT_LIMIT)
+    return float(np.mean(known < near)), float(np.mean(known > far))
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _causes(estimate: Estimate) -> list[tuple[str, float, str]]:
+    """Each kind of error, what share it explains alone, and its size in words."""
+    causes = estimate.geometry.causes
+    return [] if causes is None else [(each.name, each.explains, errors_in_words(each)) for each in causes.alone]
 
 
 def _names(estimate: Estimate) -> tuple[str, str]:
@@ -95,13 +128,7 @@ def _photograph(estimate: Estimate, view: int) -> Picture:
     colour: NDArray[np.uint8] = estimate.photographs[view].colour
     rows, columns = colour.shape[:2]
     fig, ax, extent = image_axes(rows, columns)
-    fewer = max(1, int(np.ceil(max(rows, columns) / 1024)))  # an aid to see, not data
-    shown = colour[::fewer, ::fewer]
-    grey = bool((shown[..., 0] == shown[..., 1]).all() and (shown[..., 0] == shown[..., 2]).all())
-    if grey:
-        ax.imshow(shown[..., 0], cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
-    else:
-        ax.imshow(shown, extent=extent, aspect="auto")
+    draw_photograph(ax, colour, extent)
     draw_mask(ax, estimate.pair.sensors[view])
     name = _names(estimate)[view]
     return theme.picture(fig, f"Mirror image of view {view + 1}, {name}.", f"({'ab'[view]}) view {view + 1}: {name}")
