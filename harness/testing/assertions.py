@@ -145,10 +145,11 @@ def _worst(outcome: Outcome, pixels: Mask, failing: Mask) -> str:
 def _fail(outcome: Outcome, claim: str, by: float, reason: str, worst: str) -> None:
     trial = outcome.trial
     matcher, subpixel = method_of(trial.matching)
-    window = getattr(trial.matching, "window_px", None)
+    support = trial.matching.support(trial.filter.log_sigma_px)
     name = (
         f"trial {trial.key} (scene {trial.scene.name}, baseline {trial.view_2.baseline_m:g} m, matcher {matcher}, "
-        f"{f'window {window} px, ' if window else ''}sub-pixel {subpixel}, noise {trial.noise.sigma_grey:g}, "
+        f"{f'window {support.window_px} px, ' if support else ''}sub-pixel {subpixel}, "
+        f"noise {trial.noise.sigma_grey:g}, "
         f"seed {trial.seed})"
     )
     raise AssertionError(f"{claim}: missed by {by:.3f}; {worst}; {name}; the bound holds because {reason}")
