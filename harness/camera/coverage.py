@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from harness.camera.models.axial import AxialModel
 from harness.camera.models.hyperboloid import Mirror
-from harness.camera.optics import lens_frame
-from harness.camera.sensor import Sensor, in_field, jacobian, on_image, pixel_directions, project
+from harness.camera.sensor import Sensor, in_field, jacobian, lens_from_sensor, on_image, pixel_directions, project
 from harness.display import OneLine
 from harness.geometry.angles import Array
 
@@ -113,7 +112,7 @@ def has_circle(sensor: Sensor) -> bool:
 
 def _axis_frame(sensor: Sensor) -> Array:
     """`[3, 3]`: from the sensor's frame to one whose z is the optical axis, or the vertical in a panorama."""
-    return lens_frame(sensor) if has_circle(sensor) else sensor.mount.R_sensor_from_untilted.T
+    return lens_from_sensor(sensor) if has_circle(sensor) else sensor.mount.R_sensor_from_untilted.T
 
 
 def _angles_of_field(sensor: Sensor) -> tuple[float, float]:

@@ -82,8 +82,3 @@ def edge_pixels(camera: Camera, spacing_px: float = 4.0) -> Array:
     sides = [(u, np.full_like(u, v[0])), (np.full_like(v, u[-1]), v), (u[::-1], np.full_like(u, v[-1]))]
     sides.append((np.full_like(v, u[0]), v[::-1]))
     return np.concatenate([np.stack(side, axis=-1) for side in sides])
-
-
-def lens_frame(sensor: Sensor) -> Array:
-    """`[3, 3]`: turns directions of the sensor's frame into the lens's; determinant -1 for a mirror image."""
-    return camera_from_sensor(sensor.looks, mirrored=sensor.mirrored) @ sensor.mount.R_sensor_from_untilted.T
