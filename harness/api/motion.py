@@ -14,10 +14,13 @@ from harness.api.photographs import Image, photographs_of
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
 from harness.files import write
+from harness.geometry.angles import Array
+from harness.geometry.motion_error import MotionError
 from harness.geometry.pose import Motion, Pose
 from harness.io.view_folder import pose_in
 from harness.motion.calibration_error import REPORTED_PX, moved_by
-from harness.motion.estimate import EstimatedMotion, estimate
+from harness.motion.estimate import EstimatedMotion, estimate, scene_points
+from harness.motion.floor import Floor, find_floor
 from harness.motion.sparse import Freedom
 from harness.motion.verdict import Status
 from harness.spec import dump_toml
@@ -32,7 +35,10 @@ class MotionEstimate(EstimatedMotion):
     """
 
     baseline_m: float | None
-    """|t| in metres as it was given; None where it is not known, which two images do not tell."""
+    """|t| in metres, as it was given or as it follows from the camera's height; None where it is not known, which two
+    images do not tell."""
+    floor: Floor | None
+    """The floor, where the camera's height above it was given."""
     calibration_px: float
     """Standard deviation of the calibration that was given, pixels."""
 
@@ -83,13 +89,33 @@ class MotionEstimate(EstimatedMotion):
             When the images do not tell where view 2 stands.
         """
         if self.R_v2_from_v1 is None or self.direction_v1 is None:
-            raise InputError(f"there is no motion to go on with: {self.status}; {'; '.join(self.reasons)}")
+            raise InputError(self._nothing())
         return Motion(self.R_v2_from_v1, (self.baseline_m or 1.0) * self.direction_v1)
 
     @property
     def pose(self) -> Pose:
         """View 2's pose in view 1's frame; the same errors as `motion`."""
         return pose_in(self.motion)
+
+    @property
+    def error(self) -> MotionError:
+        """What `motion` is off by, for the ranges' standard deviation; the same errors as `motion`."""
+        if self.covariance is None:
+            raise InputError(self._nothing())
+        if self.floor is None:
+            return MotionError(self.covariance, np.zeros(6))
+        return self.floor.error(self.covariance)
+
+    @property
+    def baseline_sigma_m(self) -> float | None:
+        """Standard deviation of |t|, metres, where it follows from the camera's height; None elsewhere."""
+        if self.floor is None or self.baseline_m is None or self.covariance is None:
+            return None
+        variance = self.floor.by_motion @ self.covariance @ self.floor.by_motion + self.floor.share**2
+        return float(self.baseline_m * np.sqrt(variance))
+
+    def _nothing(self) -> str:
+        return f"there is no motion to go on with: {self.status}; {'; '.join(self.reasons)}"
 
     def summary(self) -> dict[str, Any]:
         """Everything but arrays of pairs, as plain values: what `--json` writes."""
@@ -102,6 +128,7 @@ class MotionEstimate(EstimatedMotion):
             "R_v2_from_v1": self.R_v2_from_v1.tolist() if self.R_v2_from_v1 is not None else None,
             "direction_v1": self.direction_v1.tolist() if self.direction_v1 is not None else None,
             "baseline_m": self.baseline_m,
+            "baseline_sigma_m": self.baseline_sigma_m,
             "calibration_px": self.calibration_px,
             "calibration_effects": None if self.calibration_effects is None else self.calibration_effects.tolist(),
             "covariance": None if self.covariance is None else [[_finite(x) for x in row] for row in self.covariance],
@@ -129,9 +156,12 @@ class MotionEstimate(EstimatedMotion):
                 f"sigma {sigmas['direction']:.2g}"
             )
             parts.append(
-                f"baseline   {self.baseline_m:g} m, as given"
-                if self.baseline_m is not None
-                else "baseline   not known from images; 1 stands for it, and ranges will be in units of it"
+                "baseline   not known from images; 1 stands for it, and ranges will be in units of it"
+                if self.baseline_m is None
+                else f"baseline   {self.baseline_m:g} m, as given"
+                if self.floor is None
+                else f"baseline   {self.baseline_m:.4g} m, sigma {self.baseline_sigma_m:.2g}, by the floor that "
+                f"{self.floor.points} points lie on"
             )
         agreeing = "" if self.sparse is None else f", {self.sparse.inlier.sum()} agree"
         residual = "" if self.sparse is None else f" to {self.sparse.scale_px:.2g} px"
@@ -189,6 +219,7 @@ def estimate_motion(
     *,
     freedom: Freedom = "free",
     baseline_m: float | None = None,
+    camera_height_m: float | None = None,
     direct: bool = True,
     calibration_px: float = 0.0,
     bits: int | None = None,
@@ -210,6 +241,9 @@ def estimate_motion(
         `free`; `upright`, where the sensor's z is vertical in both views; `planar`, where it also moves horizontally.
     baseline_m
         Distance of the viewpoints, metres, which images do not tell; 1 stands for it when None.
+    camera_height_m
+        How high view 1's viewpoint is above the floor, metres, along the floor's normal; the distance of the viewpoints
+        follows from it. The floor is looked for below the sensor's horizon, within 20 degrees of level.
     direct
         Fit the motion to the grey levels themselves after the keypoints: several times finer, for two seconds more.
     calibration_px
@@ -238,12 +272,7 @@ def estimate_motion(
     >>> estimate.status, round(estimate.angles_deg["yaw"], 1), round(estimate.angles_deg["azimuth"], 1) + 0
     (<Status.OK: 'ok'>, 20.0, 0.0)
     """
-    if freedom not in ("free", "upright", "planar"):
-        raise InputError(f"must be 'free', 'upright' or 'planar'; found {freedom!r}", key="freedom")
-    if not 0 <= calibration_px < math.inf:
-        raise InputError(f"must be 0 or more pixels; found {calibration_px:g}", key="calibration_px")
-    if baseline_m is not None and not 0 < baseline_m < math.inf:
-        raise InputError(f"must be a length above 0, metres; found {baseline_m:g}", key="baseline_m")
+    _check(freedom, calibration_px, baseline_m, camera_height_m)
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     first, second = photographs_of(left, right, sensors, bits)
@@ -252,7 +281,35 @@ def estimate_motion(
     )
     values = {each.name: getattr(estimated, each.name) for each in fields(estimated)}
     baseline = None if baseline_m is None else float(baseline_m)
-    return MotionEstimate(**values, baseline_m=baseline, calibration_px=float(calibration_px))
+    floor = None
+    if camera_height_m is not None and estimated.direction_v1 is not None:
+        floor = _floor(estimated, estimated.direction_v1, first_sensor, seed)
+        baseline = floor.length(camera_height_m)
+    return MotionEstimate(**values, baseline_m=baseline, floor=floor, calibration_px=float(calibration_px))
+
+
+def _floor(estimated: EstimatedMotion, direction_v1: Array, sensor: Sensor, seed: int) -> Floor:
+    floor = find_floor(*scene_points(estimated, sensor), direction_v1, seed)
+    if floor is None:
+        raise InputError(
+            "no floor is found to measure it on: no level plane below view 1 has enough of what both views see; "
+            "give the distance of the viewpoints",
+            key="camera_height_m",
+        )
+    return floor
+
+
+def _check(freedom: str, calibration_px: float, baseline_m: float | None, camera_height_m: float | None) -> None:
+    if freedom not in ("free", "upright", "planar"):
+        raise InputError(f"must be 'free', 'upright' or 'planar'; found {freedom!r}", key="freedom")
+    if not 0 <= calibration_px < math.inf:
+        raise InputError(f"must be 0 or more pixels; found {calibration_px:g}", key="calibration_px")
+    if baseline_m is not None and not 0 < baseline_m < math.inf:
+        raise InputError(f"must be a length above 0, metres; found {baseline_m:g}", key="baseline_m")
+    if camera_height_m is not None and not 0 < camera_height_m < math.inf:
+        raise InputError(f"must be a length above 0, metres; found {camera_height_m:g}", key="camera_height_m")
+    if camera_height_m is not None and baseline_m is not None:
+        raise InputError("the distance of the viewpoints is given; leave one of them out", key="camera_height_m")
 
 
 __all__ = ["MotionEstimate", "Status", "estimate_motion"]

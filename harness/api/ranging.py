@@ -1,5 +1,6 @@
 """Range from two images."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -9,19 +10,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from harness.api.loading import load_sensor
+from harness.api.motion import MotionEstimate, Status, estimate_motion
 from harness.api.photographs import Image, photographs_of
 from harness.camera.sensor import Sensor
 from harness.display import brief, coloured, grey, html_figure
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.files import write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.matching.interface import MatcherSettings
+from harness.motion.estimate import scene_points
 from harness.pipeline.geometry_check import Verdict
 from harness.pipeline.maps import range_limits
 from harness.pipeline.photographs import Estimate, estimate, write_estimate
 from harness.runs.photograph_settings import OwnSettings
 from harness.spec import parse
+
+_FAR_SHARE, _NEAR_SHARE = 0.02, 0.005
+"""Shares of the points that the motion was estimated from, the farthest and the nearest, that set no limits."""
+_BESIDE = 0.6
+"""Nearest range searched, of the nearest point's; the farthest likewise."""
+_FARTHEST = 200.0
+"""Farthest range that counts, baselines: beyond, the parallax is below a third of a degree."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +76,7 @@ def estimate_range(
     left: Image,
     right: Image,
     sensor: str | Path | Mapping[str, Any] | Sensor,
-    motion: Motion | Pose | Sequence[float],
+    motion: Motion | Pose | MotionEstimate | Sequence[float] | None = None,
     matcher: str | Mapping[str, Any] | MatcherSettings = "slanted",
     *,
     sensor_2: str | Path | Mapping[str, Any] | Sensor | None = None,
@@ -85,7 +95,8 @@ def estimate_range(
         The sensor of both views: the path of a TOML file, a table, or a sensor.
     motion
         From view 1 to view 2: a `Motion`, view 2's pose in view 1's frame, or the position (x, y, z) of viewpoint 2 in
-        view 1's frame, metres, for views that are turned alike.
+        view 1's frame, metres, for views that are turned alike; or what `estimate_motion` returned, whose covariance
+        then counts in `sigma_m`. When None it is estimated, and ranges are in units of the baseline.
     matcher
         A kind of matcher, a table with `kind` and its settings, or the settings of a matcher.
     sensor_2
@@ -119,8 +130,50 @@ def estimate_range(
     first_sensor = load_sensor(sensor)
     sensors = first_sensor, first_sensor if sensor_2 is None else load_sensor(sensor_2)
     first, second = photographs_of(left, right, sensors, bits)
-    estimated = estimate(first, second, sensors, _motion(motion), _matcher(matcher), grid)
+    settings = _matcher(matcher)
+    if motion is None:
+        motion = estimate_motion(left, right, *sensors, bits=bits)
+    if isinstance(motion, MotionEstimate):
+        if motion.status == Status.WEAK:
+            reasons = "; ".join(motion.reasons)
+            warnings.warn(f"the motion is not to be trusted, nor are ranges from it: {reasons}", Notice, stacklevel=2)
+        if motion.baseline_m is None and motion.direction_v1 is not None:
+            settings = _with_limits(settings, motion, first_sensor)
+        estimated = estimate(
+            first,
+            second,
+            sensors,
+            motion.motion,
+            settings,
+            grid,
+            motion.error,
+            has_metres=motion.baseline_m is not None,
+        )
+    else:
+        estimated = estimate(first, second, sensors, _motion(motion), settings, grid)
     return RangeEstimate(**{each.name: getattr(estimated, each.name) for each in fields(estimated)})
+
+
+def _with_limits(settings: MatcherSettings, motion: MotionEstimate, sensor: Sensor) -> MatcherSettings:
+    """Settings whose limits of the search are those of the scene, in baselines, where they were not given: the defaults
+    are metres.
+    """
+    w = scene_points(motion, sensor)[1]
+    farthest, nearest = np.maximum(np.quantile(w, [_FAR_SHARE, 1 - _NEAR_SHARE]), 1 / _FARTHEST)
+    limits = {
+        "d_min_m": float(_BESIDE / nearest),
+        "d_max_m": float(max(1 / (_BESIDE * farthest), 2 * _BESIDE / nearest)),
+    }
+    given = settings.model_fields_set
+    limits = {name: value for name, value in limits.items() if name not in given}
+    changed = settings.model_copy(update=limits)
+    if not changed.d_min_m < changed.d_max_m:
+        raise InputError(
+            f"d_min_m = {changed.d_min_m:g} and d_max_m = {changed.d_max_m:g} are in units of the baseline, which is "
+            "not known; give both, or its length",
+            key="matcher",
+        )
+    return changed
 
 
 def _matcher(matcher: str | Mapping[str, Any] | MatcherSettings) -> MatcherSettings:

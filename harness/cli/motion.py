@@ -5,6 +5,7 @@ from pathlib import Path
 
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
+from harness.cli.motion_options import add_length, check_length, naming_options
 from harness.cli.options import Commands, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
@@ -24,12 +25,7 @@ def add(commands: Commands) -> None:
     held = command.add_mutually_exclusive_group()
     held.add_argument("--upright", action="store_true", help="the sensor's z is vertical in both views")
     held.add_argument("--planar", action="store_true", help="and the sensor has moved horizontally")
-    command.add_argument(
-        "--baseline-length",
-        type=float,
-        metavar="M",
-        help="distance of the viewpoints, metres, which images do not tell (default: 1 stands for it)",
-    )
+    add_length(command)
     command.add_argument(
         "--sparse", action="store_true", help="leave it at the keypoints: quicker, and several times coarser"
     )
@@ -51,26 +47,27 @@ def run(options: Namespace) -> int:
     import harness
     from harness.errors import InputError
 
-    if options.baseline_length is not None and not 0 < options.baseline_length < float("inf"):
-        raise InputError(f"must be above 0; found {options.baseline_length:g}", file="--baseline-length")
+    check_length(options)
     if not 0 <= options.calibration_sigma_px < float("inf"):
         raise InputError(f"must be 0 or more; found {options.calibration_sigma_px:g}", file="--calibration-sigma-px")
     if options.seed < 0:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
     sensor = first_sensor(options)
     assert sensor is not None
-    estimate = harness.estimate_motion(
-        options.left,
-        options.right,
-        sensor,
-        second_sensor(options),
-        freedom="planar" if options.planar else "upright" if options.upright else "free",
-        baseline_m=options.baseline_length,
-        direct=not options.sparse,
-        calibration_px=options.calibration_sigma_px,
-        bits=options.bits,
-        seed=options.seed,
-    )
+    with naming_options():
+        estimate = harness.estimate_motion(
+            options.left,
+            options.right,
+            sensor,
+            second_sensor(options),
+            freedom="planar" if options.planar else "upright" if options.upright else "free",
+            baseline_m=options.baseline_length,
+            camera_height_m=options.camera_height,
+            direct=not options.sparse,
+            calibration_px=options.calibration_sigma_px,
+            bits=options.bits,
+            seed=options.seed,
+        )
     for line in estimate.lines():
         print(line)
     if options.json is not None:

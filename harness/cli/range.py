@@ -1,14 +1,18 @@
 """`omnirange range`: range from two photographs of your own."""
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.cli import completers
+from harness.cli.exits import FAILED, OK
+from harness.cli.motion_options import add_length, check_length, naming_options
 from harness.cli.options import Commands, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 if TYPE_CHECKING:
+    from harness.api.motion import MotionEstimate
     from harness.camera.sensor import Sensor
     from harness.geometry.pose import Motion
 
@@ -20,7 +24,8 @@ def add(commands: Commands) -> None:
         run,
         brief="range from two mirror images of your own",
         description="Match two mirror images and write the range of every pixel of the first view's panorama, its "
-        "predicted standard deviation, a coloured point cloud and a page. No truth is needed.",
+        "predicted standard deviation, a coloured point cloud and a page. No truth is needed. Where neither --pose nor "
+        "--baseline says where view 2 is, the motion is estimated from the images, as omnirange motion does it.",
         epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
     )
     add_images(command)
@@ -33,7 +38,7 @@ def add(commands: Commands) -> None:
         "left image alone if view 2 has a sensor or a mask of its own",
     )
     command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")
-    where = command.add_mutually_exclusive_group(required=True)
+    where = command.add_mutually_exclusive_group()
     pose = where.add_argument(
         "--pose",
         type=Path,
@@ -49,6 +54,7 @@ def add(commands: Commands) -> None:
         metavar=("X", "Y", "Z"),
         help="viewpoint 2 seen from viewpoint 1, in view 1's frame, metres",
     )
+    add_length(command, before="without --pose and --baseline: ")
     command.add_argument(
         "--rotation-deg",
         type=float,
@@ -83,7 +89,7 @@ def add(commands: Commands) -> None:
     add_out(command, required=True)
 
 
-def run(options: Namespace) -> None:
+def run(options: Namespace) -> int:
     """Match, and write the folder."""
     import harness
     from harness.errors import InputError
@@ -93,11 +99,20 @@ def run(options: Namespace) -> None:
     assert sensor is not None
     sensor = _masked(sensor, options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
-    motion = _motion(options, (sensor, sensor_2))
-    if not motion.baseline_m > 0:
-        source = "--baseline" if options.pose is None else options.pose
-        raise InputError("must not be zero: two views from one point determine no range", file=source)
     settings = own_settings(options.matcher, options.set)
+    motion: Motion | MotionEstimate
+    if options.pose is None and options.baseline is None:
+        motion = _estimated(options, (sensor, sensor_2))
+        if motion.direction_v1 is None:
+            print(f"no range: the motion is not known ({motion.status}): {'; '.join(motion.reasons)}", file=sys.stderr)
+            return FAILED
+        for line in motion.lines():
+            print(line)
+    else:
+        motion = _given(options, (sensor, sensor_2))
+        if not motion.baseline_m > 0:
+            source = "--baseline" if options.pose is None else options.pose
+            raise InputError("must not be zero: two views from one point determine no range", file=source)
     estimate = harness.estimate_range(
         options.left,
         options.right,
@@ -115,10 +130,34 @@ def run(options: Namespace) -> None:
         print(estimate.matches.remark)
     for line in estimate.geometry.lines():
         print(line)
-    print(f"{estimate.valid.mean():.1%} of the panorama has a range; {options.out / 'range.html'}")
+    unit = "" if estimate.has_metres else ", in units of the baseline"
+    print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {options.out / 'range.html'}")
+    return OK
 
 
-def _motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
+def _estimated(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "MotionEstimate":
+    """The motion from view 1 to view 2, from the images."""
+    import harness
+    from harness.errors import InputError
+
+    for option in ("rotation_deg", "views", "frame"):
+        if getattr(options, option) is not None:
+            raise InputError(
+                "belongs to --baseline or --pose, and neither is given", file=f"--{option.replace('_', '-')}"
+            )
+    check_length(options)
+    with naming_options():
+        return harness.estimate_motion(
+            options.left,
+            options.right,
+            *sensors,
+            baseline_m=options.baseline_length,
+            camera_height_m=options.camera_height,
+            bits=options.bits,
+        )
+
+
+def _given(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
     """The motion from view 1 to view 2, as it was given."""
     import harness
     from harness.camera.sensor import lens_from_sensor
@@ -126,6 +165,12 @@ def _motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
     from harness.io.motions import read_motion
     from harness.spec import parse
 
+    for option in ("baseline_length", "camera_height"):
+        if getattr(options, option) is not None:
+            said = "--baseline" if options.pose is None else "--pose"
+            raise InputError(
+                f"{said} says where view 2 is; leave one of them out", file=f"--{option.replace('_', '-')}"
+            )
     if options.pose is not None:
         if options.rotation_deg is not None:
             raise InputError("the rotation is in the file of --pose; leave one of them out", file="--rotation-deg")

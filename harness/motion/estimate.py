@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.motion.calibration_error import calibration_effects
@@ -14,6 +14,7 @@ from harness.motion.direct import DirectFit, fit_direct
 from harness.motion.features import Correspondences, find_features, is_mirrored, match_features
 from harness.motion.robust import agree
 from harness.motion.sparse import Fit, Freedom, fit, fit_rotation
+from harness.motion.tiles import SIDE_PX, inverse_ranges
 from harness.motion.verdict import Status, rival_of, why_failed, why_no_parallax, why_weak
 
 Image = NDArray[np.float32]
@@ -145,6 +146,20 @@ def estimate_from_pairs(
         rotation_px=rotation_px,
         iterations=consensus.iterations,
     )
+
+
+def scene_points(estimated: EstimatedMotion, sensor: Sensor) -> tuple[Array, Array]:
+    """Unit directions of view 1 `[n, 3]`, and inverse ranges in them `[n]`, 1/|t|, of a motion that was found: those of
+    the tiles' centres, or of the keypoints that agree where there are no tiles.
+    """
+    direct, sparse = estimated.direct, estimated.sparse
+    if direct is not None:
+        row, column = (direct.tiles + SIDE_PX // 2).T
+        x = pixel_directions(sensor)[0][row, column]
+        return x, np.einsum("ti,ti->t", x, direct.planes)
+    assert sparse is not None
+    true = estimated.pairs.at(sparse.inlier)
+    return true.x_1, inverse_ranges(true, sparse.turn)
 
 
 def _failed(pairs: Correspondences, reason: str, iterations: int) -> EstimatedMotion:

@@ -19,6 +19,7 @@ from harness.errors import InputError
 from harness.files import make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
+from harness.geometry.motion_error import MotionError, range_sigma
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sensitivity_to_alpha_2
@@ -36,6 +37,7 @@ WRITTEN = (
     "sigma_m.npy",
     "sigma_matching_m.npy",
     "sigma_geometry_m.npy",
+    "sigma_motion_m.npy",
     "alpha_2.npy",
     "reason.npy",
     "points.ply",
@@ -69,11 +71,15 @@ class Estimate(OneLine):
     """From view 1; NaN where `reason` is not `Reason.MATCHED`."""
     sigma_m: Array
     """Predicted standard deviation of the range, to first order; NaN where nothing is predicted. The root of the sum of
-    the squares of the next two."""
+    the squares of the next three."""
     sigma_matching_m: Array
     """The part of the matching: of the images' noise and texture."""
     sigma_geometry_m: Array
     """The part of motion and calibration, as far as the images show that these are wrong; 0 where they do not."""
+    sigma_motion_m: Array
+    """The part of a motion that was estimated, by its covariance; 0 where the motion was given."""
+    has_metres: bool
+    """Whether the length of the motion is known; all ranges are in units of it where it is not."""
     geometry: GeometryCheck
     """Whether motion and calibration agree with the images."""
     reason: NDArray[np.uint8]
@@ -101,7 +107,9 @@ class Estimate(OneLine):
             "sigma_median_m": median(self.sigma_m),
             "sigma_matching_median_m": median(self.sigma_matching_m),
             "sigma_geometry_median_m": median(self.sigma_geometry_m),
+            "sigma_motion_median_m": median(self.sigma_motion_m),
             "baseline_m": self.pair.motion.baseline_m,
+            "unit": "metre" if self.has_metres else "baseline",
             "geometry": self.geometry.summary(),
         }
 
@@ -151,8 +159,18 @@ def estimate(
     motion: Motion,
     matcher: MatcherSettings,
     grid: Grid | None = None,
+    motion_error: MotionError | None = None,
+    *,
+    has_metres: bool = True,
 ) -> Estimate:
     """Match two photographs and triangulate.
+
+    Parameters
+    ----------
+    motion_error
+        How uncertain the motion is; None where it is taken for exact.
+    has_metres
+        Whether the motion's length is in metres; 1 stands for it otherwise.
 
     Raises
     ------
@@ -171,15 +189,20 @@ def estimate(
     matching_m = np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan)
     geometry = check_geometry(pair, range_m, matching_m)
     geometry_m = geometry_share(geometry, pair) * range_m
+    motion_m = np.where(np.isfinite(range_m), 0.0, np.nan)
+    if motion_error is not None:
+        motion_m = range_sigma(directions(pair.grid), range_m, motion.t_v1, motion_error)
     return Estimate(
         photographs=(first, second),
         pair=pair,
         matcher=matcher,
         matches=matches,
         range_m=range_m,
-        sigma_m=np.hypot(matching_m, geometry_m),
+        sigma_m=np.sqrt(matching_m**2 + geometry_m**2 + motion_m**2),
         sigma_matching_m=matching_m,
         sigma_geometry_m=geometry_m,
+        sigma_motion_m=motion_m,
+        has_metres=has_metres,
         geometry=geometry,
         reason=reason,
     )
@@ -210,6 +233,7 @@ def write_estimate(result: Estimate, folder: Path) -> None:
         ("sigma_m.npy", result.sigma_m),
         ("sigma_matching_m.npy", result.sigma_matching_m),
         ("sigma_geometry_m.npy", result.sigma_geometry_m),
+        ("sigma_motion_m.npy", result.sigma_motion_m),
         ("alpha_2.npy", result.matches.alpha_2),
         ("reason.npy", result.reason),
     ):

@@ -54,6 +54,7 @@ def build_page(estimate: Estimate) -> str:
         span_m=_span(estimate.range_m),
         median_sigma_m=_median(estimate.sigma_m),
         median_share=_median(share),
+        median_motion_m=_median(estimate.sigma_motion_m),
         at_limits=_at_limits(estimate),
         verdict=estimate.geometry.verdict,
         geometry=[_sentence(each) for each in estimate.geometry.lines()],

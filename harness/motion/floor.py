@@ -1,0 +1,110 @@
+"""The floor among points of known direction and inverse range: how high view 1 stands above it, in units of |t|.
+
+On a plane the inverse range is linear in the direction, w = g · x, and 1/|g| is the plane's distance. Deviations are
+counted as angles of view 2's ray, `sin(alpha_1) (d_1/d_2)² (w - g · x)` in units of |t|, which have about one size.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.display import OneLine
+from harness.geometry.angles import Array, angle_between, normalise
+from harness.geometry.motion_error import MotionError, sensitivity_to_motion
+
+LEAST_POINTS = 20
+"""On the floor: of fewer, a table may be as large."""
+_TILT = math.radians(20.0)
+"""Between the floor's normal and the sensor's z, at most."""
+_LIMIT = math.radians(0.3)
+"""Deviation of a point that counts as the floor's, at most: a pixel's angle."""
+_SAMPLES = 2000
+_ROUNDS = 10
+_CAUCHY = 2.385
+
+
+@dataclass(frozen=True, repr=False)
+class Floor(OneLine):
+    """A plane below view 1."""
+
+    height: float
+    """Distance of viewpoint 1 from it, in units of |t|."""
+    normal: Array
+    """`[3]`, unit, upwards, in v1's frame."""
+    points: int
+    """How many points lie on it."""
+    share: float
+    """Standard deviation of the height over the height, from the points' scatter."""
+    by_motion: Array
+    """`[6]`: how ln(height) changes with errors of the motion; see `harness.geometry.motion_error`."""
+
+    def length(self, height_m: float) -> float:
+        """|t| in metres, where view 1 is so high above the floor."""
+        return height_m / self.height
+
+    def error(self, covariance: Array) -> MotionError:
+        """Errors of the motion together with that of the length that follows from the height."""
+        return MotionError(covariance, -self.by_motion, self.share)
+
+
+def find_floor(x: Array, w: Array, t: Array, seed: int = 0) -> Floor | None:
+    """The plane that most of the points below the horizon lie on; None where too few do.
+
+    Parameters
+    ----------
+    x
+        `[n, 3]`, unit directions in v1's frame, whose z is up.
+    w
+        `[n]`, inverse ranges, 1/|t|.
+    t
+        `[3]`, unit direction of t.
+    """
+    below = (x[:, 2] < 0) & (w > 0)
+    x, w = x[below], w[below]
+    if len(x) < LEAST_POINTS:
+        return None
+    q = x / w[:, None] - t
+    sharp = np.sin(angle_between(x, t)) / np.sum(q * q, axis=1) / w**2
+    draws = np.random.default_rng(seed)
+    best, least = None, math.inf
+    for _ in range(_SAMPLES):
+        chosen = draws.choice(len(x), 3, replace=False)
+        if abs(np.linalg.det(x[chosen])) < 1e-6:
+            continue
+        g = np.asarray(np.linalg.solve(x[chosen], w[chosen]), dtype=np.float64)
+        if _tilt(g) > _TILT:
+            continue
+        cost = float(np.minimum((sharp * (w - x @ g)) ** 2, _LIMIT**2).sum())
+        if cost < least:
+            best, least = g, cost
+    return None if best is None else _fitted(x, w, sharp, t, best)
+
+
+def _tilt(g: Array) -> float:
+    """Between the plane's normal upwards, -g, and z."""
+    return math.acos(float(np.clip(-g[2] / np.linalg.norm(g), -1, 1)))
+
+
+def _fitted(x: Array, w: Array, sharp: Array, t: Array, g: Array) -> Floor | None:
+    """Least squares under Cauchy's loss of the points that lie on the plane."""
+    for _ in range(_ROUNDS):
+        e = sharp * (w - x @ g)
+        near = np.abs(e) < _LIMIT
+        if near.sum() < LEAST_POINTS:
+            return None
+        scale = 1.4826 * float(np.median(np.abs(e[near]))) + 1e-12
+        weight = np.where(near, sharp / np.sqrt(1 + (e / (_CAUCHY * scale)) ** 2), 0.0)
+        g = np.asarray(np.linalg.lstsq(weight[:, None] * x, weight * w, rcond=None)[0], dtype=np.float64)
+    if _tilt(g) > _TILT:
+        return None
+    height = 1 / float(np.linalg.norm(g))
+    # How the plane answers to each w: by the derivative of Cauchy's score. And ln(height), height being 1/|g|, to that.
+    u = (sharp * (w - x @ g) / (_CAUCHY * scale)) ** 2
+    answer = np.where(near, sharp**2 * (1 - u) / (1 + u) ** 2, 0.0)[:, None] * x
+    by_w = -(height**2) * (g @ np.linalg.solve(answer.T @ x, answer.T))
+    j = sensitivity_to_motion(x, 1 / w, t)
+    by_motion = np.sum((by_w * -(w**2))[near, None] * j[near], axis=0)
+    residual = (w - x @ g)[near]
+    share = float(np.sqrt(np.sum((by_w[near] * residual) ** 2)))
+    return Floor(height, -normalise(g), int(near.sum()), share, by_motion)
