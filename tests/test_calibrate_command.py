@@ -129,7 +129,7 @@ class TestCommand:
             (["--corners", "CSV", "--model", "fish"], "--model: there is no camera model 'fish'"),
             (
                 ["--corners", "CSV", "--model", "equirectangular"],
-                "model: a model of kind 'equirectangular' is not calibrated",
+                "model: a model of kind 'equirectangular' cannot be calibrated",
             ),
             (["--corners", "CSV", "--lens", "k9"], "--lens: there is no lens term 'k9'"),
             (["--corners", "CSV", "--model", "eucm", "--lens", "k1"], "has its own distortion and no [lens] terms"),
@@ -139,7 +139,7 @@ class TestCommand:
                 ["--corners", "CSV", "--board", "9x6", "--square-m", "1"],
                 "--board: leave it out: the file of corners",
             ),
-            (["--corners", "CSV", "--free", "a_m"], "--free: there is no one key 'a_m' to find"),
+            (["--corners", "CSV", "--free", "a_m"], "--free: there is no one key 'a_m' to estimate"),
             (["--corners", "CSV", "--start", "none.toml"], "none.toml: no such file"),
             (["--corners", "CSV", "--model", "hyperboloid", "--elevation", "-70", "70"], "cannot have this field"),
             (["b.png", "--corners", "CSV"], "corners: give images or corners, not both"),
@@ -177,7 +177,7 @@ class TestArguments:
         [
             ({"a": 3}, (640, 480), "corners: must be a file, or points on the board"),
             ({"a": ([1, 2], "x")}, (640, 480), "corners: must be a file, or points on the board"),
-            ({}, (640, 480), "corners: holds no corners"),
+            ({}, (640, 480), "corners: contains no corners"),
             ({"a": ([1, 2], [3, 4])}, None, "size: say how large the images are"),
             ({"a": ([1, 2], [3, 4])}, (640, 480), "image 'a' has 1 corners"),
         ],

@@ -100,8 +100,8 @@ class TestParameters:
         ("options", "message"),
         [
             ({"lens": ["k4"]}, "lens: there is no lens term 'k4'; did you mean 'k3'"),
-            ({"free": ["focus"]}, "free: there is no one key 'focus' to find"),
-            ({"fix": ["a_m"]}, "fix: there is no one key 'a_m' to find"),
+            ({"free": ["focus"]}, "free: there is no one key 'focus' to estimate"),
+            ({"fix": ["a_m"]}, "fix: there is no one key 'a_m' to estimate"),
         ],
     )
     def test_keys_that_are_not_there(self, options, message):
@@ -263,7 +263,7 @@ class TestWhole:
         calibration = calibrate_sensor(replace(corners, pixels=pixels), "hyperboloid")
         assert calibration.corners.images == tuple(name for name in corners.images if name != "board 6")
         assert len(calibration.left_out.image) == 54 + 2
-        assert any("Nothing of board 6 was used" in note for note in calibration.notes)
+        assert any("No corner of board 6 was used" in note for note in calibration.notes)
         assert calibration.rms_px == pytest.approx(0.1 * 2**0.5, rel=0.1)
 
     def test_fixed_keys_keep_their_values(self):
@@ -279,7 +279,7 @@ class TestWhole:
         corners, _ = visible_boards(MIRROR, 1, 14, board=Board(columns=3, rows=2, square_m=0.01))
         calibration = calibrate_sensor(noisy(corners, 0.1, 6), "hyperboloid", start=MIRROR)
         assert calibration.halves is None
-        assert any("Rays are known to" in note for note in calibration.notes)
+        assert any("The standard deviation of rays is" in note for note in calibration.notes)
         assert any("1 images are few" in note for note in calibration.notes)
 
     def test_what_no_corner_tells_is_named(self):

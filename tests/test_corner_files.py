@@ -54,9 +54,9 @@ class TestRead:
         corners = read_corners(tmp_path / "a.csv", square_m=0.03, size=(640, 480))
         np.testing.assert_allclose(corners.points_m[-1], [0.06, 0.03])
         assert corners.pixels[-1].tolist() == [120, 60]
-        with pytest.raises(InputError, match="counts corners in squares; give their side with --square-m"):
+        with pytest.raises(InputError, match="gives corners in squares; give the side of a square with --square-m"):
             read_corners(tmp_path / "a.csv", size=(640, 480))
-        with pytest.raises(InputError, match="does not say how large the images are; give --size"):
+        with pytest.raises(InputError, match="does not contain the size of the images; give --size"):
             read_corners(tmp_path / "a.csv", square_m=0.03)
 
     def test_json(self, corners, tmp_path):
@@ -92,7 +92,7 @@ BAD = {
     "empty.csv": ("", "begins with ''; the header must be image,x_m,y_m,u_px,v_px"),
     "head.csv": ("image,u,v\n", "begins with 'image,u,v'; the header must be"),
     "line.csv": ("image,x_m,y_m,u_px,v_px\na,1,2,x,4\n", "line 2 must be image,x_m,y_m,u_px,v_px; found 'a,1,2,x,4'"),
-    "none.csv": ("image,x_m,y_m,u_px,v_px\n", "holds no corners"),
+    "none.csv": ("image,x_m,y_m,u_px,v_px\n", "contains no corners"),
     "few.csv": ("image,x_m,y_m,u_px,v_px\na,0,0,1,1\n", "image 'a' has 1 corners; a board needs at least 6"),
     "nan.csv": (
         "image,x_m,y_m,u_px,v_px\n" + "".join(f"a,{i % 3},{i // 3},nan,1\n" for i in range(6)),
@@ -106,7 +106,7 @@ BAD = {
     "half.json": ('{"images": [{"name": "a", "pixels": [[1, 2]]}]}', "images.0.*points_m.*missing"),
     "cut.json": ('{"images": [', "not valid JSON"),
     "other.xml": ("<?xml version='1.0'?><opencv_storage><a>1</a></opencv_storage>", "objectPoints.*missing"),
-    "bent.xml": (BENT, "objectPoints.0.: must lie in one plane"),
+    "bent.xml": (BENT, "objectPoints.0.: must lie in the plane z = 0"),
     "bad.npz": ("not an archive", "cannot be read as an NPZ archive"),
 }
 

@@ -1,1 +1,1 @@
-"""Calibration: from corners of chessboards in images to a sensor, and how sure its rays are."""
+"""Calibration: from chessboard corners in images to a sensor and the covariance of its rays."""

@@ -1,8 +1,9 @@
-"""Bundle adjustment: the sensor and the boards' poses that bring predicted corners nearest to the measured ones.
+"""Bundle adjustment: the sensor and the boards' poses that minimise the reprojection errors of corners.
 
-Levenberg-Marquardt on normal equations. Each corner depends on the sensor and on its own board alone, so that poses are
-eliminated board by board (Schur complement): a step costs as much as the corners, not the cube of all unknowns.
-`scipy.optimize.least_squares` takes a hundred times as long on twenty boards, as it decomposes the whole matrix.
+Levenberg-Marquardt on the normal equations. Each corner depends on the sensor and on the pose of its own board alone,
+so that poses are eliminated board by board (Schur complement): the cost of a step is linear in the corners, not cubic
+in all unknowns. `scipy.optimize.least_squares`, which decomposes the whole matrix, takes a hundred times as long on
+twenty boards.
 """
 
 from collections.abc import Callable
@@ -19,24 +20,24 @@ from harness.geometry.angles import Array
 
 _MOST_ROUNDS = 200
 _SMALLEST_PX = 1e-9
-"""RMS below which nothing but rounding is left, as with corners that are free of noise."""
+"""RMS below which residuals are rounding errors, as with noise-free corners."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Adjusted(OneLine):
-    """The end of an adjustment."""
+    """The result of an adjustment."""
 
     parameters: Parameters
     vector: Array
     """`[n]`."""
     poses: BoardPoses
     residuals: Array
-    """`[m, 2]`: predicted less measured pixels."""
+    """`[m, 2]`: residuals, predicted minus measured, pixels."""
     normal: Array
-    """`[n, n]`: what the corners tell of the vector once the poses are eliminated, pixels⁻²: its inverse times the
-    variance of a coordinate is the covariance."""
+    """`[n, n]`: reduced normal matrix of the vector, with the poses eliminated, pixels⁻²: the covariance is its inverse
+    times the variance of a corner's coordinate."""
     pose_normal: Array
-    """`[boards, 6, 6]`: the same of the poses for a known sensor."""
+    """`[boards, 6, 6]`: normal matrices of the poses for a known sensor."""
     cost: float
     rounds: int
     converged: bool
@@ -52,23 +53,23 @@ def adjust(
     rounds: int = _MOST_ROUNDS,
     tell: Callable[[int, float], None] | None = None,
 ) -> Adjusted | None:
-    """Minimise the sum of squared residuals, from a start.
+    """Minimise the sum of squared residuals from an initial sensor and poses.
 
-    A step that leaves the model's domain, or takes a corner out of it, is not taken.
+    A step to an invalid sensor, or one that takes a corner out of the model's domain, is rejected.
 
     Parameters
     ----------
     vector
         `[n]`, in the coordinates of `parameters`.
     robust_px
-        Residuals well above this count by their logarithm (Cauchy); plain least squares when None.
+        Scale of Cauchy's robust loss, pixels; plain least squares when None.
     tell
         Called with the round and the RMS in pixels.
 
     Returns
     -------
     Adjusted
-        None when the start itself cannot see all corners.
+        None when the initial sensor cannot project all corners.
     """
     state = _evaluated(parameters, corners, vector, poses, robust_px)
     if state is None:
@@ -96,7 +97,7 @@ def adjust(
             converged = gain <= 1e-10 * state.cost and expected <= 1e-9 * state.cost
             state, system = tried, None
         else:
-            # What could still be gained is less than rounding tells.
+            # The expected decrease is below rounding.
             converged = tried is not None and expected <= 1e-12 * state.cost
             damping, growth = damping * growth, growth * 2
         if converged or damping > 1e12:
@@ -122,7 +123,7 @@ def _evaluated(
 
 @dataclass(frozen=True)
 class _Normal:
-    """Normal equations: of the sensor, of the poses, and between them; and right-hand sides."""
+    """Normal equations: the blocks of the sensor, of the poses and between them, and the right-hand sides."""
 
     sensor: Array
     between: Array
@@ -134,17 +135,17 @@ class _Normal:
     """`[boards, 6]`."""
 
     def step(self, damping: float) -> tuple[Array, Array, float]:
-        """The steps `[n]` and `[boards, 6]` with diagonals enlarged by a factor, and the expected fall of the cost."""
+        """The steps `[n]` and `[boards, 6]` for a damping factor, and the expected decrease of the cost."""
         poses = _enlarged(self.poses, damping)
         solved = np.linalg.solve(poses, np.concatenate([self.between, self.pose_right[..., None]], axis=-1))
         n = len(self.right)
         reduced = _enlarged(self.sensor[None], damping)[0] - np.einsum("bij,bik->jk", self.between, solved[..., :n])
         right = self.right - np.einsum("bij,bi->j", self.between, solved[..., n])
-        # Numbers have units of their own: a polynomial's terms differ by ten orders of magnitude.
+        # Parameters differ in their units: the terms of a polynomial by ten orders of magnitude.
         scale = 1 / np.sqrt(np.maximum(np.diag(self.sensor), 1e-300))
         step = -scale * np.linalg.lstsq(reduced * np.outer(scale, scale), right * scale, rcond=None)[0]
         pose_step = -(solved[..., n] + solved[..., :n] @ step)
-        # Of |J step + r|²: -2 gradient · step - step · (J^T J) step.
+        # The decrease of |J step + r|²: -2 gradient · step - step · (J^T J) step.
         full = (
             step @ self.sensor @ step
             + 2 * np.einsum("bi,bij,j->", pose_step, self.between, step)
@@ -154,7 +155,7 @@ class _Normal:
         return step, pose_step, float(expected)
 
     def reduced(self) -> Array:
-        """The sensor's part `[n, n]` once the poses are eliminated."""
+        """The sensor's block `[n, n]` after elimination of the poses."""
         solved = np.linalg.solve(_enlarged(self.poses, 0.0), self.between)
         reduced = self.sensor - np.einsum("bij,bik->jk", self.between, solved)
         return np.asarray(0.5 * (reduced + reduced.T))

@@ -1,4 +1,4 @@
-"""Which part of the field boards have been in."""
+"""Which part of the field of view is covered by boards."""
 
 from dataclasses import dataclass
 
@@ -16,14 +16,14 @@ _CELLS = 12
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Coverage(OneLine):
-    """Where corners are."""
+    """Where corners lie in the image."""
 
     counts: Array
     """`[rows, columns]`: corners in each square cell of the image; NaN in cells outside the field."""
     cell_px: float
     """Side of a cell, pixels; the first one's upper left corner is (-0.5, -0.5)."""
     share: float
-    """Cells of the field with a corner."""
+    """Share of the field's cells that have a corner."""
     innermost_deg: float
     outermost_deg: float
     """Angles off the optical axis between which the corners lie, degrees."""
@@ -32,12 +32,12 @@ class Coverage(OneLine):
 
 
 def coverage_of(sensor: Sensor, corners: Corners, grid: RayGrid) -> Coverage:
-    """Corners counted in cells of the image, and the angles that they reach.
+    """Corner counts in cells of the image, and the range of the corners' angles.
 
     Parameters
     ----------
     grid
-        Over the sensor's field; a cell with no point of it inside is outside the field.
+        A grid over the sensor's field; a cell that holds no point of the grid counts as outside the field.
     """
     camera = sensor.camera
     cell = max(camera.width_px, camera.height_px) / _CELLS
@@ -63,5 +63,5 @@ def coverage_of(sensor: Sensor, corners: Corners, grid: RayGrid) -> Coverage:
 
 
 def _cells(pixels: Array, cell: float, shape: tuple[int, int]) -> Array:
-    """Column and row `[n, 2]` of the cells that pixels are in."""
+    """Column and row `[n, 2]` of the cells that contain pixels `[n, 2]`."""
     return np.clip(np.floor((pixels + 0.5) / cell).astype(int), 0, [shape[1] - 1, shape[0] - 1])

@@ -1,4 +1,4 @@
-"""The image circle: where the mirror or the lens ends and the image is dark."""
+"""Detection of the image circle: the boundary of the mirror or lens, beyond which the image is dark."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ _TRIES = 400
 
 @dataclass(frozen=True)
 class Circle:
-    """Centre and radius, pixels."""
+    """A circle in the image: centre and radius, pixels."""
 
     u: float
     v: float
@@ -24,8 +24,8 @@ class Circle:
 def find_circle(image: NDArray[np.floating] | NDArray[np.uint8]) -> Circle | None:
     """The circle within which an image `[height, width]` is bright; None when there is none.
 
-    The hull of what is brighter than the dark corners: darkness inside does no harm, and parts of the circle may lie
-    off the image. The circle is found among its corners by trying three at a time (RANSAC) with a fixed seed.
+    Takes the convex hull of all pixels that are brighter than the dark corners, so that dark regions inside do no harm,
+    and fits a circle to its vertices by RANSAC with a fixed seed. Parts of the circle may lie off the image.
     """
     height, width = image.shape
     smooth = ndimage.gaussian_filter(image.astype(np.float32), max(1.0, min(height, width) / 300))
@@ -49,8 +49,9 @@ def find_circle(image: NDArray[np.floating] | NDArray[np.uint8]) -> Circle | Non
 
 
 def _along(corners: Array) -> Array:
-    """The short sides' ends of a hull: what lies on an arc. A long side is a chord across something dark, or the
-    image's own border.
+    """The vertices of a hull that lie on an arc: the ends of its short sides.
+
+    A long side is a chord across something dark, or the border of the image.
     """
     following = np.roll(corners, -1, axis=0)
     size = np.ptp(corners, axis=0).max()
@@ -83,7 +84,7 @@ def _distance(points: Array, circle: Circle) -> Array:
 
 
 def _through(points: Array) -> Circle | None:
-    """The circle nearest to points: `u² + v² = 2 a u + 2 b v + c`."""
+    """The circle of algebraic least squares through points: `u² + v² = 2 a u + 2 b v + c`."""
     A = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
     (a, b, c), _, rank, _ = np.linalg.lstsq(A, np.sum(points * points, axis=-1), rcond=None)
     square = c + a * a + b * b

@@ -1,4 +1,4 @@
-"""Corners in files: CSV, JSON and NPZ of layouts of our own, and the points that OpenCV's calibration samples write."""
+"""Files of corners: CSV, JSON and NPZ in our own layouts, and the points that OpenCV's calibration samples write."""
 
 import csv
 import io
@@ -20,29 +20,29 @@ from harness.io.calibrations.record import Content
 from harness.io.calibrations.values import matrix, member, numbers, refusal
 
 LAYOUT = """\
-CSV   a line for each corner, under the header image,x_m,y_m,u_px,v_px: the image's name, the corner's place on the
-      board in metres, and its pixel; or column,row in place of x_m,y_m, counted from 0 in squares. A first line such
+CSV   a line for each corner, under the header image,x_m,y_m,u_px,v_px: the image's name, the corner's position on the
+      board in metres, and its pixel; or column,row instead of x_m,y_m, counted from 0 in squares. A first line such
       as "# 1280 x 960" gives the size of the images.
 JSON  {"width_px": 1280, "height_px": 960, "images": [{"name": "a.png", "points_m": [[x, y], ...],
       "pixels": [[u, v], ...]}, ...]}
 NPZ   arrays points_m [m, 2], pixels [m, 2] and image [m], a number for each corner; size [2], width and height.
 XML, YAML or JSON of OpenCV, with objectPoints and imagePoints, one matrix for each image, and imageSize.
 """
-"""The layouts that are read, for people."""
+"""A description of the layouts, for help texts and documentation."""
 
 _LIMIT_BYTES = 64 * 2**20
 _OWN, _SQUARES = ("image", "x_m", "y_m", "u_px", "v_px"), ("image", "column", "row", "u_px", "v_px")
 
 
 def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, int] | None = None) -> Corners:
-    """Read corners of any layout of `LAYOUT`.
+    """Read corners from a file in any layout of `LAYOUT`.
 
     Parameters
     ----------
     square_m
-        Side of a square of the board, metres; for files that count in squares.
+        Side of a square, metres; for files that give positions in squares.
     size
-        Width and height of the images, where the file does not say.
+        Width and height of the images, pixels, for a file that does not contain them.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
         content = read_content(file)
         views, own = _from_table(content) if "images" in content.table else _from_opencv(content)
     if own is None and size is None:
-        raise InputError("does not say how large the images are; give --size WIDTH HEIGHT", file=file)
+        raise InputError("does not contain the size of the images; give --size WIDTH HEIGHT", file=file)
     if own is not None and size is not None and own != size:
         raise InputError(f"is of images of {own[0]} x {own[1]} pixels; --size says {size[0]} x {size[1]}", file=file)
     width, height = own or size or (0, 0)
@@ -103,7 +103,7 @@ def _from_csv(file: Path, square_m: float | None) -> ImageCorners:
     if header not in (_OWN, _SQUARES):
         raise InputError(f"begins with '{','.join(header)}'; the header must be {','.join(_OWN)}", file=file)
     if header == _SQUARES and square_m is None:
-        raise InputError("counts corners in squares; give their side with --square-m", file=file)
+        raise InputError("gives corners in squares; give the side of a square with --square-m", file=file)
     unit = square_m if header == _SQUARES and square_m else 1.0
     images: dict[str, list[list[float]]] = {}
     for number, cells in zip((i for i, _ in rows[1:]), csv.reader(line for _, line in rows[1:]), strict=False):
@@ -156,7 +156,7 @@ def _from_table(content: Content) -> ImageCorners:
             matrix(content, *member(content, entry, each, f"{key}[{i}]")) for each in ("points_m", "pixels")
         )
         if points.shape[1] != 2 or points.shape != pixels.shape:
-            raise refusal(content, f"{key}[{i}]", "points_m and pixels must be as many pairs of numbers")
+            raise refusal(content, f"{key}[{i}]", "points_m and pixels must be equally many pairs of numbers")
         views.append((str(entry.get("name", i)), points, pixels))
     size = tuple(content.table.get(each) for each in ("width_px", "height_px"))
     whole = all(isinstance(each, int) and 0 < each < 100_000 for each in size)
@@ -178,7 +178,7 @@ def _from_opencv(content: Content) -> ImageCorners:
         if pixels.shape[1] != 2 or len(points) != len(pixels):
             raise refusal(content, f"imagePoints[{i}]", f"must be {len(points)} pairs of numbers")
         if points.shape[1] == 3 and np.ptp(points[:, 2]) > 0:
-            raise refusal(content, f"objectPoints[{i}]", "must lie in one plane, z = 0: boards are plane")
+            raise refusal(content, f"objectPoints[{i}]", "must lie in the plane z = 0: boards are planar")
         views.append((str(i), points[:, :2], pixels))
     if "imageSize" not in root:
         return views, None
@@ -187,7 +187,7 @@ def _from_opencv(content: Content) -> ImageCorners:
 
 
 def _points(content: Content, value: Any, key: str) -> Array:
-    """A matrix of points, of one column and several channels, or of one channel."""
+    """The points of a matrix with one column and several channels, or with one channel."""
     if isinstance(value, Mapping):
         data, data_key = member(content, value, "data", key)
         flat = np.array(numbers(content, data, data_key))
@@ -199,7 +199,7 @@ def _points(content: Content, value: Any, key: str) -> Array:
 
 
 def corner_tables(corners: Corners) -> list[dict[str, Any]]:
-    """Corners as the list `images` of the JSON layout."""
+    """The list `images` of the JSON layout."""
     ends = [*corners.starts.tolist(), len(corners.image)]
     return [
         {

@@ -1,4 +1,4 @@
-"""The corners of boards in images: what a calibration is made from."""
+"""The corners of boards in images: the data of a calibration."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Count = Annotated[int, Field(ge=2, le=200)]
 
 
 class Board(Spec):
-    """A chessboard by its inner corners, those where four squares meet."""
+    """A chessboard, described by its inner corners, where four squares meet."""
 
     columns: Count
     """Inner corners along the board's x."""
@@ -35,10 +35,10 @@ class Board(Spec):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Corners(OneLine):
-    """Corners seen in images: one plane board in each image, which stands anywhere. Sorted by image."""
+    """Corners detected in images, sorted by image: one planar board per image, in any pose."""
 
     images: tuple[str, ...]
-    """Names of the images, `n`; every one has corners."""
+    """Names of the `n` images, each of which has corners."""
     image: NDArray[np.intp]
     """`[m]`: index into `images`, ascending."""
     points_m: Array
@@ -51,7 +51,7 @@ class Corners(OneLine):
 
     @property
     def starts(self) -> NDArray[np.intp]:
-        """`[n]`: where the corners of each image begin."""
+        """`[n]`: index of the first corner of each image."""
         return np.searchsorted(self.image, np.arange(len(self.images)))
 
     def of(self, chosen: Sequence[int]) -> "Corners":
@@ -62,7 +62,7 @@ class Corners(OneLine):
         return Corners(names, index, self.points_m[keep], self.pixels[keep], self.width_px, self.height_px)
 
     def where(self, keep: NDArray[np.bool_]) -> "Corners":
-        """Some of the corners `[m]`; an image that keeps none goes."""
+        """The corners selected by a mask `[m]`; an image without any is dropped."""
         left = np.unique(self.image[keep])
         index = np.searchsorted(left, self.image[keep])
         names = tuple(self.images[each] for each in left)
@@ -77,10 +77,10 @@ def corners_of(
     Raises
     ------
     InputError
-        When an image has fewer than 6 corners, or all of them on one line, or something is not a number.
+        When an image has fewer than 6 corners, all of them collinear, or a coordinate is not finite.
     """
     if not views:
-        raise InputError("holds no corners", file=file)
+        raise InputError("contains no corners", file=file)
     for name, points, pixels in views:
         if len(points) != len(pixels) or len(points) < 6:
             raise InputError(f"image '{name}' has {len(points)} corners; a board needs at least 6", file=file)

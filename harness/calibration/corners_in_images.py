@@ -1,4 +1,4 @@
-"""Boards looked for in all images of one camera: first with a rough sensor, then with what the first boards tell."""
+"""Detection of boards in all images of one camera: first with a rough sensor, then with a calibrated one."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from harness.images import LIMIT_BYTES, decode
 from harness.opencv import opencv, threads
 
 _ENOUGH = 3
-"""Boards from which a sensor is calibrated to look for the others with."""
+"""Least number of boards from which a sensor is calibrated for the second pass."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What a search has found."""
+    """The result of a search for boards."""
 
     corners: Corners
     circle: Circle | None
     without: tuple[str, ...]
-    """Names of the images in which no board was found."""
+    """Names of the images in which no board was detected."""
 
 
 def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None] = lambda _: None) -> Search:
-    """The corners of a board in images of one camera.
+    """Detect the corners of a board in images of one camera.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
     Raises
     ------
     InputError
-        When an image cannot be read, has another size than the first, or no board is found in any; when OpenCV is not
-        there.
+        When an image cannot be read or differs in size from the first, no image has a board, or OpenCV is not
+        installed.
     """
     cv2 = opencv("calibrate", "calibration")
     names = _names(files)
@@ -63,7 +63,7 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
         for i in (i for i in range(len(names)) if i not in corners_of_image and better is not None):
             assert better is not None
             _look(cv2, images, i, board, better, corners_of_image)
-            tell(f"{names[i]}, looked at again with what the others tell: {_said(corners_of_image, i, board)}")
+            tell(f"{names[i]}, second pass, calibrated from other images: {_said(corners_of_image, i, board)}")
     if not corners_of_image:
         raise InputError(
             f"no board of {board.columns} x {board.rows} inner corners was found in any of {len(files)} images. Count "
@@ -89,13 +89,13 @@ def _said(corners_of_image: dict[int, Array], i: int, board: Board) -> str:
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """The files' names, with folders where two are alike."""
+    """The names of the files, with their folders if two are equal."""
     names = [each.name for each in files]
     return names if len(set(names)) == len(names) else [str(each) for each in files]
 
 
 def _read(files: Sequence[Path]) -> tuple[list[Grey8], Circle | None]:
-    """The images, and the circle in the brightest that each pixel is in any of them."""
+    """The images, and the image circle in their pixel-wise maximum."""
     images: list[Grey8] = []
     for file in files:
         grey = decode(read_regular(file, LIMIT_BYTES, "image"), file).grey()

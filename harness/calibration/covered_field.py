@@ -1,4 +1,4 @@
-"""The cone that a calibrated sensor is said to see: what the boards reached, and a little beyond."""
+"""The field of view of a calibrated sensor: what the boards covered, and a little beyond."""
 
 import math
 
@@ -11,7 +11,7 @@ from harness.camera.intrinsics import FieldOfView
 from harness.camera.sensor import Sensor
 
 _BEYOND_DEG = 1.0
-"""How far the field goes beyond the outermost corner where no image circle was found."""
+"""Margin of the field beyond the outermost corner if no image circle was detected."""
 _MOST_BEYOND_DEG = 3.0
 """How far towards the image circle: farther out a model is a guess."""
 _INWARD_DEG = 3.0
@@ -19,14 +19,14 @@ _INWARD_DEG = 3.0
 
 
 def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> FieldOfView:
-    """The widest cone about the optical axis, of tenths of a degree, that the corners allow and the model can have.
+    """The widest cone about the optical axis, in tenths of a degree, that the corners support and the model allows.
 
-    For a sensor that looks up or down it is written as elevations, else as an angle off the axis.
+    For a sensor that looks up or down it is written as elevations, otherwise as an angle off the axis.
 
     Parameters
     ----------
     sensor
-        Its own field is not looked at.
+        Its own field is ignored.
     """
     off_axis = np.degrees(angles_off_axis(sensor, corners.pixels))
     outermost, innermost = float(np.nanmax(off_axis)), float(np.nanmin(off_axis))
@@ -58,7 +58,7 @@ def _can_have(sensor: Sensor, field: FieldOfView) -> bool:
 
 
 def _circle_angle_deg(sensor: Sensor, circle: Circle) -> float:
-    """The smallest angle off the axis along the image circle; 0 where it is not known anywhere."""
+    """The smallest angle off the axis along the image circle; 0 if no point of it has a ray."""
     around = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     rim = np.stack(
         [circle.u + circle.radius_px * np.cos(around), circle.v + circle.radius_px * np.sin(around)], axis=-1

@@ -1,9 +1,9 @@
-"""Chessboards in images that bend straight lines.
+"""Chessboard detection in images that bend straight lines.
 
-OpenCV's detector wants squares that look like squares. A mirror or a fisheye leaves few boards that do, so an image is
-also looked at through perspective windows in many directions, made with a rough sensor: a stereographic one, which
-keeps angles, over the image circle, or one that was calibrated from other images. What is found there is brought back
-and refined in the image itself.
+OpenCV's detector needs squares that look like squares, as few do in the image of a mirror or a fisheye. So the image is
+also resampled to perspective windows in many directions, with a rough sensor: a stereographic one, which preserves
+angles, over the image circle, or one that was calibrated from other images. Corners detected in a window are mapped
+back and refined in the original image.
 """
 
 import math
@@ -29,9 +29,9 @@ _RIM_DEG = 105.0
 _WINDOW_DEG = 100.0
 _TURN_DEG = 30.0
 _OFF_AXIS_DEG = (40.0, 70.0, 95.0)
-"""How far off the axis windows look."""
+"""Angles off the axis of the windows' centres."""
 _BEND = 0.5
-"""How far a corner may be from where its two neighbours put it, in distances to them."""
+"""Largest offset of a corner from the midpoint of its two neighbours, as a share of the distance to them."""
 _MIDDLE = 0.9
 """Share of a window's width within which saddle points count."""
 _SADDLES = 0.6
@@ -42,16 +42,16 @@ _MOST_PX, _LEAST_PX = 1200, 480
 
 @dataclass(frozen=True)
 class Window:
-    """A perspective view: a square of `size` pixels that looks along the last row of `axes`."""
+    """A perspective window of `size` x `size` pixels, centred on the last row of `axes`."""
 
     axes: Array
-    """`[3, 3]`: its right, its down and its viewing direction in the sensor's frame."""
+    """`[3, 3]`: rows are the directions right, down and forward, in the sensor's frame."""
     size: int
     tangent: float
-    """Tangent of half its angle."""
+    """Tangent of half its field of view."""
 
     def directions(self, x: Array, y: Array) -> Array:
-        """Directions `[..., 3]` in the sensor's frame of its pixels."""
+        """Directions `[..., 3]` of its pixels, in the sensor's frame."""
         scale = 2 * self.tangent / (self.size - 1)
         middle = (self.size - 1) / 2
         local = np.stack([(x - middle) * scale, (y - middle) * scale, np.ones_like(x)], axis=-1)
@@ -70,8 +70,8 @@ def rough_sensor(width_px: int, height_px: int, circle: Circle | None) -> Sensor
 def find_board(cv2: Any, image: Grey8, board: Board, sensor: Sensor) -> Array | None:
     """The pixels `[rows * columns, 2]` of a board's inner corners, in the order of `board.points_m`; None without one.
 
-    Of a chessboard nobody can tell which way round it is: the first corner may be any that a turn by 180°, or a mirror,
-    leaves the board's squares in place.
+    The order is ambiguous: a chessboard looks the same after a rotation by 180° or a reflection that maps its squares
+    to squares of the same colour, and any such order may be returned.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _detect(cv2: Any, image: Grey8, board: Board) -> Array | None:
 
 
 def _pixels(sensor: Sensor, directions: Array) -> Array:
-    """Where directions `[..., 3]` are seen, whatever the sensor's field is; far off the image where they are not."""
+    """The pixels of directions `[..., 3]`, in the field or not; far off the image outside the model's domain."""
     out = np.empty((*directions.shape[:-1], 2))
     project_all(np.ascontiguousarray(directions).reshape(-1, 3), parameters_of(sensor), out.reshape(-1, 2))
     return np.nan_to_num(out, nan=-1e4)
@@ -114,7 +114,7 @@ def _pixels(sensor: Sensor, directions: Array) -> Array:
 def _likely_windows(saddles: Array, board: Board, sensor: Sensor) -> list[Window]:
     """The windows with enough saddle points for a board in their middle, those with the most first.
 
-    The detector takes longest where there is no board.
+    The others are skipped because the detector is slowest where there is no board.
     """
     directions = unproject(sensor, saddles)[0]
     directions = directions[np.isfinite(directions).all(axis=-1)]
@@ -129,7 +129,7 @@ def _likely_windows(saddles: Array, board: Board, sensor: Sensor) -> list[Window
 
 
 def _windows(sensor: Sensor) -> Iterator[Window]:
-    """Around the axis in steps of `_TURN_DEG`, at several angles off it, and one along it."""
+    """Windows around the axis in steps of `_TURN_DEG`, at several angles off it, and one along it."""
     camera = sensor.camera
     u, v = camera.cx_px, camera.cy_px
     axis, right, down = unproject(sensor, [[u, v], [u + 1, v], [u, v + 1]])[0]
@@ -150,7 +150,7 @@ def _windows(sensor: Sensor) -> Iterator[Window]:
 
 
 def _pixels_per_radian(sensor: Sensor, direction: Array) -> float:
-    """The finest scale of the image in a direction; a small one where it is not seen."""
+    """The finest scale of the image in a direction, pixels per radian; a small one outside the model's domain."""
     step = 1e-3
     sides = np.eye(3) - direction[:, None] * direction[None, :]
     at = _pixels(sensor, np.concatenate([direction[None], direction + step * sides]))
@@ -164,7 +164,7 @@ def _is_inside(pixels: Array, image: Grey8) -> bool:
 
 
 def _is_grid(pixels: Array, board: Board) -> bool:
-    """Whether no square is folded over or narrower than three pixels, and every corner is about amid its neighbours."""
+    """Whether no square is inverted or below three pixels, and every corner is about midway between its neighbours."""
     grid = pixels.reshape(board.rows, board.columns, 2)
     along, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
     area = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
@@ -179,12 +179,12 @@ def _is_grid(pixels: Array, board: Board) -> bool:
 
 
 def refine(image: Grey8, pixels: Array, board: Board) -> Array:
-    """Corners to a fraction of a pixel: the saddle points of the grey levels around them.
+    """Corners refined to a fraction of a pixel: the saddle points of the grey levels around them, `[n, 2]`.
 
-    A quadratic is fitted to the levels within a window, weighed by a Gaussian of half its size, and the window moved to
-    where its gradient vanishes, until it stays. Each corner has a window of its own size, so that no other corner is in
-    it. Against exact corners of rendered mirror images this is off by half as much as `cv2.cornerSubPix`, which takes
-    the edges for straight.
+    A quadratic is fitted to the grey levels within a window, with the weights of a Gaussian of half its size, and the
+    window is moved to where the gradient vanishes, until it stops moving. The size of the window is chosen for each
+    corner so that it contains no other one. On exact corners of rendered mirror images the error is half that of
+    `cv2.cornerSubPix`, which assumes straight edges.
     """
     levels = image.astype(np.float64)
     nearest = _nearest(pixels, board)
@@ -195,7 +195,7 @@ def refine(image: Grey8, pixels: Array, board: Board) -> Array:
 
 
 def _nearest(pixels: Array, board: Board) -> Array:
-    """The distance `[n]` of each corner from the nearest of its neighbours, pixels."""
+    """The distance `[n]` from each corner to its nearest neighbour, pixels."""
     grid = pixels.reshape(board.rows, board.columns, 2)
     nearest = np.full((board.rows, board.columns), np.inf)
     for axis in (0, 1):

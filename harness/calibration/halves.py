@@ -1,4 +1,4 @@
-"""Cross-validation: calibrations from half of the images each, held against each other and the other half's boards."""
+"""Cross-validation: calibrations from half of the images each, compared with each other and on the other half."""
 
 from dataclasses import dataclass
 
@@ -22,14 +22,17 @@ class Halves(OneLine):
     rms_px: tuple[float, float]
     """RMS residual of each half's own corners, pixels."""
     other_rms_px: tuple[float, float]
-    """RMS residual of the other half's corners, with only their boards' poses estimated again, pixels."""
+    """RMS residual of the other half's corners, pixels; only their boards' poses are estimated again."""
     difference_px: Array
-    """`[k]`: distance between the pixels at which the two see a grid's rays, a turn of the whole sensor apart; NaN
-    where one of them sees nothing."""
+    """`[k]`: distance between the pixels to which both project the rays of a grid, up to a rotation of the sensor; NaN
+    outside the domain of one of them."""
 
 
 def compare_halves(adjusted: Adjusted, corners: Corners, grid: RayGrid) -> Halves | None:
-    """Calibrate from every other image, and from the rest; None when one half does not tell enough to end."""
+    """Calibrate from every other image, and from the rest.
+
+    None with fewer than four images, or when one of the adjustments does not converge.
+    """
     count = len(corners.images)
     if count < LEAST_IMAGES:
         return None

@@ -1,9 +1,9 @@
-"""Which numbers of a sensor a calibration finds, as a vector, and the sensor that a vector stands for.
+"""The parameters of a sensor that a calibration estimates, as a vector, and the sensor of such a vector.
 
-The vector that is adjusted is not that of the keys of the file. Focal length and lens are written for a normalised
-plane of slope 1 at the axis: there xi, focal length and lens bend the image each in a way of its own, while in the
-keys a change of xi has to be made good by all the others. It is a change of coordinates and nothing else:
-covariances are given for the keys.
+The vector that is adjusted does not hold the values under the keys of the file. Focal length and lens are expressed for
+a normalised plane of slope 1 at the axis: there xi, focal length and lens terms have distinct effects on the image,
+while with the keys' values a change of xi has to be compensated by all the others. This is a change of coordinates and
+nothing else: covariances are given for the keys.
 """
 
 import math
@@ -22,7 +22,7 @@ from harness.errors import InputError, nearest
 from harness.geometry.angles import Array
 
 LENS_POWERS = {"k1": 2, "k2": 4, "p1": 1, "p2": 1, "k3": 6}
-"""By what power of the plane's scale a lens coefficient changes."""
+"""The power of the plane's scale with which each lens coefficient changes."""
 _CAMERA = ("focal_px", "aspect", "cx_px", "cy_px")
 _LENS = ("k1", "k2", "p1", "p2")
 _MODEL: dict[str, tuple[str, ...]] = {
@@ -32,11 +32,11 @@ _MODEL: dict[str, tuple[str, ...]] = {
     "double_sphere": ("xi", "alpha"),
     "kannala_brandt": ("k1", "k2", "k3", "k4"),
 }
-"""Keys of a model's own table that an image tells."""
+"""Keys of each model's own table that images determine."""
 _MIRROR = "model.b_m"
-"""The shape of a mirror is adjusted as its xi, of which an image is a smoother function near a paraboloid."""
+"""The shape of a mirror is adjusted as its xi, because near a paraboloid the image is a smoother function of it."""
 _FREE_LENS = {"unified": _LENS}
-"""Lens terms that are free unless the user says otherwise."""
+"""Lens terms that are free by default."""
 
 
 def kind_of(model: CameraModel) -> str:
@@ -45,7 +45,7 @@ def kind_of(model: CameraModel) -> str:
 
 
 def axial_slope(model: CameraModel) -> float:
-    """Derivative at the axis of the radius on the model's normalised plane by the angle off the axis."""
+    """Derivative, at the axis, of the radius on the model's normalised plane by the angle off the axis."""
     kind = kind_of(model)
     table: Any = model
     if kind == "hyperboloid":  # m = (1 - 1/eps²)/(1 + 1/eps²) sin/(xi + cos) in units of the focal length
@@ -59,19 +59,19 @@ def axial_slope(model: CameraModel) -> float:
 def choose_keys(
     sensor: Sensor, *, lens: Sequence[str] | None = None, free: Sequence[str] = (), fix: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """The dotted keys that are found, in the order of the file.
+    """The dotted keys of the parameters to estimate, in the order of the file.
 
     Parameters
     ----------
     lens
-        Lens terms that are found, in place of the model's usual ones.
+        Lens terms to estimate, instead of the model's default ones.
     free, fix
-        Keys that are found, or not, beside the usual ones: `lens.k3`, or `k3` where that is one key alone.
+        Keys to estimate, or not, in addition to the default ones: `lens.k3`, or `k3` if that is unambiguous.
 
     Raises
     ------
     InputError
-        When a key is not there, or an image cannot tell it.
+        When there is no such key, or images do not determine it.
     """
     kind = kind_of(sensor.model)
     terms = _FREE_LENS.get(kind, ()) if lens is None else tuple(lens)
@@ -107,7 +107,7 @@ def _camera_keys(kind: str) -> list[str]:
 
 
 def _every_key(sensor: Sensor) -> list[str]:
-    """All that could be found."""
+    """All keys that could be estimated."""
     kind = kind_of(sensor.model)
     keys = _model_keys(sensor.model)
     keys += [f"model.{name}" for name in ("e",) if kind == "ocam"]
@@ -117,7 +117,7 @@ def _every_key(sensor: Sensor) -> list[str]:
 
 
 def key_named(sensor: Sensor, word: str, argument: str) -> str:
-    """The dotted key that is meant by it, or by its last part: `k3`, `lens.k3`, `focal`.
+    """The dotted key that a word names, in full or by its last part: `k3`, `lens.k3`, `focal`.
 
     Raises
     ------
@@ -129,12 +129,12 @@ def key_named(sensor: Sensor, word: str, argument: str) -> str:
     if len(named) != 1:
         names = [key.rpartition(".")[2] for key in every]
         hint = f"it may be {' or '.join(named)}" if named else nearest(word, [*names, *every])
-        raise InputError(f"there is no one key '{word}' to find; {hint}", key=argument)
+        raise InputError(f"there is no one key '{word}' to estimate; {hint}", key=argument)
     return named[0]
 
 
 def value_of(sensor: Sensor, key: str) -> float:
-    """The number under a dotted key."""
+    """The value of a dotted key."""
     table, _, name = key.partition(".")
     spec: Any = getattr(sensor, table)
     if name.endswith("]"):
@@ -144,12 +144,12 @@ def value_of(sensor: Sensor, key: str) -> float:
 
 
 def with_values(sensor: Sensor, values: Mapping[str, float]) -> Sensor:
-    """A sensor with other numbers under some dotted keys. Tables are checked, but not whether it sees its field.
+    """A sensor with other values of some dotted keys. Its tables are validated, but not its field of view.
 
     Raises
     ------
     ValueError
-        When a number is none that its key may have.
+        When a key may not have its value.
     """
     update: dict[str, Any] = {}
     for table in ("model", "camera", "lens"):
@@ -168,7 +168,7 @@ def with_values(sensor: Sensor, values: Mapping[str, float]) -> Sensor:
 
 @dataclass(frozen=True)
 class Parameters:
-    """The free numbers of a sensor."""
+    """The free parameters of a sensor."""
 
     sensor: Sensor
     """Has all the others."""
@@ -176,7 +176,7 @@ class Parameters:
     """Dotted keys, in the order of vectors."""
 
     def vector(self, sensor: Sensor) -> Array:
-        """The coordinates that are adjusted, `[n]`, of a sensor."""
+        """The vector `[n]` of a sensor, in the coordinates that are adjusted."""
         slope = axial_slope(sensor.model)
         model: Any = sensor.model
         return np.array(
@@ -205,26 +205,26 @@ class Parameters:
         )
 
     def compiled(self, vector: Array) -> Any | None:
-        """What compiled projections are given for a vector; None where there is no such sensor."""
+        """The argument of the compiled projections for a vector; None if there is no such sensor."""
         try:
             return parameters_of.__wrapped__(self.sensor_at(vector))
         except (ValidationError, ValueError, OverflowError, ZeroDivisionError):
             return None
 
     def values(self, vector: Array) -> Array:
-        """The numbers under the keys, `[n]`."""
+        """The values of the keys, `[n]`, for a vector."""
         sensor = self.sensor_at(vector)
         return np.array([value_of(sensor, key) for key in self.keys])
 
     @cached_property
     def steps(self) -> Array:
-        """Steps `[n]` for differences, before anything is known of their effect."""
+        """Initial steps `[n]` for finite differences."""
         return np.array(
             [1e-6 * _size(key, each) for key, each in zip(self.keys, self.vector(self.sensor), strict=True)]
         )
 
     def derivatives_of_values(self, vector: Array) -> Array:
-        """Derivatives `[n, n]` of `values` by the vector, by differences to both sides, or to one at a limit."""
+        """Derivatives `[n, n]` of `values` by the vector, by central differences, or one-sided ones at a limit."""
         at = self.values(vector)
         columns = []
         for i, step in enumerate(1e-5 * np.maximum(np.abs(vector), 1e-6)):
@@ -248,7 +248,7 @@ def intrinsic_jacobian(parameters: Parameters, vector: Array, p: Array, steps: A
     Parameters
     ----------
     steps
-        `[n]`; each is changed so that the next call moves pixels by 1e-3, which is where both errors are small.
+        `[n]`; updated so that the next call moves pixels by 1e-3, where both errors are small.
     """
     p = np.ascontiguousarray(p)
     out = np.empty((len(p), 2, len(vector)))
@@ -301,7 +301,7 @@ def semi_axis(mirror: Any, xi: float) -> float:
 
 
 def _size(key: str, coordinate: float) -> float:
-    """A size that a coordinate may have: its own, at least 1, or 100 pixels to the power of a polynomial's term."""
+    """A typical size of a coordinate: its own, at least 1, or the power of 100 pixels of a polynomial's term."""
     power = int(key[:-1].partition("[")[2]) if key.endswith("]") else 1
     return max(abs(coordinate), 100.0 ** (1 - power))
 

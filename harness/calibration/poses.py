@@ -1,4 +1,4 @@
-"""Where boards stand: a first estimate from the bearings of their corners, and its refinement for a known camera."""
+"""Poses of boards: a linear estimate from the bearing vectors of their corners, refined for a known camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from harness.geometry.angles import Array
 class BoardPoses(OneLine):
     """`p = R (x, y, 0) + t` takes a point of the board into the sensor's frame.
 
-    R is a rotation in every model. Of a plane no image tells whether the sensor mirrors it: R and t turn a board over
-    instead, which has the same corners.
+    R is a rotation in every model. Images of a planar board do not determine whether the sensor mirrors it: instead, R
+    and t turn the board over, with the same corners.
     """
 
     R: Array
@@ -26,39 +26,40 @@ class BoardPoses(OneLine):
     """`[n, 3]`, metres."""
 
     def of(self, chosen: Sequence[int]) -> "BoardPoses":
-        """Those of some of the boards."""
+        """The poses of some of the boards, by index."""
         return BoardPoses(self.R[chosen], self.t[chosen])
 
     def in_frame(self, M: Array) -> "BoardPoses":
-        """The same boards in another frame, `p' = M p`, M orthogonal; a frame of the other hand turns boards over."""
+        """The same boards in another frame, `p' = M p`, M orthogonal; a reflection turns boards over."""
         hand = np.array([1.0, 1.0, np.sign(np.linalg.det(M))])
         return BoardPoses(M @ self.R * hand, self.t @ M.T)
 
     def apply(self, corners: Corners) -> tuple[Array, Array]:
-        """Corners `[m, 3]` turned into the sensor's frame, before and after they are moved there."""
+        """Corners `[m, 3]` in the sensor's frame: rotated only, and rotated and translated."""
         turned = np.einsum("mij,mj->mi", self.R[corners.image, :, :2], corners.points_m)
         return turned, turned + self.t[corners.image]
 
     def moved(self, step: Array) -> "BoardPoses":
-        """After a small rotation vector (radians) and a translation (metres) each, `[n, 6]`, in the sensor's frame.
+        """The poses after a small rotation (radians) and translation (metres) each, `[n, 6]`, in the sensor's frame.
 
-        The rotation turns a board about its own origin.
+        The rotation is about a board's own origin.
         """
         turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
         return BoardPoses(turn @ self.R, self.t + step[:, 3:])
 
 
 def poses_from_bearings(corners: Corners, bearings: Array) -> BoardPoses:
-    """Poses of plane boards from the directions of their corners, by linear least squares.
+    """Poses of planar boards from the bearing vectors of their corners, by linear least squares.
 
-    A direction b and its corner (x, y) satisfy `b × (H (x, y, 1)) = 0` with `H = [r_1 r_2 t]` up to a factor, whichever
-    half of the sphere they are in. The smallest singular vector gives H, `b · H (x, y, 1) > 0` its sign, and the
-    nearest rotation to `[r_1 r_2 r_1 × r_2]` R (Zhang 2000, for directions instead of a perspective image).
+    A bearing b and its corner (x, y) satisfy `b × (H (x, y, 1)) = 0` with `H = [r_1 r_2 t]` up to a factor, in any
+    direction of the sphere. H is the singular vector of the smallest singular value, with the sign for which
+    `b · H (x, y, 1) > 0`; R is the nearest rotation to `[r_1 r_2 r_1 × r_2]` (Zhang 2000, for bearings instead of a
+    perspective image).
 
     Parameters
     ----------
     bearings
-        `[m, 3]`, unit length. A corner whose direction is NaN is left out.
+        `[m, 3]`, unit length. A corner whose bearing is NaN is ignored.
 
     Returns
     -------
@@ -100,9 +101,9 @@ def _pose(points: Array, b: Array) -> tuple[Array, Array]:
 
 
 def turned_over(poses: BoardPoses, corners: Corners) -> BoardPoses:
-    """The other pose that a small board may have: mirrored at the plane across the line of sight to its middle.
+    """The second solution for the pose of a small board: reflected in the plane normal to the line of sight.
 
-    A small plane board looks nearly the same from both (Schweighofer and Pinz 2006).
+    A small planar board has nearly the same image in both poses (Schweighofer and Pinz 2006).
     """
     _, p = poses.apply(corners)
     count = np.add.reduceat(np.ones(len(p)), corners.starts)[:, None]
@@ -119,8 +120,8 @@ def turned_over(poses: BoardPoses, corners: Corners) -> BoardPoses:
 def pose_jacobian(camera: object, turned: Array, p: Array) -> Array:
     """Derivatives `[m, 2, 6]` of pixels by the step of `BoardPoses.moved`, pixels per radian and per metre.
 
-    A small turn w moves `p = a + t`, a = R (x, y, 0), by `w × a`, so that the pixel moves by `D (w × a) = (a × D) w`
-    for each row of D, the derivative by the direction.
+    A small rotation w moves `p = a + t`, a = R (x, y, 0), by `w × a`, so that the pixel moves by
+    `D (w × a) = (a × D) w` for each row of D, the derivative of the pixel by p.
     """
     D = np.empty((len(p), 2, 3))
     differentiate_all(np.ascontiguousarray(p), camera, D)
@@ -128,7 +129,7 @@ def pose_jacobian(camera: object, turned: Array, p: Array) -> Array:
 
 
 def residuals_of(camera: object, corners: Corners, poses: BoardPoses) -> Array:
-    """Predicted less measured pixels `[m, 2]`; NaN where the model has no pixel."""
+    """Residuals `[m, 2]`, predicted minus measured, pixels; NaN outside the model's domain."""
     pixels = np.empty((len(corners.image), 2))
     project_all(np.ascontiguousarray(poses.apply(corners)[1]), camera, pixels)
     return pixels - corners.pixels
@@ -140,12 +141,12 @@ def refine_poses(camera: object, corners: Corners, poses: BoardPoses, *, rounds:
     Parameters
     ----------
     camera
-        What compiled projections are given: `parameters_of(sensor)`.
+        The argument of the compiled projections, `parameters_of(sensor)`.
 
     Returns
     -------
     poses
-        A board whose corners the model cannot all see stays as it was.
+        The pose of a board with corners outside the model's domain is unchanged.
     cost
         `[n]`, sums of squared residuals, square pixels; infinite for such a board.
     """

@@ -1,4 +1,4 @@
-"""A calibration as one table of plain numbers: what its JSON file holds."""
+"""A calibration as one table of plain numbers, the contents of its JSON file."""
 
 from typing import Any
 
@@ -12,9 +12,9 @@ from harness.version import __version__
 
 
 def record_of(calibration: SensorCalibration) -> dict[str, Any]:
-    """All that a calibration says. Lists `images` and the size are those that `read_corners` reads.
+    """A calibration as a table of plain values. `images` and the size are in the layout of `read_corners`.
 
-    What is not a finite number is None.
+    Numbers that are not finite are None.
     """
     uncertainty, corners, coverage = calibration.uncertainty, calibration.corners, calibration.coverage
     ends = [*corners.starts.tolist(), len(corners.image)]
@@ -71,7 +71,7 @@ def _halves(calibration: SensorCalibration) -> dict[str, Any] | None:
 
 
 def _summary(values: Array) -> dict[str, float | None]:
-    """Median, the 95th percentile and the largest of what is known."""
+    """Median, 95th percentile and maximum of the finite values."""
     known = values[np.isfinite(values)]
     if not known.size:
         return {"median": None, "p95": None, "max": None}
@@ -80,7 +80,7 @@ def _summary(values: Array) -> dict[str, float | None]:
 
 
 def _finite(value: Any) -> Any:
-    """The same with None for numbers that JSON has no word for."""
+    """The same with None instead of numbers that JSON cannot represent."""
     if isinstance(value, dict):
         return {key: _finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

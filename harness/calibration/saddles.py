@@ -1,4 +1,4 @@
-"""Saddle points of grey levels: what the corners of a chessboard are, whatever bends its edges."""
+"""Saddle points of grey levels: the corners of a chessboard, whether its edges are straight or not."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,15 +8,15 @@ from harness.geometry.angles import Array
 
 _SIGMA_PX = 1.5
 _LEAST_STEP = 12.0
-"""Grey levels between the squares of the faintest board."""
+"""Least contrast between a board's squares, grey levels."""
 
 
 def find_saddles(image: NDArray[np.uint8]) -> Array:
-    """The saddle points of an image to a pixel, `[n, 2]` as (u, v).
+    """The saddle points of an image to the nearest pixel, `[n, 2]` as (u, v).
 
-    Where four squares meet, smoothed by a Gaussian of sigma, the mixed derivative in the directions of the edges is
-    `step/(pi sigma²)` and the others vanish: the root of minus the Hessian's determinant tells the step whichever way
-    the board is turned.
+    Where four squares meet, smoothed by a Gaussian of standard deviation sigma, the mixed second derivative in the
+    directions of the edges is `contrast/(pi sigma²)` and the others vanish: the square root of minus the Hessian's
+    determinant gives the contrast for any orientation of the board.
     """
     levels = image.astype(np.float32)
     xx, xy, yy = (ndimage.gaussian_filter(levels, _SIGMA_PX, order=order) for order in ((0, 2), (1, 1), (2, 0)))
@@ -28,7 +28,7 @@ def find_saddles(image: NDArray[np.uint8]) -> Array:
 
 
 def saddle_near(levels: Array, start: Array, half: int) -> Array:
-    """The saddle point near a place (u, v); NaN where there is none."""
+    """The saddle point near a pixel (u, v); NaN if there is none."""
     height, width = levels.shape
     at = start.copy()
     for _ in range(10):
@@ -44,7 +44,7 @@ def saddle_near(levels: Array, start: Array, half: int) -> Array:
             0
         ].tolist()
         determinant = 4 * xx * yy - xy * xy
-        if not determinant < 0:  # a hill or a hollow
+        if not determinant < 0:  # a maximum or a minimum
             return np.full(2, np.nan)
         step = np.array([xy * gy - 2 * yy * gx, xy * gx - 2 * xx * gy]) / determinant
         at = at + np.clip(step, -1, 1)

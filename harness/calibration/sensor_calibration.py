@@ -1,4 +1,4 @@
-"""From corners to a sensor: a start, a robust adjustment, a plain one without outliers, and how sure it is."""
+"""From corners to a sensor: an initial estimate, a robust adjustment, a plain one of inliers, and its covariance."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,57 +27,57 @@ from harness.geometry.angles import Array
 Tell = Callable[[str], None]
 
 _OUTLIER = 6.0
-"""A corner whose residual is so many standard deviations long is a mistake: noise reaches 6 once in 66 million corners
+"""A residual of so many standard deviations marks an outlier: noise reaches 6 once in 66 million corners
 (exp(-6²/2), the length of two normal coordinates)."""
 _ROUGH_PX = 3.0
-"""Residuals above this count by their logarithm until their scatter is known."""
+"""Scale of the robust loss, pixels, until the scatter of the residuals is known."""
 _LEAST_SIGMA_PX = 1e-3
-"""No residual below a few of these is an outlier: of corners that are free of noise all that is left is rounding."""
+"""Lower bound on the scatter, pixels: residuals of noise-free corners are rounding errors, and no outliers."""
 _LEAST_CORNERS = 6
-"""A board with fewer corners left after outliers is dropped."""
+"""A board with fewer inliers is dropped."""
 _FEW_IMAGES = 5
 _VAGUE_PX = 1.0
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class SensorCalibration(OneLine):
-    """A calibrated sensor, what it rests on, and how sure it is."""
+    """A calibrated sensor, the corners it was estimated from, and its uncertainty."""
 
     sensor: Sensor
     keys: tuple[str, ...]
-    """Dotted keys of the numbers that were found, `n`; all others were given."""
+    """Dotted keys of the `n` parameters that were estimated; all others were given."""
     uncertainty: Uncertainty
     corners: Corners
-    """Those that were used, `m`."""
+    """The `m` inliers."""
     left_out: Corners | None
-    """Those that were not: outliers."""
+    """The outliers, which were not used."""
     poses: BoardPoses
     """Poses of the boards of `corners`, in the sensor's frame."""
     residuals: Array
-    """`[m, 2]`: predicted less measured pixels."""
+    """`[m, 2]`: residuals, predicted minus measured, pixels."""
     grid: RayGrid
     """Rays over the field, `k`, in the camera model's own frame."""
     ray_sigma_px: Array
-    """`[k]`: standard deviation of where they are seen, a turn of the whole sensor apart, pixels."""
+    """`[k]`: standard deviation of their pixels, up to a rotation of the whole sensor, pixels."""
     ray_sigma_fixed_px: Array
-    """`[k]`: the same with the turn."""
+    """`[k]`: the same, including that rotation."""
     coverage: Coverage
     halves: Halves | None
-    """Two calibrations from half of the images each; None with fewer than four."""
+    """Two calibrations from half of the images each; None with fewer than four images."""
     circle: Circle | None
-    """The image circle, where one was found."""
+    """The image circle, if one was detected."""
     rounds: int
     notes: tuple[str, ...]
-    """What should be known before it is used, a line each."""
+    """Warnings to read before the sensor is used, one line each."""
 
     @property
     def rms_px(self) -> float:
-        """Root of the mean squared distance between predicted and measured corners, pixels."""
+        """RMS reprojection error: the root of the mean squared distance of predicted and measured corners, pixels."""
         return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=-1))))
 
     @property
     def rms_of_images_px(self) -> Array:
-        """`[images]`: the same image by image."""
+        """`[images]`: the RMS reprojection error of each image, pixels."""
         starts = self.corners.starts
         count = np.add.reduceat(np.ones(len(self.residuals)), starts)
         return np.sqrt(np.add.reduceat(np.sum(self.residuals**2, axis=-1), starts) / count)
@@ -96,29 +96,30 @@ def calibrate_sensor(
     circle: Circle | None = None,
     tell: Tell = lambda _: None,
 ) -> SensorCalibration:
-    """The sensor that explains corners best.
+    """The sensor that best fits the corners, with its uncertainty.
 
     Parameters
     ----------
     kind
-        Of the camera model.
+        The kind of camera model.
     lens
-        Lens terms to find; the model's usual ones when None.
+        Lens terms to estimate; the model's default ones when None.
     free, fix
-        Keys to find beside the usual ones, and keys not to find: with their value, or None for the start's.
+        Keys to estimate in addition to the default ones, and keys not to estimate, with their value, or None for that
+        of the initial sensor.
     start
-        A sensor of that kind to start from, instead of a search.
+        An initial sensor of that kind, instead of a search.
     mount
-        How the camera is mounted, which no board tells; as the start or the kind of model is when None.
+        How the camera is mounted, which boards do not determine; by default as `start` or as usual for the model.
     field
-        The cone that the sensor is said to see; as far as the corners reach when None.
+        The sensor's field of view; by default what the corners cover.
     tell
-        Called with a line as it goes on.
+        Called with a line of text to report progress.
 
     Raises
     ------
     InputError
-        When an option does not fit, or the corners cannot be explained.
+        When an option is invalid, or no sensor fits the corners.
     """
     fixed = dict(fix or {})
     template = _template(corners, kind, start)
@@ -137,7 +138,7 @@ def calibrate_sensor(
     calibrated = calibrated.model_copy(update={"mount": mount or (start.mount if start else Mount())})
     sensor = _with_field(calibrated, field or covered_field(calibrated, used, circle))
     grid = ray_grid(sensor)
-    # All that was adjusted is in the model's own frame.
+    # The adjustment is in the model's own frame.
     grid = replace(grid, directions=np.ascontiguousarray(grid.directions @ model_from_sensor(sensor).T))
     turned, unturned = ray_sigma(adjusted, uncertainty.vector_covariance, grid)
     halves = compare_halves(adjusted, used, grid)
@@ -177,7 +178,7 @@ def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:
 def _without_outliers(
     corners: Corners, parameters: Parameters, begin: Start, tell: Tell
 ) -> tuple[Adjusted, Corners, Corners | None]:
-    """The plain adjustment of all corners that are no outliers of the robust one."""
+    """The plain adjustment of all corners that are inliers of the robust one."""
     vector, poses, scale = parameters.vector(begin.sensor), begin.poses, _ROUGH_PX
     in_view = visible(corners, begin.sensor, poses)
     some, poses = corners.of(in_view), poses.of(in_view)
@@ -186,7 +187,7 @@ def _without_outliers(
     for _ in range(2):
         robust = adjust(parameters, some, vector, poses, robust_px=scale) if in_view else None
         if robust is None:
-            raise InputError("the sensor to start from cannot see the corners; give a better one", key="start")
+            raise InputError("the initial sensor cannot project all corners; give a better one", key="start")
         vector, poses = robust.vector, robust.poses
         length = np.linalg.norm(robust.residuals, axis=-1)
         # The median of the length of two normal coordinates is 1.1774 standard deviations.
@@ -206,7 +207,7 @@ def _without_outliers(
 
 
 def _first_line(error: ValueError) -> str:
-    """What is wrong, in our words: a specification's own messages, and those of its library without their lists."""
+    """The first line of a validation error: our own message, or pydantic's without its list of locations."""
     if not isinstance(error, ValidationError):
         return str(error).splitlines()[0].strip()
     first = error.errors()[0]
@@ -220,38 +221,36 @@ def _with_field(sensor: Sensor, field: FieldOfView) -> Sensor:
     try:
         return Sensor.model_validate(dict(sensor.model_copy(update={"field": field})))
     except ValueError as error:
-        raise InputError(
-            f"the sensor that was found cannot have this field: {_first_line(error)}", key="field"
-        ) from error
+        raise InputError(f"the calibrated sensor cannot have this field: {_first_line(error)}", key="field") from error
 
 
 def _notes(
     adjusted: Adjusted, uncertainty: Uncertainty, corners: Corners, used: Corners, sigma_px: Array
 ) -> Iterator[str]:
-    """What should be known before the sensor is used."""
+    """Warnings to read before the sensor is used."""
     if not adjusted.converged:
-        yield f"The adjustment had not ended after {adjusted.rounds} rounds: the sensor is not the best there is."
+        yield f"The adjustment did not converge in {adjusted.rounds} iterations: the sensor is not the best fit."
     if uncertainty.undetermined:
         yield (
-            f"The corners do not tell {', '.join(uncertainty.undetermined)}: take more boards, nearer to the rim and "
-            "at more angles, or fix what is known."
+            f"The corners do not determine {', '.join(uncertainty.undetermined)}: take more boards, closer to the rim "
+            "and at more angles, or fix what is known."
         )
     count = len(corners.image) - len(used.image)
     gone = [name for name in corners.images if name not in used.images]
     if gone:
-        yield f"Nothing of {', '.join(gone)} was used: hardly a corner there agrees with the others."
+        yield f"No corner of {', '.join(gone)} was used: hardly any there agrees with the others."
     if count > 0.05 * len(corners.image):
         yield (
-            f"{count / len(corners.image):.0%} of the corners were left out: more than mistakes alone would be. "
+            f"{count / len(corners.image):.0%} of the corners are outliers, too many for mistakes alone. "
             "Another model, or more lens terms, may fit."
         )
     if np.median(sigma_px) > _VAGUE_PX:
-        yield f"Rays are known to {np.median(sigma_px):.2g} px (median), one standard deviation: more boards tell more."
+        yield f"The standard deviation of rays is {np.median(sigma_px):.2g} px (median): more boards would reduce it."
     if len(used.images) < _FEW_IMAGES:
-        yield f"{len(used.images)} images are few: {_FEW_IMAGES} with boards in all parts of the image tell more."
+        yield f"{len(used.images)} images are few: {_FEW_IMAGES} with boards in all parts of the image are better."
     model: Any = adjusted.parameters.sensor_at(adjusted.vector).model
     if kind_of(model) == "hyperboloid" and model.b_m < 0.1 * model.a_m:
-        yield "The mirror came out as a paraboloid, the limit of hyperboloids; the unified model goes beyond."
+        yield "The estimated mirror is a paraboloid, the limit of hyperboloids; the unified model extends beyond it."
     yield from _trade_offs(adjusted.parameters.keys, uncertainty)
 
 

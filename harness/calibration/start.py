@@ -1,7 +1,7 @@
-"""A first sensor, near enough for the adjustment: many guesses in the unified model without a lens, told apart by what
-they leave of the corners, and then the model that was asked for.
+"""An initial sensor, close enough for the adjustment: many guesses in the unified model without a lens, ranked by their
+residuals, and then a conversion to the requested model.
 
-The unified model needs no more than xi and a focal length to look like a pinhole (xi = 0), a fisheye or any mirror.
+With xi and a focal length alone, the unified model approximates a pinhole (xi = 0), a fisheye or any mirror.
 """
 
 import math
@@ -25,24 +25,24 @@ from harness.errors import InputError, nearest
 from harness.geometry.angles import Array
 
 _ANGLES_DEG = (25.0, 45.0, 65.0, 85.0, 105.0, 125.0)
-"""How far off the axis the outermost corner may be."""
+"""Assumed angles off the axis of the outermost corner."""
 _XIS = (0.0, 0.6, 1.0, 1.6)
 _TRIED = 5
-"""How many of the guesses are adjusted."""
+"""Number of guesses that are adjusted."""
 _ROUGH_PX = 3.0
-"""Residuals above this count by their logarithm while the sensor is not known."""
+"""Scale of the robust loss, pixels, while the sensor is unknown."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the adjustment begins."""
+    """The initial state of the adjustment."""
 
     sensor: Sensor
     poses: BoardPoses
 
 
 def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
-    """A sensor of a kind of model, undistorted, with its principal point in the middle; its field is not checked.
+    """A sensor of a kind of model, undistorted, with its principal point at the centre; its field is not checked.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
     if kind not in MODELS:
         raise InputError(f"there is no camera model '{kind}'; {nearest(kind, list(MODELS))}", key="model")
     if kind not in _PLAIN:
-        raise InputError(f"a model of kind '{kind}' is not calibrated; {nearest(kind, list(_PLAIN))}", key="model")
+        raise InputError(f"a model of kind '{kind}' cannot be calibrated; {nearest(kind, list(_PLAIN))}", key="model")
     camera = Camera(width_px=width_px, height_px=height_px, cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2)
     model = MODELS[kind].model_validate(_PLAIN[kind])
     return Sensor.model_construct(model=model, camera=camera, lens=Lens(), field=FieldOfView())
@@ -66,35 +66,37 @@ _PLAIN: dict[str, dict[str, Any]] = {
     "kannala_brandt": {"k1": 0.0, "k2": 0.0, "k3": 0.0, "k4": 0.0},
     "ocam": {"coefficients": (-100.0, 0.0, 0.0, 0.0, 0.0)},
 }
-"""Values of a model's own keys before anything is known."""
+"""Initial values of each model's own keys."""
 
 
 def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle: Circle | None) -> Start:
-    """A sensor of the template's kind near the corners.
+    """An initial sensor of the template's kind, and the poses of the boards.
 
     Parameters
     ----------
     template
-        Its values are kept under all keys that are not in `keys`.
+        Gives the values of all keys that are not in `keys`.
     circle
-        The image circle, whose middle is a guess of the principal point.
+        The image circle, whose centre is a guess of the principal point.
 
     Raises
     ------
     InputError
-        When no guess explains the corners, or there is no way to begin with this kind of model.
+        When no guess fits the corners, or this kind of model has no initial guess.
     """
     kind = kind_of(template.model)
     if kind not in _OWN_KEYS:
-        raise InputError(f"no start is known for a {template.model.title}; give a sensor to start from", key="start")
-    # In another model xi and the focal length stand for keys of its own.
+        raise InputError(
+            f"there is no initial guess for a {template.model.title}; give a sensor to start from", key="start"
+        )
+    # In another model xi and the focal length take the role of its own keys.
     own = [key for key in ("model.xi", "camera.focal_px") if key in keys or kind != "unified"]
     free = (*own, *(key for key in ("camera.cx_px", "camera.cy_px") if key in keys))
     guesses = sorted(_guesses(corners, template, free, circle), key=lambda each: each[0])
     if not guesses:
         raise InputError(
-            "no guess of the camera lets all boards be seen in one piece: are the corners in the board's order, and is "
-            "the board's size right?"
+            "no guess of the camera can project whole boards: are the corners in the board's order, and is the board's "
+            "size right?"
         )
     best: Adjusted | None = None
     for _, guess in guesses[:_TRIED]:
@@ -102,14 +104,14 @@ def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle
         if tried is not None and (best is None or tried.cost < 0.999 * best.cost):
             best = tried
     if best is None:
-        raise InputError("no guess of the camera could be adjusted to the corners")
+        raise InputError("no guess of the camera converged on the corners")
     sensor = best.parameters.sensor_at(best.vector)
     starts = [Start(each, poses_for(corners, each)) for each in _converted(template, keys, corners, sensor)]
     return starts[0] if len(starts) == 1 else min(starts, key=lambda each: _cost(corners, each, keys))
 
 
 def _cost(corners: Corners, start: Start, keys: tuple[str, ...]) -> float:
-    """What is left after an adjustment; infinite where there cannot be one."""
+    """The cost after an adjustment; infinite if there is none."""
     in_view = visible(corners, start.sensor, start.poses)
     if not in_view:
         return math.inf
@@ -120,9 +122,9 @@ def _cost(corners: Corners, start: Start, keys: tuple[str, ...]) -> float:
 
 
 def poses_for(corners: Corners, sensor: Sensor) -> BoardPoses:
-    """The boards' poses for a known sensor, the better one of the two that a small board may have.
+    """The boards' poses for a known sensor, the better one of the two solutions for a small board.
 
-    NaN for a board of which the sensor sees too few corners.
+    NaN for a board with too few corners in the model's domain.
     """
     camera = parameters_of(sensor)
     first = poses_from_bearings(corners, unproject(sensor, corners.pixels)[0])
@@ -135,7 +137,7 @@ def poses_for(corners: Corners, sensor: Sensor) -> BoardPoses:
 def _guesses(
     corners: Corners, template: Sensor, free: tuple[str, ...], circle: Circle | None
 ) -> Iterator[tuple[float, Start]]:
-    """Sensors of the unified model and the boards' poses, with the median of the corners' residuals, pixels."""
+    """Sensors of the unified model and the boards' poses, with the median residual of the corners, pixels."""
     middles = {((corners.width_px - 1) / 2, (corners.height_px - 1) / 2)}
     if circle is not None:
         middles.add((circle.u, circle.v))
@@ -166,7 +168,7 @@ def _guesses(
 def unified_sensor(
     width_px: int, height_px: int, xi: float, focal_px: float, cx_px: float, cy_px: float, aspect: float = 1.0
 ) -> Sensor:
-    """A sensor of the unified model without a lens that sees whatever the model can: nothing is asked of its field."""
+    """A sensor of the unified model without a lens, whose field is the whole domain of the model."""
     camera = Camera.model_construct(
         width_px=width_px, height_px=height_px, focal_px=focal_px, aspect=aspect, cx_px=cx_px, cy_px=cy_px
     )
@@ -183,14 +185,14 @@ def _adjusted_unified(corners: Corners, guess: Start, free: tuple[str, ...]) -> 
     adjusted = adjust(parameters, some, parameters.vector(guess.sensor), poses, robust_px=_ROUGH_PX, rounds=40)
     if adjusted is None:
         return None
-    # Once more with whichever of the two poses of each board is the better one for the sensor that was found.
+    # Again, with the better one of the two poses of each board for this sensor.
     poses = poses_for(some, parameters.sensor_at(adjusted.vector))
     again = adjust(parameters, some, adjusted.vector, poses, robust_px=_ROUGH_PX, rounds=40)
     return again if again is not None and again.cost < adjusted.cost else adjusted
 
 
 def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
-    """The images, by index, in which a sensor sees every corner of its board."""
+    """The indices of the images in which a sensor can project every corner of the board."""
     lost = ~np.isfinite(residuals_of(parameters_of(sensor), corners, poses)).all(axis=-1)
     return np.flatnonzero(np.bincount(corners.image, lost, minlength=len(corners.images)) == 0).tolist()
 
@@ -199,7 +201,7 @@ def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
 
 
 def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, unified: Sensor) -> list[Sensor]:
-    """Sensors of the template's kind near a unified one; the template's own where a key is not among `keys`."""
+    """Sensors of the template's kind that approximate a unified one; keys not in `keys` as in the template."""
     xi: float = unified.model.xi  # type: ignore[attr-defined]
     axial = unified.camera.focal_px / (1 + xi)
     theta = np.linspace(0, float(np.nanmax(angles_off_axis(unified, corners.pixels))), 200)[1:]
@@ -216,13 +218,13 @@ def _converted(template: Sensor, keys: tuple[str, ...], corners: Corners, unifie
 
 @dataclass(frozen=True)
 class _Curve:
-    """A unified model as radii by angles off the axis."""
+    """A unified model as a table of radii by angle off the axis."""
 
     xi: float
     theta: Array
     radius_px: Array
     axial_px: float
-    """Pixels to a radian at the axis."""
+    """Pixels per radian at the axis."""
 
 
 Own = Iterator[dict[str, float]]
@@ -241,7 +243,7 @@ def _of_eucm(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
 
 
 def _of_double_sphere(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
-    """Several: the two numbers trade off along a valley with more than one low point.
+    """Several guesses, as the two parameters trade off along a valley with more than one minimum.
 
     At an angle theta, `alpha (d_2 - xi - cos) = (1 + xi) sin/r - xi - cos`, with r in units of the slope at the axis.
     """
@@ -254,14 +256,14 @@ def _of_double_sphere(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
 
 
 def _of_kannala_brandt(model: Any, curve: _Curve) -> Own:  # noqa: ARG001
-    """The polynomial of the angle nearest to the curve."""
+    """The polynomial of the angle that best fits the curve."""
     powers = curve.theta[:, None] ** np.array([3, 5, 7, 9])
     k = np.linalg.lstsq(powers, curve.radius_px / curve.axial_px - curve.theta, rcond=None)[0].tolist()
     yield dict(zip(("k1", "k2", "k3", "k4"), k, strict=True))
 
 
 def _of_ocam(model: Any, curve: _Curve) -> Own:
-    """The polynomial of the radius whose rays are nearest to the curve's.
+    """The polynomial of the radius whose rays best fit those of the curve.
 
     `r cos(theta) - Z(r) sin(theta)`, Z(r) = -(a_0 + a_2 r² + ...), is the distance of (r, Z) from the ray; over r it is
     an angle.
@@ -282,4 +284,4 @@ _OWN_KEYS: dict[str, Callable[[Any, _Curve], Own]] = {
     "kannala_brandt": _of_kannala_brandt,
     "ocam": _of_ocam,
 }
-"""The keys of a model's own that come nearest to a curve; one or more guesses."""
+"""For each model a function that fits its own keys to a curve; one or more guesses."""

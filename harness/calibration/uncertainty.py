@@ -1,7 +1,7 @@
-"""How sure a calibration is: of its numbers, and of the rays that they stand for.
+"""The uncertainty of a calibration: of its parameters, and of its rays.
 
-Numbers trade off with each other (xi with k1 and the focal length), rays do not: compare rays. A turn of the sensor's
-own frame is taken out of them, since it turns all that is measured later alike, and the boards tell it least.
+Parameters trade off with each other (xi with k1 and the focal length), rays do not: compare rays. A rotation of the
+sensor's frame is removed from them, since it rotates all later measurements alike and the boards determine it least.
 """
 
 from dataclasses import dataclass
@@ -18,39 +18,39 @@ from harness.display import OneLine
 from harness.geometry.angles import Array
 
 _UNDETERMINED = 1e-13
-"""Eigenvalues of the normal matrix, scaled to a diagonal of 1, below this share of the largest are rounding."""
+"""Eigenvalues of the normal matrix, scaled to a unit diagonal, below this share of the largest are rounding errors."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Uncertainty(OneLine):
-    """Standard deviations and covariances that follow from the scatter of the corners."""
+    """Standard deviations and covariances from the scatter of the corners."""
 
     sigma_px: float
     """Standard deviation of a coordinate of a corner, pixels, from the residuals and their degrees of freedom."""
     values: Array
-    """`[n]`: the numbers under the keys."""
+    """`[n]`: the values of the keys."""
     covariance: Array
-    """`[n, n]`: of the numbers, in their units; infinite on the diagonal, and NaN beside it, for what the corners do
-    not tell."""
+    """`[n, n]`: covariance of the values, in their units; infinite on the diagonal, and NaN off it, for parameters that
+    the corners do not determine."""
     vector_covariance: Array
-    """`[n, n]`: of the coordinates that were adjusted."""
+    """`[n, n]`: covariance of the adjusted coordinates."""
     undetermined: tuple[str, ...]
-    """Keys that the corners do not tell."""
+    """Keys that the corners do not determine."""
 
     @property
     def sigma(self) -> Array:
-        """`[n]`: standard deviations of the numbers."""
+        """`[n]`: standard deviations of the values."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> Array:
-        """`[n, n]`."""
+        """Correlation matrix of the values, `[n, n]`."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.covariance / np.outer(self.sigma, self.sigma))
 
 
 def uncertainty_of(adjusted: Adjusted) -> Uncertainty:
-    """What an adjustment by plain least squares says of its numbers."""
+    """The uncertainty of the parameters of a plain least-squares adjustment."""
     parameters, n = adjusted.parameters, len(adjusted.vector)
     freedom = adjusted.residuals.size - n - 6 * len(adjusted.poses.t)
     variance = float(np.sum(adjusted.residuals**2)) / max(freedom, 1)
@@ -59,7 +59,7 @@ def uncertainty_of(adjusted: Adjusted) -> Uncertainty:
     weak = eigenvalue < _UNDETERMINED * eigenvalue[-1]
     strong = eigenvector[:, ~weak] / np.sqrt(eigenvalue[~weak])
     covariance = variance * (strong @ strong.T) / np.outer(scale, scale)
-    # A direction that is not told reaches those keys that have a part in it.
+    # An undetermined direction affects those keys that have a component along it.
     lost = (np.abs(eigenvector[:, weak]) > 1e-3).any(axis=1)
     J = parameters.derivatives_of_values(adjusted.vector)
     of_values = J @ covariance @ J.T
@@ -73,16 +73,16 @@ def uncertainty_of(adjusted: Adjusted) -> Uncertainty:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class RayGrid(OneLine):
-    """Pixels at which rays are looked at: a lattice over the field."""
+    """A lattice of pixels over the field, at whose rays a sensor is evaluated."""
 
     u: Array
     """`[columns]`."""
     v: Array
     """`[rows]`."""
     inside: NDArray[np.bool_]
-    """`[rows, columns]`: in the field."""
+    """`[rows, columns]`: whether a pixel is in the field."""
     directions: Array
-    """`[k, 3]`: unit length, of those inside, row by row."""
+    """`[k, 3]`: unit directions of those inside, row by row."""
 
     def spread(self, values: Array) -> Array:
         """Values `[k]` of the pixels inside as a map `[rows, columns]`, NaN outside."""
@@ -101,16 +101,16 @@ def ray_grid(sensor: Sensor, step_px: float | None = None) -> RayGrid:
 
 
 def ray_sigma(adjusted: Adjusted, covariance: Array, grid: RayGrid) -> tuple[Array, Array]:
-    """Standard deviations `[k]` of where rays are seen, pixels (the root of the sum of both coordinates' variances).
+    """Standard deviations `[k]` of the pixels of rays (the root of the sum of both coordinates' variances), pixels.
 
-    A direction d is seen at u(d; s), s the adjusted coordinates. To first order an error of s moves it by G ds,
-    G = ∂u/∂s, and a turn w of the frame by D (w × d). Errors of s come with the turn that makes most of them good over
-    the field, by least squares: what remains is `(G - M M⁺ G) ds`, M the effect of turns.
+    A direction d is projected to u(d; s), s the adjusted coordinates. To first order an error of s moves it by G ds,
+    G = ∂u/∂s, and a rotation w of the frame by D (w × d). Errors of s are combined with the rotation that compensates
+    most of them over the field, by least squares: what remains is `(G - M M⁺ G) ds`, M the effect of rotations.
 
     Returns
     -------
     turned
-        Without the part that is a turn of the whole sensor.
+        Without the part that is a rotation of the whole sensor.
     fixed
         With it.
     """
@@ -122,12 +122,14 @@ def ray_sigma(adjusted: Adjusted, covariance: Array, grid: RayGrid) -> tuple[Arr
 
 
 def ray_difference(first: Sensor, second: Sensor, grid: RayGrid, *, turn: bool = True) -> Array:
-    """How far apart, in pixels, two sensors see the directions of a grid over the first one's field `[k, 2]`.
+    """Differences `[k, 2]`, pixels, of two sensors' projections of the directions of a grid over the first's field.
+
+    NaN where a direction is outside the domain of the second sensor.
 
     Parameters
     ----------
     turn
-        Turn the second sensor first so that the sum of squares is least. NaN where the second does not see a direction.
+        Rotate the second sensor first such that the sum of squares is minimal.
     """
     at = _project(parameters_of(first), grid.directions)
     camera = parameters_of(second)
@@ -152,7 +154,7 @@ def _ray_jacobian(adjusted: Adjusted, grid: RayGrid) -> Array:
 
 
 def _turn_jacobian(camera: object, directions: Array) -> Array:
-    """Derivatives `[k, 2, 3]` of pixels by a turn of the directions."""
+    """Derivatives `[k, 2, 3]` of pixels by a rotation of the directions."""
     D = np.empty((len(directions), 2, 3))
     differentiate_all(np.ascontiguousarray(directions), camera, D)
     return np.cross(directions[:, None, :], D)
