@@ -281,4 +281,4 @@ def test_fits_that_contradict_each_other_are_told():
         direct_wanted=True,
     )
     assert any("standard deviations apart" in each for each in reasons)
-    assert "do not look alike" in why_weak(result, None, None, result.covariance, direct_wanted=True)[-1]
+    assert "the images differ too much" in why_weak(result, None, None, result.covariance, direct_wanted=True)[-1]

@@ -276,4 +276,4 @@ def test_weak_where_two_motions_explain_a_small_piece_of_a_plane():
     turn = Turn(np.eye(3), normalise([0.5, 0.3, 0.1]))
     result = estimated(draw(turn, 300, noise_px=0.1, points=points))
     assert result.status == Status.WEAK
-    assert "two motions explain the pairs alike" in " ".join(result.reasons)
+    assert "two motions explain the pairs equally well" in " ".join(result.reasons)

@@ -1,8 +1,8 @@
-"""How a wrong calibration would move the motion: it is absorbed with next to no residual, and no covariance shows it.
+"""The effect of calibration errors on the motion: they leave hardly any residual, and no covariance shows them.
 
-A centre that is off by a pixel shows every bearing one pixel away, which is the bearing's own spread; focal length and
-lens move pixels along the radius. Least squares answers to first order by `-(J^T W J)^-1 J^T W de`, for any camera
-model.
+An error of one pixel in the principal point shifts every bearing by one pixel, which is the bearing's spread; errors of
+focal length and lens shift pixels along the radius. To first order they shift the least-squares solution by
+`-(J^T W J)^-1 J^T W de`, for any camera model.
 """
 
 import numpy as np
@@ -14,21 +14,21 @@ from harness.motion.residuals import Turn, sampson, sampson_jacobian
 from harness.motion.sparse import CAUCHY, Fit, Freedom, leverage_weight, tangents
 
 REPORTED_PX = 0.5
-"""The error of calibration whose effect is reported: what calibrations of real mirrors and fisheyes often leave."""
+"""The calibration error, pixels, whose effect is reported: typical of calibrations of real mirrors and fisheyes."""
 _STEP = 1e-3
 
 
 def calibration_effects(
     pairs: Correspondences, sensors: tuple[Sensor, Sensor], fit: Fit, turn: Turn, freedom: Freedom = "free"
 ) -> Array:
-    """How the motion moves with errors of the calibration, `[6, k]`, radians per pixel.
+    """Derivatives of the motion by errors of the calibration, `[6, k]`, radians per pixel.
 
     Parameters
     ----------
     fit
-        Fitted to the pairs.
+        The motion fitted to the pairs.
     turn
-        The motion about which the change is taken.
+        The motion at which the derivatives are taken.
 
     Returns
     -------
@@ -51,15 +51,16 @@ def calibration_effects(
 
 
 def moved_by(effects: Array, pixels: float = REPORTED_PX) -> tuple[float, float]:
-    """Angles, radians, by which rotation and direction of t move when each number is off by so many pixels (root of
-    the sum of squares).
+    """Angles, radians, by which rotation and direction of t change if each calibration parameter is off by `pixels`.
+
+    The root of the sum of their squares.
     """
     rotation, direction = np.sqrt(np.sum(effects[:3] ** 2)), np.sqrt(np.sum(effects[3:] ** 2))
     return float(pixels * rotation), float(pixels * direction)
 
 
 def _changes(pairs: Correspondences, sensor: Sensor, name: str, pixels: Array, turn: Turn) -> Array:
-    """How the Sampson distances change `[n, 4]` with a pixel of each number of one view's calibration."""
+    """Derivatives `[n, 4]` of the Sampson distances by each calibration parameter of one view, per pixel."""
     radius = pixels - [sensor.camera.cx_px, sensor.camera.cy_px]
     radius = radius / max(float(np.linalg.norm(radius, axis=1).max()), 1.0)
     along_u, along_v = (np.broadcast_to(axis, radius.shape) for axis in np.eye(2))

@@ -1,11 +1,11 @@
-"""A motion fitted to the grey levels themselves: all tiles' planes, gains and offsets with it.
+"""Direct alignment: the motion is fitted to the grey levels, together with a plane, gain and offset for each tile.
 
-Minimised is the sum over tiles of `(I_1(x) - a I_2(R (x - (m·x) t)) - b)²`, each tile's weighted by its own residual. A
-tile's five unknowns (m, a, b) are eliminated (Schur complement), which leaves the motion's five.
+The cost is the sum over tiles of `(I_1(x) - a I_2(R (x - (m·x) t)) - b)²`, weighted by the residual variance of each
+tile. The five unknowns of a tile (m, a, b) are eliminated (Schur complement), which leaves the five of the motion.
 
-View 2's gradient contains noise, and so the sum of its squares is larger than the signal's: steps are a little short,
-and a covariance of that sum too small. The sandwich takes the gradients' noise off: `B = sum w (H - sigma² kappa N)`,
-reduced, and `B^-1 (sum w² g g^T) B^-1` over tiles' reduced scores g.
+View 2's gradient contains noise, so that the sum of its squares exceeds the signal's: steps are slightly too short, and
+a covariance from that sum is too small. The sandwich estimator subtracts the gradient noise: the covariance is
+`B^-1 (sum w² g g^T) B^-1`, with `B = sum w (H - sigma² kappa N)`, reduced, and the tiles' reduced scores g.
 """
 
 from dataclasses import dataclass
@@ -38,14 +38,14 @@ from harness.motion.tiles import (
 
 BLUR_PX = 0.7
 NOISY = 0.1
-"""Share of noise in the gradients' squares above which smoothed images are tried as well."""
+"""Share of noise in the squared gradients above which smoothed images are tried as well."""
 _START_ITERATIONS = 3
 _ITERATIONS = 8
 _CORRELATION = 0.5
-"""Least correlation of both views on a tile."""
+"""Least correlation of the two views on a tile."""
 _LEAST_TILES = 10
 _FLOOR = 0.05
-"""Variance, grey levels squared, that is added to every tile's: of rounding and interpolation."""
+"""Variance of rounding and interpolation, grey levels squared, added to that of every tile."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,17 +54,17 @@ class DirectFit(OneLine):
 
     turn: Turn
     covariance: Array
-    """`[6, 6]`, as that of `harness.motion.sparse.Fit`."""
+    """`[6, 6]`, as in `harness.motion.sparse.Fit`."""
     tiles: NDArray[np.int64]
-    """`[T, 2]`, first row and column of the tiles that count."""
+    """`[T, 2]`, first row and column of the tiles that are used."""
     planes: Array
     """`[T, 3]`: the inverse range in direction x is m · x, in 1/|t|."""
     noise_grey: float
-    """Standard deviation of a tile's residual, the median."""
+    """Median over tiles of the residual's standard deviation, grey levels."""
     noise_share: float
-    """Share of the gradients' squares that is noise."""
+    """Share of noise in the squared gradients."""
     blur_px: float
-    """Standard deviation of the Gaussian that both images were smoothed with first."""
+    """Standard deviation, pixels, of the Gaussian with which both images were smoothed; 0 for none."""
 
     @property
     def sigma_rotation(self) -> float:
@@ -92,17 +92,17 @@ def fit_direct(
     pairs: Correspondences,
     freedom: Freedom = "free",
 ) -> DirectFit | None:
-    """Fit a motion to both images, from one that is right to about a pixel.
+    """Fit a motion to both images, starting from one that is accurate to about a pixel.
 
     Parameters
     ----------
     pairs
-        Those that `start` was fitted to.
+        The pairs to which `start` was fitted.
 
     Returns
     -------
     DirectFit or None
-        None where hardly any tile is seen alike in both views.
+        None when too few tiles correlate between the views.
     """
     given = views(images, sensors)
     tiles = lay_tiles(given)
@@ -134,7 +134,7 @@ class _Equations:
     H: Array
     """`[T, 11, 11]`."""
     N: Array
-    """`[T, 11, 11]`, of the gradients' noise for a variance of 1 of the pixels."""
+    """`[T, 11, 11]`, contribution of gradient noise for pixel noise of variance 1."""
     g: Array
     """`[T, 11]`."""
     n: Array
@@ -143,7 +143,7 @@ class _Equations:
     correlation: Array
 
     def at(self, where: NDArray[np.bool_]) -> "_Equations":
-        """Those of some tiles."""
+        """The equations of the tiles selected by an index or a mask."""
         return _Equations(*(getattr(self, name)[where] for name in ("H", "N", "g", "n", "residual", "correlation")))
 
 
@@ -168,10 +168,10 @@ def _equations(given: Views, tiles: NDArray[np.int64], state: _State) -> _Equati
 
 @lru_cache(maxsize=4)
 def noise_through_spline(blur_px: float) -> tuple[float, float]:
-    """Mean variance along one axis of noise of variance 1 after interpolation by the cubic B-spline, and of its slope.
+    """Variance, along one axis, of unit-variance noise after cubic B-spline interpolation, and of its slope; means.
 
-    The integrals over w of G² H² and of (w G H)², over that of G² from -pi to pi: H = 3 sinc(w/2)^4/(2 + cos w) is what
-    the spline makes of a wave, G what smoothing had made of the noise, which was white before.
+    The integrals over w of G² H² and of (w G H)², divided by that of G² from -pi to pi: H = 3 sinc(w/2)^4/(2 + cos w)
+    is the frequency response of the spline, G that of the smoothing of noise that was white before.
     """
     kernel = np.zeros(33)
     kernel[16] = 1.0
@@ -184,12 +184,12 @@ def noise_through_spline(blur_px: float) -> tuple[float, float]:
 
 
 def _noise_variance(equations: _Equations, gain: Array, blur_px: float) -> Array:
-    """Variance of one pixel's noise, if both views have the same: a residual has I_1's and a I_2's."""
+    """Variance of pixel noise, assumed equal in both views: a residual contains that of I_1 and of a I_2."""
     return equations.residual / (1 + gain**2 * noise_through_spline(blur_px)[0] ** 2)
 
 
 def _ridge(given: Views, tiles: NDArray[np.int64], H: Array) -> Array:
-    """What keeps a tile's unknowns where they are while its texture says nothing of them `[T, 5, 5]`."""
+    """A regulariser `[T, 5, 5]` that holds those unknowns of a tile which its texture does not determine."""
     x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
     b_1, b_2 = tangents_at(x_c)
     slopes = sum(np.einsum("ti,tj->tij", b, b) for b in (b_1, b_2))
@@ -201,7 +201,7 @@ def _ridge(given: Views, tiles: NDArray[np.int64], H: Array) -> Array:
 
 
 def _planes_fitted(given: Views, tiles: NDArray[np.int64], turn: Turn, planes: Array) -> _State:
-    """Planes, gains and offsets of least squares with the motion held."""
+    """The least-squares planes, gains and offsets for a fixed motion."""
     known = np.isfinite(planes[:, 0])
     state = _State(turn, np.where(known[:, None], planes, 0.0), np.ones(len(tiles)), np.zeros(len(tiles)))
     for _ in range(_START_ITERATIONS):
@@ -222,7 +222,7 @@ def _step(state: _State, change: NDArray[np.floating]) -> None:
 
 
 def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Freedom) -> DirectFit | None:
-    """The motion and all planes of least squares."""
+    """The least-squares motion and planes."""
     for iteration in range(_ITERATIONS + 1):
         equations = _equations(given, tiles, state)
         usable = (equations.n >= LEAST_SHARE * SIDE_PX**2) & (equations.correlation > _CORRELATION)
@@ -259,7 +259,7 @@ def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Fr
 
 @dataclass(frozen=True)
 class _Reduced:
-    """Normal equations of the motion with each tile's own unknowns eliminated."""
+    """Normal equations of the motion, with the unknowns of each tile eliminated."""
 
     H: Array
     """`[T, k, k]`."""

@@ -1,4 +1,4 @@
-"""From two images to a motion: keypoints, the motion that most agree on, least squares, and a verdict."""
+"""From two images to a motion: keypoints, robust estimation, least squares, and a verdict."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,31 +22,31 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, repr=False)
 class EstimatedMotion(OneLine):
-    """A motion but for its length, and how far it can be trusted."""
+    """A motion up to the length of t, its covariance and a verdict."""
 
     status: Status
     reasons: tuple[str, ...]
-    """Why it is not `ok`, in words."""
+    """Why the status is not `ok`."""
     R_v2_from_v1: Array | None
-    """`[3, 3]`; None where nothing was found."""
+    """`[3, 3]`; None when the estimation failed."""
     direction_v1: Array | None
-    """`[3]`, unit direction of t_v1; None where there is no parallax."""
+    """`[3]`, unit direction of t_v1; None without parallax."""
     covariance: Array | None
-    """`[6, 6]`, radians squared: of omega in `R exp([omega]×)` and of the change of the unit t, both in v1's frame;
-    singular along t. It holds the calibration's share, as far as that was given. None where there is no direction."""
+    """`[6, 6]`, radians squared: covariance of omega in `R exp([omega]×)` and of the change of the unit t, both in v1's
+    frame; singular along t. Includes the error of the calibration if that was given. None without a direction."""
     calibration_effects: Array | None
-    """`[6, k]`, radians per pixel: how omega and t move with errors of the calibration; see
-    `harness.motion.calibration_error`. None where there is no direction."""
+    """`[6, k]`, radians per pixel: derivatives of omega and t by errors of the calibration; see
+    `harness.motion.calibration_error`. None without a direction."""
     pairs: Correspondences
-    """Keypoints that look alike."""
+    """Putative matches of keypoints."""
     sparse: Fit | None
-    """The motion fitted to them; None where nothing was found."""
+    """The motion fitted to the pairs; None when the estimation failed."""
     direct: DirectFit | None
-    """The motion fitted to the grey levels, which is the answer where there is one."""
+    """The motion fitted to the grey levels, which is the result if there is one."""
     rotation_px: float
-    """What a rotation alone leaves, the median in pixels; NaN where nothing was found."""
+    """Median residual of a pure rotation, pixels; NaN when the estimation failed."""
     iterations: int
-    """Samples drawn."""
+    """Number of samples drawn."""
 
 
 def estimate(
@@ -65,13 +65,13 @@ def estimate(
     images
         `[sensor height, sensor width]` each, grey levels of 0 .. 255.
     freedom
-        `upright`: the turn is about z; `planar`: and t is at right angles to z.
+        `upright`: the rotation is about z; `planar`: and t is perpendicular to z.
     direct
-        Fit the motion to the grey levels, too.
+        Also fit the motion to the grey levels.
     calibration_px
-        Standard deviation of the calibration's numbers, pixels on the image; 0 for an exact one.
+        Standard deviation of the calibration's parameters, pixels on the image; 0 for an exact one.
     seed
-        Of the samples drawn; the same gives the same bits.
+        Seed of the random samples; results are reproducible to the bit.
 
     Raises
     ------
@@ -101,12 +101,12 @@ def estimate_from_pairs(
     seed: int = 0,
     refine: Callable[[Fit], DirectFit | None] | None = None,
 ) -> EstimatedMotion:
-    """The same from pairs of bearing vectors.
+    """Estimate the motion from view 1 to view 2 from pairs of bearing vectors.
 
     Parameters
     ----------
     refine
-        Fits the motion to the images, given that of the pairs.
+        Called with the motion of the pairs to fit one to the images.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def estimate_from_pairs(
         return _failed(pairs, reason, 0)
     consensus = agree(pairs, freedom=freedom, seed=seed)
     if consensus is None:
-        return _failed(pairs, "no sample of pairs gives a motion", 0)
+        return _failed(pairs, "no sample of pairs yields a motion", 0)
     fitted = fit(pairs, consensus.turn, freedom)
     if reason := why_failed(len(pairs), int(fitted.inlier.sum())):
         return _failed(pairs, reason, consensus.iterations)

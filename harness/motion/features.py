@@ -1,8 +1,8 @@
-"""SIFT keypoints of mirror images as bearing vectors, and the pairs of them that look alike.
+"""SIFT keypoints of omnidirectional images as bearing vectors, and their putative matches.
 
-Keypoints are found on the mirror image itself, which is nearly conformal: unwrapping it first gains nothing. OpenCV's
-SIFT by default places them a quarter of a pixel too far right and down, which a turn between the views makes an error
-of motion; `enable_precise_upscale` takes that away.
+Keypoints are detected in the original image, which is nearly conformal: unwrapping it first gains nothing. By default
+OpenCV's SIFT has a bias of a quarter of a pixel to the right and down, which biases the motion when view 2 is rotated;
+`enable_precise_upscale` removes it.
 """
 
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ from harness.opencv import opencv
 Image = NDArray[np.float32]
 
 MOST = 4000
-"""Keypoints kept of an image, those of highest contrast."""
+"""Most keypoints of an image; those of the highest contrast are used."""
 RATIO = 0.8
-"""Distance of the nearest descriptor over that of the second nearest, at most (Lowe, 2004)."""
+"""Largest ratio of the distances to the nearest and the second nearest descriptor (Lowe, 2004)."""
 _CONTRAST = 0.02
-"""Least contrast of a keypoint; half of OpenCV's default, for photographs that are not quite sharp."""
+"""Least contrast of a keypoint; half of OpenCV's default, for slightly blurred photographs."""
 _CONTRAST_OF_ONE = 0.04
-"""Contrast at which a keypoint's standard deviation is the unit: it goes with 1/contrast, whatever the scale, as noise
-moves the extremum of a flatter hill farther. On rendered pairs the product is constant within 10 %."""
+"""Contrast at which a keypoint has unit standard deviation. It is proportional to 1/contrast at any scale, as noise
+shifts a flatter extremum farther; on rendered pairs the product is constant within 10 %."""
 _SIGMAS = 0.4, 3.0
-"""Least and largest standard deviation in those units."""
+"""Least and largest standard deviation, in that unit."""
 _BORDER = 3.0
-"""Distance from what is not seen, at least, in units of the keypoint's scale: beyond it the image is made up."""
+"""Least distance to the border of the field, in units of the keypoint's scale: beyond it the image is extrapolated."""
 _ROWS = 512
-"""Descriptors compared with all others at a time."""
+"""Number of descriptors that are compared with all others at a time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,19 +44,19 @@ class Features(OneLine):
     pixels: Array
     """`[n, 2]`, (u, v)."""
     sigma_px: Array
-    """`[n]`, standard deviation of a keypoint's coordinates, in units of that of one of contrast 0.04."""
+    """`[n]`, standard deviation of a keypoint's coordinates, in units of that at contrast 0.04."""
     descriptors: NDArray[np.float32]
     """`[n, 128]`, of unit length."""
     bearings: Array
     """`[n, 3]`, unit directions in the sensor's frame."""
     spreads: Array
-    """`[n, 3, 2]`: how the bearing moves with the pixel, times `sigma_px`, radians; `S S^T` is its covariance, but for
-    the variance of a pixel of a keypoint of contrast 0.04."""
+    """`[n, 3, 2]`, S: derivative of the bearing by the pixel, times `sigma_px`, radians; `S S^T` is the bearing's
+    covariance, up to the variance of a coordinate at contrast 0.04."""
 
 
 @dataclass(frozen=True, repr=False)
 class Correspondences(OneLine):
-    """Pairs of keypoints that look alike, true ones and false."""
+    """Putative matches of keypoints, inliers and outliers."""
 
     x_1: Array
     x_2: Array
@@ -72,7 +72,7 @@ class Correspondences(OneLine):
         return len(self.x_1)
 
     def at(self, where: Any) -> "Correspondences":
-        """Those that an index or a mask selects."""
+        """The pairs selected by an index or a mask."""
         return Correspondences(
             self.x_1[where],
             self.x_2[where],
@@ -84,15 +84,15 @@ class Correspondences(OneLine):
 
 
 def find_features(image: Image, sensor: Sensor, *, flip: bool = False) -> Features:
-    """SIFT keypoints of a mirror image, where the sensor sees.
+    """SIFT keypoints of an omnidirectional image, within the sensor's field.
 
     Parameters
     ----------
     image
         `[sensor height, sensor width]`, grey levels of 0 .. 255.
     flip
-        Look at the image from behind: descriptors, which know left from right, then match those of a view whose image
-        is mirrored against this one's.
+        Reverse the image left to right: descriptors are not invariant to reflection, and so match those of a view that
+        is mirrored relative to this one.
 
     Raises
     ------
@@ -126,9 +126,9 @@ def find_features(image: Image, sensor: Sensor, *, flip: bool = False) -> Featur
 
 
 def spreads(sensor: Sensor, bearings: Array) -> Array:
-    """How bearings `[n, 3]` (unit) move with their pixels, `[n, 3, 2]`, radians per pixel.
+    """Derivatives of unit bearings `[n, 3]` by their pixels, `[n, 3, 2]`, radians per pixel.
 
-    The inverse of the projection's derivative on the tangent plane: with B = (b_1, b_2) spanning it, `B (J B)^-1`.
+    The inverse of the projection's Jacobian J on the tangent plane: with B = (b_1, b_2) spanning it, `B (J B)^-1`.
     """
     # Whichever of z and x is farther from the bearing gives a basis.
     other = np.where(np.abs(bearings[:, 2:]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
@@ -139,7 +139,7 @@ def spreads(sensor: Sensor, bearings: Array) -> Array:
 
 
 def is_mirrored(sensor: Sensor) -> bool:
-    """Whether the sensor's image shows right and left exchanged, as a mirror does."""
+    """Whether the sensor's image is a mirror image."""
     directions, visible = pixel_directions(sensor)
     some = directions[visible][:: max(1, int(visible.sum()) // 100)]
     J = jacobian(sensor, some)
@@ -148,13 +148,13 @@ def is_mirrored(sensor: Sensor) -> bool:
 
 
 def match_features(first: Features, second: Features) -> Correspondences:
-    """Pairs that are each other's nearest, and much nearer than the second nearest, both ways."""
+    """Pairs of mutually nearest descriptors that pass the ratio test in both directions."""
     forth, sure_1 = _nearest(first.descriptors, second.descriptors)
     back, sure_2 = _nearest(second.descriptors, first.descriptors)
     i = np.flatnonzero(sure_1)
     i = i[sure_2[forth[i]] & (back[forth[i]] == i)]
     j = forth[i]
-    # A keypoint with two orientations is there twice.
+    # A keypoint with two orientations occurs twice.
     _, unique = np.unique(np.hstack([first.pixels[i], second.pixels[j]]), axis=0, return_index=True)
     i, j = i[np.sort(unique)], j[np.sort(unique)]
     return Correspondences(
@@ -168,7 +168,7 @@ def match_features(first: Features, second: Features) -> Correspondences:
 
 
 def _nearest(some: NDArray[np.float32], others: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """The nearest of the others for each descriptor, and whether the ratio test holds."""
+    """For each descriptor the index of the nearest one of the others, and whether it passes the ratio test."""
     index, sure = np.zeros(len(some), np.intp), np.zeros(len(some), bool)
     if len(others) < 2:
         return index, sure
@@ -184,6 +184,6 @@ def _nearest(some: NDArray[np.float32], others: NDArray[np.float32]) -> tuple[ND
 
 
 def _root(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """RootSIFT: compared by Hellinger's distance (Arandjelović and Zisserman, 2012)."""
+    """RootSIFT descriptors, whose Euclidean distance is the Hellinger distance (Arandjelović and Zisserman, 2012)."""
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), np.float32(1e-6))
     return np.asarray(np.sqrt(descriptors / total), dtype=np.float32)

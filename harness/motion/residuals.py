@@ -1,4 +1,4 @@
-"""How well pairs of bearing vectors fit a motion, and how that changes with it."""
+"""Residuals of pairs of bearing vectors for a motion, and their derivatives."""
 
 from typing import NamedTuple
 
@@ -10,11 +10,12 @@ from harness.motion import _bearing_kernels as _kernels
 from harness.motion.features import Correspondences
 
 SLACK_PX = 3.0
-"""How far a pair may seem to lie behind a view, pixels of both together: a far point does every second time."""
+"""Tolerance, pixels of both views together, of the test that a point is in front of the views: noise puts every second
+far point behind one."""
 
 
 class Turn(NamedTuple):
-    """A motion without its length: `p_v2 = R_v2_from_v1 (p_v1 - t_v1)` with |t_v1| = 1."""
+    """A motion up to scale: `p_v2 = R_v2_from_v1 (p_v1 - t_v1)` with |t_v1| = 1."""
 
     R: Array
     """`[3, 3]`, R_v2_from_v1."""
@@ -23,27 +24,28 @@ class Turn(NamedTuple):
 
 
 def sampson(pairs: Correspondences, turn: Turn) -> Array:
-    """The Sampson distance of each pair `[n]`, in pixels, with its sign: x_1 and x_2 are off the epipolar plane by that
-    much, where both pixels have a standard deviation of 1.
+    """The signed Sampson distance `[n]` of each pair from the epipolar constraint, pixels.
+
+    For pixels of standard deviation 1 in both views its standard deviation is 1, to first order.
     """
     return _distances(pairs, turn)[0]
 
 
 def lies_before(pairs: Correspondences, turn: Turn) -> NDArray[np.bool_]:
-    """Whether a pair's point lies before both views, or may as far as can be told `[n]`."""
+    """Whether each pair's point lies in front of both views, within the tolerance `SLACK_PX` `[n]`."""
     return _distances(pairs, turn)[1] > -slack(pairs)
 
 
 def slack(pairs: Correspondences) -> Array:
-    """The angle `[n]`, radians, that `SLACK_PX` pixels make in both views together."""
+    """The angle `[n]`, radians, of `SLACK_PX` pixels in both views together."""
     squares = sum(np.sum(each**2, axis=(1, 2)) / 2 for each in (pairs.spreads_1, pairs.spreads_2))
     return np.asarray(SLACK_PX * np.sqrt(squares))
 
 
 def sampson_jacobian(pairs: Correspondences, turn: Turn) -> tuple[Array, Array]:
-    """The Sampson distances `[n]`, and their derivatives `[n, 6]` by a turn omega and a change of t.
+    """The Sampson distances `[n]`, and their derivatives `[n, 6]` by a rotation omega and a change of t.
 
-    The turn is R exp([omega]×), so that y = R^T x_2 changes by y × omega.
+    The rotation becomes R exp([omega]×), so that y = R^T x_2 changes by y × omega.
     """
     R, t = turn
     x, y = pairs.x_1, pairs.x_2 @ R
@@ -64,7 +66,7 @@ def sampson_jacobian(pairs: Correspondences, turn: Turn) -> tuple[Array, Array]:
 
 
 def rotation_distance(pairs: Correspondences, R: Array) -> Array:
-    """How far x_1 and x_2 are apart after a turn alone `[n]`, in standard deviations of one axis, pixels.
+    """The distance `[n]` of x_1 and x_2 after a pure rotation, in standard deviations of one axis, pixels.
 
     The length of the difference on the tangent plane, weighted by its inverse covariance, over sqrt(2) for two axes.
     """
@@ -83,7 +85,7 @@ def _distances(pairs: Correspondences, turn: Turn) -> tuple[Array, Array]:
 
 
 def bearings_of(pairs: Correspondences) -> tuple[Array, Array, Array, Array]:
-    """What kernels take: bearings and spreads of both views, contiguous."""
+    """The kernels' arguments: bearings and spreads of both views, contiguous."""
     x_1, x_2, s_1, s_2 = (
         np.ascontiguousarray(each, dtype=np.float64)
         for each in (pairs.x_1, pairs.x_2, pairs.spreads_1, pairs.spreads_2)

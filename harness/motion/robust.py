@@ -1,7 +1,7 @@
-"""The motion that most pairs of bearing vectors agree on: MSAC over minimal samples.
+"""Robust estimation of the motion from pairs of bearing vectors: MSAC over minimal samples.
 
-Minimal solvers are PoseLib's, which take rays in any direction: five points (Nistér), three for a turn about a known
-vertical, two for one in a plane. Samples are drawn from a seeded generator: the same pairs give the same bits.
+The minimal solvers are PoseLib's, which take rays in any direction: five points (Nistér), three for a rotation about a
+known vertical, two for motion in a plane. Samples come from a seeded generator: results are reproducible to the bit.
 """
 
 import importlib
@@ -20,17 +20,17 @@ from harness.motion.residuals import Turn, bearings_of, slack
 from harness.motion.sparse import Freedom, fit
 
 LIMIT_PX = 2.0
-"""Sampson distance above which a pair is a false one."""
+"""Sampson distance, pixels, above which a pair is an outlier."""
 MOST_ITERATIONS = 50_000
-"""Enough for one sample of five true pairs among 80 % false ones, with a probability beyond doubt."""
+"""Most iterations: enough, almost surely, for one sample of five inliers among 80 % outliers."""
 _MISS = 1e-5
-"""Probability of never having drawn a sample of true pairs alone."""
+"""Accepted probability of never drawing a sample of inliers only."""
 _LEAST_ITERATIONS = 200
-"""A sample of true pairs may still be a bad one, of points that lie close together."""
+"""Least iterations: a sample of inliers may still be degenerate, of points that lie close together."""
 _RIVALS = 8
-"""Motions kept beside the best, each in another direction."""
+"""Number of alternative motions that are kept besides the best, each with another direction."""
 _APART = math.radians(5.0)
-"""Motions whose directions of t, or whose rotations, are closer are one."""
+"""Motions whose directions of t and rotations differ by less than this angle are the same."""
 
 _SIZES = {"free": 5, "upright": 3, "planar": 2}
 _SOLVERS = {
@@ -44,18 +44,18 @@ _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 @dataclass(frozen=True, repr=False)
 class Consensus(OneLine):
-    """The motion with the least truncated cost, and those that come after it."""
+    """The motion with the least truncated cost, and the next best alternatives."""
 
     turn: Turn
     cost: float
-    """Sum of squared Sampson distances, each at most `LIMIT_PX`², over that of a false pair: pairs not explained."""
+    """Sum of squared Sampson distances truncated at `LIMIT_PX`², divided by it: the number of unexplained pairs."""
     rivals: list[tuple[float, Turn]]
-    """The best of other motions and their costs."""
+    """The best alternative motions and their costs."""
     iterations: int
 
 
 def agree(pairs: Correspondences, *, freedom: Freedom = "free", seed: int = 0) -> Consensus | None:
-    """The motion that most pairs agree on; None where no sample gives any.
+    """The motion of least truncated cost; None when no sample yields a motion.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def agree(pairs: Correspondences, *, freedom: Freedom = "free", seed: int = 0) -
     if len(pairs) <= size:
         return None
     solver = getattr(_poselib(), _SOLVERS[freedom])
-    order = draws.permutation(len(pairs))  # a cost is given up early, so neighbours must not stand together
+    order = draws.permutation(len(pairs))  # the evaluation of a cost stops early, so neighbours are separated
     shuffled = pairs.at(order)
     search = _Search(shuffled)
     wanted = MOST_ITERATIONS
@@ -93,13 +93,13 @@ def _poselib() -> Any:
 
 
 def _needed(share: float, size: int) -> int:
-    """Iterations after which a sample of true pairs has been drawn but for a probability of `_MISS`."""
+    """Iterations after which the probability that no sample consists of inliers only is `_MISS`."""
     hit = max(share, 1e-3) ** size
     return MOST_ITERATIONS if hit < 1e-12 else math.ceil(math.log(_MISS) / math.log1p(-min(hit, 1 - 1e-12)))
 
 
 def _solved(solver: Any, x_1: Array, x_2: Array, freedom: Freedom) -> list[Turn]:
-    """The motions that a minimal sample allows. PoseLib's pose is `p_2 = R p_1 + t'`, so that t = -R^T t'."""
+    """The solutions of a minimal sample. PoseLib's pose is `p_2 = R p_1 + t'`, so that t = -R^T t'."""
     turned = freedom != "free"
     if turned:
         x_1, x_2 = x_1 @ _Y_UP.T, x_2 @ _Y_UP.T
@@ -116,7 +116,7 @@ def _solved(solver: Any, x_1: Array, x_2: Array, freedom: Freedom) -> list[Turn]
 
 
 class _Search:
-    """The best motions so far."""
+    """Collects the best motions."""
 
     def __init__(self, pairs: Correspondences) -> None:
         self._bearings = bearings_of(pairs)
@@ -125,7 +125,7 @@ class _Search:
 
     @property
     def best(self) -> Any:
-        """The motion of least cost; None at first."""
+        """The motion of least cost; None before any."""
         return self._ranked[0][1] if self._ranked else None
 
     @property
@@ -134,7 +134,7 @@ class _Search:
         return self._ranked[0][0] if self._ranked else math.inf
 
     def tried(self, turn: Turn) -> bool:
-        """Keep a motion if it is among the best; whether it is the best of all."""
+        """Evaluate a motion, keep it if it is among the best, and return whether it is the best so far."""
         full = len(self._ranked) > _RIVALS
         most = self._ranked[-1][0] if full else math.inf
         cost = _kernels.truncated_cost(*self._bearings, self._slack, turn.R, turn.t, LIMIT_PX, most * LIMIT_PX**2)
@@ -150,7 +150,7 @@ class _Search:
         return is_best
 
     def rivals(self) -> list[tuple[float, Turn]]:
-        """The others."""
+        """The alternative motions and their costs."""
         return [each for each in self._ranked[1:] if not alike(each[1], self.best)]
 
 

@@ -1,4 +1,4 @@
-"""Least squares of the Sampson distances of bearing vectors, under Cauchy's loss, with covariance."""
+"""Least squares of the Sampson distances of bearing vectors with Cauchy's loss, and its covariance."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,23 +14,23 @@ from harness.motion.features import Correspondences
 from harness.motion.residuals import Turn, lies_before, rotation_distance, sampson, sampson_jacobian
 
 Freedom = Literal["free", "upright", "planar"]
-"""What a motion may be: anything; a turn about z alone with any t; the same with t at right angles to z."""
+"""Constraints on a motion: none; a rotation about z with any t; the same with t perpendicular to z."""
 
 CAUCHY = 2.385
-"""Scale of Cauchy's loss in standard deviations of the residual: 95 % efficient on normal ones (Holland, Welsch)."""
+"""Scale of Cauchy's loss in standard deviations of the residual: 95 % efficiency for normal ones (Holland, Welsch)."""
 _FAR = 5.0
-"""Residuals beyond so many standard deviations are no evidence at all."""
+"""Residuals beyond so many standard deviations are ignored."""
 _CELL_PX = 24.0
-"""Pairs within one cell of view 1's image count as one observation of unknown correlation: keypoints of several scales
-lie on each other, and share their noise."""
+"""Side of the cells of view 1's image, pixels, within which residuals are treated as correlated: keypoints of several
+scales coincide, and share their noise."""
 _LEVERAGE = 2.0
-"""Leverage of a pair over the mean one, at most."""
+"""Largest leverage of a pair relative to the mean."""
 _ROUNDS = 3
-"""Each with the residual's scale and the tangents of the one before."""
+"""Number of fits, each with the residual scale and the tangents of the previous one."""
 
 
 def tangents(turn: Turn, freedom: Freedom) -> tuple[Array, Array]:
-    """Directions in which a motion may change: of the turn omega `[3, k]`, and of t `[3, k]`."""
+    """Bases of the allowed changes of a motion: of the rotation omega `[3, k]`, and of t `[3, k]`."""
     z = np.array([0.0, 0.0, 1.0])
     if freedom == "planar":
         return np.stack([z, np.zeros(3)], axis=1), np.stack([np.zeros(3), normalise(np.cross(z, turn.t))], axis=1)
@@ -43,9 +43,9 @@ def tangents(turn: Turn, freedom: Freedom) -> tuple[Array, Array]:
 
 
 def moved(turn: Turn, omega: Array, tau: Array) -> Turn:
-    """The motion with R exp([omega]×), and t + tau brought back to unit length."""
+    """The motion with R exp([omega]×), and t + tau normalised."""
     R = turn.R @ Rotation.from_rotvec(omega).as_matrix()
-    U, _, Vt = np.linalg.svd(R)  # rounding never adds up
+    U, _, Vt = np.linalg.svd(R)  # rounding errors do not accumulate
     return Turn(U @ Vt, normalise(turn.t + tau))
 
 
@@ -55,12 +55,12 @@ class Fit(OneLine):
 
     turn: Turn
     covariance: Array
-    """`[6, 6]`: of the turn omega (radians, R exp([omega]×), in v1's frame) and of t's change (unit t, in v1's frame);
-    singular along t, and along what was held."""
+    """`[6, 6]`: covariance of the rotation omega (radians, R exp([omega]×), in v1's frame) and of the change of unit t
+    (in v1's frame); singular along t, and along fixed directions."""
     scale_px: float
-    """Standard deviation of the Sampson distance of true pairs, from their median."""
+    """Standard deviation of the inliers' Sampson distances, from their median, pixels."""
     inlier: NDArray[np.bool_]
-    """`[n]`: within 5 of those, and before both views."""
+    """`[n]`: within 5 standard deviations, and in front of both views."""
 
     @property
     def sigma_rotation(self) -> float:
@@ -74,12 +74,12 @@ class Fit(OneLine):
 
 
 def fit(pairs: Correspondences, start: Turn, freedom: Freedom = "free", *, limit_px: float = 2.0) -> Fit:
-    """Minimise Cauchy's loss of the Sampson distances from a start that is nearly right.
+    """Minimise Cauchy's loss of the Sampson distances, starting near the solution.
 
     Parameters
     ----------
     limit_px
-        Beyond this a pair is a false one, at the start.
+        Sampson distance above which a pair is an outlier of `start`.
     """
     turn = start
     scale = _scale(pairs, turn, limit_px)
@@ -92,7 +92,7 @@ def fit(pairs: Correspondences, start: Turn, freedom: Freedom = "free", *, limit
 
 
 def _scale(pairs: Correspondences, turn: Turn, limit_px: float) -> float:
-    """Standard deviation from the median of what is below the limit and, then, not far off."""
+    """Robust standard deviation of the Sampson distances, pixels: from the median of those below the limit."""
     size = np.abs(sampson(pairs, turn))[lies_before(pairs, turn)]
     size = size[size < limit_px]
     scale = limit_px / 2.0
@@ -105,7 +105,7 @@ def _scale(pairs: Correspondences, turn: Turn, limit_px: float) -> float:
 
 
 def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: float, limit_px: float) -> Turn:
-    """The motion of least Cauchy loss in the start's tangent space."""
+    """The motion of least Cauchy loss in the tangent space at the start."""
     e = sampson(pairs, start)
     near = pairs.at((np.abs(e) < max(limit_px, _FAR * scale)) & lies_before(pairs, start))
     turns, steps = tangents(start, freedom)
@@ -134,17 +134,17 @@ def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: flo
 
 
 def leverage_weight(J: Array) -> Array:
-    """Weights `[n]` that bound what one pair says of the motion, whatever its residual.
+    """Weights `[n]` that bound the influence of a pair on the motion, whatever its residual.
 
-    A false pair that lies near its epipolar line by chance has a parallax of any size, and t's derivative is in
-    proportion to it: where true parallaxes are small, a dozen of such pairs outweigh a thousand true ones.
+    An outlier that lies near its epipolar line by chance may have any parallax, to which its derivative by t is
+    proportional: where true parallaxes are small, a dozen such pairs outweigh a thousand inliers.
     """
     h = np.sum(J * np.linalg.solve(J.T @ J + 1e-12 * np.trace(J.T @ J) * np.eye(J.shape[1]), J.T).T, axis=1)
     return np.asarray(np.minimum(1.0, _LEVERAGE * J.shape[1] / len(J) / np.maximum(h, 1e-300)))
 
 
 def _covariance(pairs: Correspondences, turn: Turn, freedom: Freedom, scale: float) -> Array:
-    """The sandwich of an M-estimator: A^-1 B A^-1, with B summed over cells of view 1's image.
+    """The sandwich covariance of an M-estimator: A^-1 B A^-1, with B summed over cells of view 1's image.
 
     Infinite where there are too few pairs.
     """
@@ -167,9 +167,9 @@ def _covariance(pairs: Correspondences, turn: Turn, freedom: Freedom, scale: flo
 
 
 def fit_rotation(pairs: Correspondences, R: Array) -> tuple[Array, float]:
-    """The rotation that alone takes x_1 to x_2 best, and the median distance that it leaves, pixels of one axis.
+    """The pure rotation that best maps x_1 to x_2, and its median residual, pixels of one axis.
 
-    Weighted Procrustes (Kabsch): by the mean variance of a pair's bearings, and by Cauchy's loss.
+    Weighted Procrustes (Kabsch), with weights from the mean variance of a pair's bearings and Cauchy's loss.
     """
     sharp = 1 / sum(np.sum(each**2, axis=(1, 2)) for each in (pairs.spreads_1, pairs.spreads_2))
     for _ in range(20):

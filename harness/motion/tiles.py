@@ -1,4 +1,4 @@
-"""Tiles of view 1's image, each with a plane: where they are, and planes to begin with.
+"""Tiles of view 1's image, each with a plane: their layout, and initial planes.
 
 A plane is three numbers m: the inverse range in direction x is m · x, in units of 1/|t|.
 """
@@ -21,36 +21,36 @@ from harness.motion.residuals import Turn
 Image = NDArray[np.float32]
 
 SIDE_PX = 17
-"""Side of a tile: as large as the windows of slanted matching."""
+"""Side of a tile, pixels: that of the windows of slanted matching."""
 LEAST_SHARE = 0.8
-"""Share of a tile's pixels that both views have to see."""
+"""Least share of a tile's pixels that are visible in both views."""
 LEAST_W = -0.02
-"""The least inverse range of a pixel, in 1/|t|: noise puts far points behind the views."""
+"""The least inverse range of a pixel, in 1/|t|; negative, as noise puts far points behind the views."""
 _LEAST_CONTRAST = 1.0
-"""Standard deviation of a tile's grey levels, at least: below, rounding to 8 bits is most of it."""
+"""Least standard deviation of a tile's grey levels: below it, rounding to 8 bits dominates."""
 _STRIDE = 2
 _NEIGHBOURS = 12
 _SCANNED = 24
 _SLOPE_RIDGE = 0.05
-"""Slopes of w per radian are pulled to 0 by this much of a pair's weight."""
+"""Regularisation of slopes of w per radian towards 0, as a share of a pair's weight."""
 
 
 @dataclass(frozen=True)
 class Views:
-    """Both images as the kernels take them."""
+    """Both images in the form of the kernels' arguments."""
 
     grey: Image
     """`[height, width]`, view 1."""
     known: NDArray[np.bool_]
-    """`[height, width]`, pixels of view 1 that are seen and finite."""
+    """`[height, width]`, pixels of view 1 that are in the field and finite."""
     x: Array
     """`[height, width, 3]`, unit directions of view 1's pixels."""
     coefficients: Image
-    """Coefficients of view 2's interpolating cubic B-spline; NaN where the sensor sees nothing."""
+    """Coefficients of view 2's interpolating cubic B-spline; NaN outside the sensor's field."""
     camera: tuple[Any, float]
-    """View 2's model's parameters, and how many columns its coefficients begin before the image."""
+    """The parameters of view 2's camera model, and the columns by which its coefficients are padded on the left."""
     blur_px: float
-    """Standard deviation of the Gaussian that both were smoothed with."""
+    """Standard deviation of the Gaussian with which both images were smoothed, pixels."""
 
 
 def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: float = 0.0) -> Views:
@@ -59,7 +59,7 @@ def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: 
     Parameters
     ----------
     blur_px
-        Standard deviation of a Gaussian that both are smoothed with.
+        Standard deviation of a Gaussian with which both are smoothed, pixels.
     """
     prepared = []
     for image, sensor in zip(images, sensors, strict=True):
@@ -83,7 +83,7 @@ def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: 
 
 
 def lay_tiles(given: Views) -> NDArray[np.int64]:
-    """First row and column `[T, 2]` of the tiles that view 1 sees enough of, and that have any contrast."""
+    """First row and column `[T, 2]` of the tiles with enough visible pixels in view 1, and enough contrast."""
     rows, columns = (np.arange(0, size - SIDE_PX + 1, SIDE_PX) for size in given.known.shape)
 
     def mean(values: NDArray[Any]) -> Array:
@@ -99,22 +99,22 @@ def lay_tiles(given: Views) -> NDArray[np.int64]:
 
 
 def first_planes(given: Views, tiles: NDArray[np.int64], turn: Turn, pairs: Correspondences) -> tuple[Array, Array]:
-    """A plane for each tile, and the correlation of both views on it.
+    """An initial plane for each tile, and the correlation of both views on it.
 
-    Tried are planes through the pairs nearby, inverse ranges of pairs nearby and between, with the slopes of those
-    planes and without.
+    Candidates are planes through nearby pairs, and the inverse ranges of nearby pairs and values between them, with the
+    slopes of those planes and without.
 
     Parameters
     ----------
     pairs
-        Those that agree with the motion.
+        The inliers of the motion.
 
     Returns
     -------
     planes
-        `[T, 3]`; NaN where none correlates.
+        `[T, 3]`; NaN where no candidate correlates.
     correlation
-        `[T]`, -1 where there is none.
+        `[T]`; -1 where there is none.
     """
     x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
     w = inverse_ranges(pairs, turn)
@@ -143,7 +143,7 @@ def best_planes(
 
 
 def planes_beside(tiles: NDArray[np.int64], planes: Array) -> Array:
-    """The planes of the eight tiles around each `[T, 8, 3]`; NaN where there is no tile."""
+    """The planes `[T, 8, 3]` of the eight tiles around each tile; NaN where there is no tile."""
     index = {(int(row), int(column)): i for i, (row, column) in enumerate(tiles)}
     steps = [(i * SIDE_PX, j * SIDE_PX) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
     beside = np.array([[index.get((row + i, column + j), -1) for i, j in steps] for row, column in tiles.tolist()])
@@ -157,14 +157,14 @@ def inverse_ranges(pairs: Correspondences, turn: Turn) -> Array:
 
 
 def tangents_at(x: Array) -> tuple[Array, Array]:
-    """Two unit vectors `[..., 3]` at right angles to unit vectors and to each other."""
+    """Two unit vectors `[..., 3]` perpendicular to given unit vectors and to each other."""
     other = np.where(np.abs(x[..., 2:]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     b_1 = normalise(np.cross(x, other))
     return b_1, np.cross(x, b_1)
 
 
 def _plane_through(x: Array, w: Array, x_c: Array) -> Array:
-    """Planes m `[T, 3]` nearest to inverse ranges w `[T, k]` in directions x `[T, k, 3]`, slopes pulled to 0."""
+    """Least-squares planes m `[T, 3]` of inverse ranges w `[T, k]` in directions x `[T, k, 3]`, with damped slopes."""
     b_1, b_2 = tangents_at(x_c)
     basis = np.stack([x_c, b_1, b_2], axis=1)
     A = np.einsum("tkj,tij->tki", x, basis)
