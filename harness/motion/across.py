@@ -1,9 +1,9 @@
-"""How far matches lie off their epipolar curves: tiles of view 1 fitted to view 2 along the curve and across it.
+"""Offsets of matches from their epipolar curves: tiles of view 1 are fitted to view 2 along the curve and across it.
 
-Whatever is wrong with a geometry moves view 2 along the curves, which looks like another range, and across them, which
-nothing in the scene explains. So each tile is fitted by least squares with its plane, gain and offset, and with an
-angle across: all its points turn by delta about y × n, from y towards n = t × x/|t × x|, y being the direction of its
-middle from viewpoint 2 in view 1's orientation.
+An error of the geometry shifts matches along the curves, which looks like another range, and across them, which no
+range explains. So each tile is fitted by least squares with its plane, gain and offset, and with an angle across: all
+its points are rotated by delta about y × n, from y towards n = t × x/|t × x|, where y is the direction of its centre
+from viewpoint 2 in view 1's orientation.
 """
 
 from dataclasses import dataclass
@@ -21,24 +21,24 @@ from harness.motion.tiles import LEAST_SHARE, LEAST_W, SIDE_PX, Image, Views, la
 
 _ITERATIONS = 6
 _CORRELATION = 0.6
-"""Least correlation of both views on a tile."""
+"""Least correlation of the two views on a tile."""
 _MOST_PX = 6.0
-"""Largest angle across, pixels of view 2: beyond, a tile has found something else."""
+"""Largest angle across, pixels of view 2: beyond it a tile is a mismatch."""
 _MOST_SIGMA_PX = 0.5
 _LEAST_KNOWN = 0.5
-"""Share of a tile's pixels that need an inverse range to begin with."""
+"""Least share of a tile's pixels with an initial inverse range."""
 _OUTLYING = 9.0
-"""How many times the median distance from the middle an inverse range may lie from it, in a tile's first plane."""
+"""Largest deviation of an inverse range from the median, in median deviations, in a tile's initial plane."""
 
 
 @dataclass(frozen=True, repr=False)
 class Across(OneLine):
-    """Tiles that are seen alike in both views, `[n]`."""
+    """The `n` tiles that match between the views."""
 
     tiles: NDArray[np.int64]
     """`[n, 2]`, first row and column in view 1's image."""
     x_1: Array
-    """`[n, 3]`, unit directions of their middles from view 1."""
+    """`[n, 3]`, unit directions of their centres from view 1."""
     planes: Array
     """`[n, 3]`: the inverse range in direction x is m · x, in 1/|t|."""
     delta: Array
@@ -46,36 +46,36 @@ class Across(OneLine):
     sigma: Array
     """Its standard deviation from the tile's own residual, radians."""
     px_per_rad: Array
-    """Pixels of view 2 that an angle across makes."""
+    """Pixels of view 2 per radian across."""
     aside: Array
-    """How much the inverse range at the middle, 1/|t|, moves for each radian across that a fit along the curve alone
-    does not take: texture that is not at right angles to the curve lets one stand for the other."""
+    """Error of the inverse range at the centre, 1/|t| per radian across, of a fit along the curve alone: where texture
+    is oblique to the curve, a shift along it compensates one across it."""
 
     def __len__(self) -> int:
         return len(self.delta)
 
     def at(self, where: NDArray[np.bool_]) -> "Across":
-        """Some of the tiles."""
+        """The tiles selected by an index or a mask."""
         return Across(**{name: value[where] for name, value in vars(self).items()})
 
     @property
     def w(self) -> Array:
-        """Inverse range at the middles, 1/|t|."""
+        """Inverse range at the centres, 1/|t|."""
         return np.asarray(np.sum(self.planes * self.x_1, axis=1))
 
     @property
     def pixels_1(self) -> Array:
-        """`[n, 2]`, (u, v) of the middles."""
+        """`[n, 2]`, (u, v) of the centres."""
         return np.asarray(self.tiles[:, ::-1] + (SIDE_PX - 1) / 2, dtype=np.float64)
 
 
 def fit_across(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn: Turn, inverse_range: Array) -> Across:
-    """Fit tiles, from inverse ranges that are right to about a pixel.
+    """Fit tiles along and across the epipolar curves, from inverse ranges that are accurate to about a pixel.
 
     Parameters
     ----------
     inverse_range
-        `[height, width]` of view 1's image, 1/|t|; NaN where it is not known.
+        `[height, width]` of view 1's image, 1/|t|; NaN where unknown.
     """
     given = views(images, sensors)
     tiles, planes = _planes(given, lay_tiles(given), inverse_range)
@@ -137,7 +137,7 @@ def _planes(given: Views, tiles: NDArray[np.int64], inverse_range: Array) -> tup
     known = np.isfinite(w) & np.isfinite(x[..., 0])
     enough = known.mean(axis=1) >= _LEAST_KNOWN
     w, x, known, tiles = w[enough], x[enough], known[enough], tiles[enough]
-    # Of two surfaces the plane is that of the larger.
+    # Where a tile shows two surfaces, the plane is that of the larger one.
     apart = np.abs(w - _median(w, known))
     known &= apart <= _OUTLYING * _median(apart, known) + 1e-6
     A, b = np.where(known[..., None], x, 0.0), np.where(known, w, 0.0)
@@ -153,7 +153,7 @@ def _median(values: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def _ridge(x_c: Array, H: Array) -> Array:
-    """What keeps a tile's unknowns where they are while its texture says nothing of them `[n, 6, 6]`."""
+    """A regulariser `[n, 6, 6]` that holds those unknowns of a tile which its texture does not determine."""
     b_1, b_2 = tangents_at(x_c)
     slopes = sum(np.einsum("ti,tj->tij", b, b) for b in (b_1, b_2))
     size = np.einsum("ti,tij,tj->t", x_c, H[:, 1:4, 1:4], x_c)

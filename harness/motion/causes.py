@@ -1,11 +1,11 @@
-"""What may be wrong with a geometry, from how far matches lie off their epipolar curves.
+"""Likely errors of a geometry, estimated from the offsets of matches from their epipolar curves.
 
 To first order an error theta of rotation, direction of t or calibration moves a match across its curve by E theta, and
-the inverse range that it gives by W theta. The E theta are measured (`harness.motion.across`); theta is fitted to them
-with a prior of typical sizes, times one factor lambda for all of them, which is what makes the measurements likeliest:
-no error where they are noise, and where they are not, errors of that size also of what cannot be seen.
+its inverse range by W theta. E theta is measured (`harness.motion.across`); theta is fitted with a Gaussian prior of
+typical sizes, scaled by one factor lambda that maximises the likelihood of the measurements (empirical Bayes): 0 if
+they are noise; otherwise it also gives the size of errors that the measurements do not determine.
 
-Errors are those of what is assumed, less what is true: with a centre that is given 1 px too far right, theta is 1.
+Errors are assumed minus true values: with a principal point that is given 1 px too far right, theta is 1.
 """
 
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ from harness.motion.residuals import Turn
 from harness.motion.tiles import tangents_at
 
 FLOOR_PX = 0.01
-"""Standard deviation that is added to every tile's: of interpolation and of planes that are none."""
+"""Standard deviation of interpolation and of surfaces that are not planar, pixels, added to that of every tile."""
 FIRST_ORDER = 0.03
-"""The same as a share of what lies across: effects are known to first order."""
+"""The same as a share of the offset across, since effects are to first order."""
 _CAUCHY = 2.385
-"""Standard deviations at which a residual counts half."""
+"""Standard deviations at which a residual has half its weight."""
 _LAMBDAS = np.concatenate([[0.0], np.geomspace(1e-3, 30, 60)])
 _ROUNDS = 5
 _ALIKE = 0.97
-"""Causes that explain this share of what the best one does cannot be told from it."""
+"""Causes that explain this share of what the best one explains are indistinguishable from it."""
 _ENOUGH = 0.9
-"""What one cause has to explain to be called likely."""
+"""Least share that a single likely cause explains."""
 _SIGNIFICANT = 6.0
-"""Logarithm of the likelihood that an error has to gain."""
+"""Least gain in log-likelihood of a significant error."""
 
 TYPICAL = {
     "centre u": 0.5,
@@ -63,26 +63,26 @@ CAUSES: dict[str, tuple[str, ...]] = {
     "the focal length": ("focal length",),
     "the mirror or lens": CALIBRATION,
 }
-"""What is fitted alone, to tell likely causes; the last holds the two before it."""
+"""Groups of errors that are fitted separately to find likely causes; the last one contains the two before it."""
 
 
 @dataclass(frozen=True, repr=False)
 class Effects(OneLine):
-    """What errors do to tiles: `[n, k]` for the k names."""
+    """Derivatives of tiles by errors: `[n, k]` for the k names."""
 
     names: tuple[str, ...]
     across: Array
     """Radians across."""
     w: Array
-    """Inverse range, 1/|t|, at the direction in which the tile seems to be."""
+    """Inverse range, 1/|t|, in the direction in which the tile appears."""
 
     def columns(self, names: tuple[str, ...]) -> list[int]:
-        """Where these errors are, of either view."""
+        """The columns of these errors, of either view."""
         return [i for i, each in enumerate(self.names) if each.removesuffix(" of view 2") in names]
 
 
 def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Effects:
-    """How tiles move with errors, to first order."""
+    """Derivatives of tiles by errors of the geometry."""
     x, t = tiles.x_1, turn.t
     y = normalise(x - tiles.w[:, None] * t)
     n = normalise(np.cross(t, x))
@@ -116,7 +116,7 @@ def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Eff
 
 
 def directions_aside(t: Array) -> tuple[Array, Array]:
-    """Unit vectors at right angles to t: level, and up as far as may be."""
+    """Two unit vectors perpendicular to t: a horizontal one, and the most upright one."""
     level = np.cross([0.0, 0.0, 1.0], t)
     if np.linalg.norm(level) < 1e-6:
         one, other = tangents_at(t[None])
@@ -126,7 +126,7 @@ def directions_aside(t: Array) -> tuple[Array, Array]:
 
 
 def _pixel_fields(sensors: tuple[Sensor, Sensor], x_1: Array, x_2: Array) -> list[tuple[Array, dict[str, Array]]]:
-    """For each view how bearings move with pixels `[n, 3, 2]`, and the pixels' shifts `[n, 2]` for each error."""
+    """For each view, derivatives of bearings by pixels `[n, 3, 2]`, and the pixels' shifts `[n, 2]` by each error."""
     fields = []
     radii = [
         project(sensor, x)[0] - [sensor.camera.cx_px, sensor.camera.cy_px]
@@ -158,46 +158,46 @@ def _pixel_fields(sensors: tuple[Sensor, Sensor], x_1: Array, x_2: Array) -> lis
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """One kind of error, alone."""
+    """A single kind of error."""
 
     name: str
-    """One of `CAUSES`, or that it is several of them."""
+    """One of `CAUSES`, or `several errors together`."""
     explains: float
-    """Share, 0 .. 1, of the likelihood that all errors together gain."""
+    """Share, 0 .. 1, of the gain in log-likelihood of all errors together."""
     errors: dict[str, float]
-    """The likeliest ones by their names: pixels, or radians."""
+    """The most likely errors by name: pixels, or radians."""
     theta: Array
     """`[k]`, the same among all errors."""
 
 
 @dataclass(frozen=True, repr=False)
 class Causes(OneLine):
-    """Errors of a geometry that explain how far tiles lie across."""
+    """Errors of a geometry that explain the tiles' offsets across their curves."""
 
     effects: Effects
     theta: Array
-    """`[k]`: the likeliest error; 0 where there is none that stands out from the noise."""
+    """`[k]`: the most likely error; 0 if none is significant."""
     covariance: Array
-    """`[k, k]`, of the error that remains open; 0 likewise."""
+    """`[k, k]`: covariance of theta; 0 likewise."""
     gain: float
-    """Logarithm of the likelihood that theta gains."""
+    """Gain in log-likelihood by theta."""
     weight: Array
-    """`[n]`, 0 .. 1: how far a tile goes with the rest."""
+    """`[n]`, 0 .. 1: robust weight of each tile."""
     sigma: Array
-    """`[n]`, radians: standard deviation of what theta leaves."""
+    """`[n]`, radians: standard deviation of the residuals of theta."""
     alone: tuple["Cause", ...]
-    """What each of `CAUSES` explains alone, the best first; empty where there is no error."""
+    """The share that each of `CAUSES` explains alone, the largest first; empty if there is no error."""
 
     @property
     def significant(self) -> bool:
-        """Whether there is an error that stands out from the noise."""
+        """Whether there is a significant error."""
         return bool(self.alone)
 
     @property
     def likely(self) -> tuple[Cause, ...]:
-        """The likeliest cause first, then those that cannot be told from it; none where nothing is wrong.
+        """The most likely cause, then those that are indistinguishable from it; none without a significant error.
 
-        Where no kind of error alone explains what is seen that is several of them, as far as they were fitted together.
+        If no single kind of error explains the offsets, the cause is several of them together.
         """
         if self.alone and self.alone[0].explains < _ENOUGH:
             errors = dict(zip(self.effects.names, self.theta.tolist(), strict=True))
@@ -206,7 +206,7 @@ class Causes(OneLine):
 
 
 def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Causes:
-    """Fit errors to how far tiles lie across."""
+    """Fit errors of the geometry to the tiles' offsets across their curves."""
     effects = effects_of(tiles, sensors, turn)
     size = np.array([TYPICAL[each.removesuffix(" of view 2")] for each in effects.names])
     E, e = effects.across * size, tiles.delta
@@ -235,10 +235,10 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
 
 
 def _likeliest(A: Array, b: Array) -> tuple[Array, Array, float]:
-    """The error's mean with the factor of the prior that makes b likeliest, its covariance, and what it gains.
+    """The posterior mean for the scale of the prior that maximises the likelihood of b, its covariance, and the gain.
 
-    The covariance is that of a factor of 1, at most: gross errors, which are beyond first order, make factors that say
-    nothing of what cannot be seen.
+    The covariance is for a scale of at most 1: gross errors, beyond first order, lead to scales that say nothing about
+    undetermined errors.
     """
     k = A.shape[1]
     values, vectors = np.linalg.eigh(A.T @ A)
