@@ -32,6 +32,8 @@ _ALIKE = 0.97
 """Causes that explain this share of what the best one explains are indistinguishable from it."""
 _ENOUGH = 0.9
 """Least share that a single likely cause explains."""
+_SECTORS = 8
+"""Sectors of azimuth that errors are tried on, each by those fitted to the others."""
 _SIGNIFICANT = 6.0
 """Least gain in log-likelihood of a significant error."""
 
@@ -221,8 +223,8 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
         left = (e - E @ theta) / sigma
         factor = max(1.0, float(1.4826 * np.median(np.abs(left)))) if len(e) else 1.0
         weight = 1 / (1 + (left / (_CAUCHY * factor)) ** 2)
-    if gain <= _SIGNIFICANT:
-        theta, covariance = np.zeros(len(size)), np.zeros((len(size), len(size)))
+    if min(gain, _gain_elsewhere(A, b, tiles.x_1)) <= _SIGNIFICANT:
+        gain, theta, covariance = 0.0, np.zeros(len(size)), np.zeros((len(size), len(size)))
     return Causes(
         effects=effects,
         theta=theta * size,
@@ -252,6 +254,20 @@ def _likeliest(A: Array, b: Array) -> tuple[Array, Array, float]:
     s = min(s, 1.0)
     covariance = (vectors * (s / (1 + s * values))) @ vectors.T
     return np.asarray(theta), np.asarray(covariance).reshape(k, k), float(gains[best])
+
+
+def _gain_elsewhere(A: Array, b: Array, x: Array) -> float:
+    """What errors gain in sectors of azimuth that they were not fitted to, all sectors in turn.
+
+    Something that moved fills one sector, and looks like an error of the geometry there alone.
+    """
+    sector = np.floor((np.arctan2(x[:, 1], x[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS)
+    gain = 0.0
+    for each in np.unique(sector):
+        here = sector == each
+        theta = _likeliest(A[~here], b[~here])[0]
+        gain += 0.5 * float(np.sum(b[here] ** 2) - np.sum((b[here] - A[here] @ theta) ** 2))
+    return gain
 
 
 def _alone(effects: Effects, A: Array, b: Array, size: Array, most: float) -> tuple[Cause, ...]:
