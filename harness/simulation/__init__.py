@@ -1,4 +1,4 @@
-"""Worlds with a known answer: what a sensor sees in a scene, and how far away everything is.
+"""Synthetic scenes with ground truth: the image that a sensor sees, and the range of every pixel.
 
 Nothing here depends on stereo.
 """

@@ -1,8 +1,8 @@
-"""A tree of bounding boxes: which of many boxes another box or a ray meets, without looking at all of them.
+"""A bounding volume hierarchy: which of many boxes intersect another box or a ray, without testing all of them.
 
-Boxes lie in the order of the Morton codes of their middles, so that neighbours in the list are neighbours in space, and
-the tree over the list is a complete binary one, as in C. Lauterbach et al., "Fast BVH construction on GPUs", 2009. It
-is built by sorting. Compiled loops walk it; see `_coincident_kernels`.
+Boxes are sorted by the Morton codes of their centres, so that neighbours in the list are neighbours in space, and
+the tree over the list is a complete binary one, as in C. Lauterbach et al., "Fast BVH construction on GPUs", 2009.
+Compiled loops traverse it; see `_coincident_kernels`.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from harness.geometry.angles import Array
 LEAF = 4
 """Boxes in a leaf."""
 _BITS = 21
-"""Bits of each coordinate of a middle; three coordinates fit 63."""
+"""Bits of each coordinate of a centre; three coordinates take 63."""
 
 
 class BoxTree(NamedTuple):
@@ -25,7 +25,7 @@ class BoxTree(NamedTuple):
     """
 
     order: NDArray[np.int64]
-    """`[boxes]`: their numbers, along the Morton curve."""
+    """`[boxes]`: indices of the boxes, along the Morton curve."""
     low: Array
     """`[nodes, 3]`: the least coordinates in a node; infinite in one that is empty. Node 0 is not used."""
     high: Array
@@ -33,7 +33,7 @@ class BoxTree(NamedTuple):
 
 
 def box_tree(low: Array, high: Array) -> BoxTree:
-    """The tree over boxes, one or more.
+    """The tree over one or more boxes.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ def box_tree(low: Array, high: Array) -> BoxTree:
 
 
 def _morton(points: Array) -> NDArray[np.int64]:
-    """The bits of the three coordinates, interleaved."""
+    """The Morton codes: the bits of the three coordinates, interleaved."""
     size = np.ptp(points, axis=0).max() or 1.0
     cells = ((points - points.min(axis=0)) / size * (2**_BITS - 1)).astype(np.int64)
     return (_spread(cells[:, 0]) << 2) | (_spread(cells[:, 1]) << 1) | _spread(cells[:, 2])
 
 
 def _spread(x: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Two zeros after every bit of a number of 21 bits."""
+    """A number of 21 bits with two zeros after every bit."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

@@ -1,7 +1,7 @@
-"""What rays from one viewpoint hit, exactly.
+"""Exact ray casting from one viewpoint.
 
-Embree finds the triangle in float32; the point is then computed, and the triangle confirmed, in float64. What remains
-of float32 is which surface a ray within about 1e-7 of an occluder's outline meets.
+Embree finds the triangle in float32; the point is then computed, and the triangle verified, in float64. Only for a ray
+within about 1e-7 of an occluder's outline does float32 still decide which surface it hits.
 """
 
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ class Hits:
     """The first surface along each ray."""
 
     triangle: Ints
-    """`[...]`: index into the geometry's triangles, -1 where the ray meets nothing (open scenes only)."""
+    """`[...]`: index into the geometry's triangles, -1 where the ray hits nothing (open scenes only)."""
     range_m: Array
-    """`[...]`: metres along the ray; NaN where it meets nothing."""
+    """`[...]`: metres along the ray; NaN where it hits nothing."""
 
 
 def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, threads: int | None = None) -> Hits:
@@ -40,7 +40,7 @@ def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, thr
     directions
         `[..., 3]`, unit length, in the world.
     threads
-        All available CPUs when not given. The result does not depend on it.
+        Number of threads; by default all available CPUs. The result does not depend on it.
 
     Raises
     ------
@@ -88,22 +88,22 @@ def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, thr
 
 
 def rotated(directions: Array, rotation: Array) -> Array:
-    """Directions `[n, 3]` turned by `rotation`.
+    """Directions `[n, 3]` rotated by `rotation`.
 
-    Not `@`: for so thin a product BLAS starts threads of its own, which stall where ours already use every CPU.
+    Not with `@`: BLAS would start threads of its own, which stall when ours already use every CPU.
     """
     return np.asarray(np.einsum("ij,kj->ik", directions, rotation))
 
 
 def nearest_triangles(geometry: Geometry, origin: Array, directions: NDArray[np.float32]) -> Ints:
-    """Embree's answer `[n]` for directions `[n, 3]` of any length, settled where faces coincide; -1 for a miss."""
+    """Triangles `[n]` hit in directions `[n, 3]` of any length, with the rule for coincident faces; -1 for a miss."""
     origins = np.broadcast_to(origin.astype(np.float32), directions.shape)
     triangle = np.asarray(geometry.embree.run(origins, directions), dtype=np.int32)
     return _settled(geometry, origin, directions, triangle)
 
 
 def _settled(geometry: Geometry, origin: Array, directions: NDArray[Any], triangle: Ints) -> Ints:
-    """The triangles that are seen, where faces coincide; see `coincident`."""
+    """The visible triangles where faces coincide; see `coincident`."""
     rivals = geometry.rivals
     if not len(rivals.pairs):
         return triangle

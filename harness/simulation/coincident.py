@@ -1,7 +1,7 @@
-"""Faces in one plane that overlap, and the rule for them: the later object of the scene is what is seen.
+"""Coplanar faces that overlap, and their rule: the later object of the scene is visible.
 
-In float32 it is chance, ray by ray, which of two such faces Embree meets. So every hit on a face that has a rival is
-decided again in float64, the same in every view, for images and for truth.
+In float32 it is random, ray by ray, which of two such faces Embree hits. So every hit on a face that has a rival is
+decided again in float64, in the same way in every view, for images and for ground truth.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ from harness.simulation.box_tree import LEAF, box_tree
 Ints = NDArray[np.int32]
 
 NEAR = 1e-6
-"""A share of the scene's size: within it float32 may take one face for the other. The nearer one is then found in
-float64."""
+"""Distance, as a share of the scene's size, within which float32 may confuse two faces. The nearer one is then
+determined in float64."""
 COINCIDENT = 1e-9
-"""As a share of the scene's size: within this distance both are at one range, and the later one is seen."""
+"""Distance, as a share of the scene's size, within which both are at the same range, and the later one is visible."""
 MOST_PAIRS = 1 << 20
 """Pairs of triangles that may overlap. A thousand copies of a mesh in one place have a thousand times a thousand."""
 
@@ -36,7 +36,7 @@ class Rivals:
     """`[pairs, 2]`: the side of its plane from which each face may be seen: 1 for that of its normal, -1 for the other,
     0 for both."""
     tolerance_m: float
-    """Faces nearer to each other than this are at one range."""
+    """Faces closer to each other than this are at the same range, metres."""
 
 
 def rivals_of(
@@ -58,8 +58,8 @@ def rivals_of(
     normals, offsets
         Planes `[faces, 3]` and `[faces]`.
     inside_of_face
-        For each face the corners of the solid that it bounds, from whose inside nothing is seen; None for a face that
-        is seen from both sides.
+        For each face the corners of the solid that it bounds, whose inside is never visible; None for a face that is
+        visible from both sides.
     scene
         Its name, for messages.
 
@@ -90,7 +90,7 @@ def _overlapping(
         count = overlapping(*tree, LEAF, low, high, *faces, tolerance, MOST_PAIRS, out)
         if count > MOST_PAIRS:
             raise InputError(
-                "more than a million pairs of its triangles coincide; an object or mesh is there many times",
+                "more than a million pairs of its triangles coincide; remove the copies of an object or mesh",
                 file=scene,
             )
         if count <= room:
@@ -105,7 +105,7 @@ def _visible_from(
     normals: Array,
     inside_of_face: Sequence[Array | None],
 ) -> NDArray[np.int8]:
-    """`[all faces]`: for some of them the side from which they may be seen, as in `Rivals.visible_from`."""
+    """`[all faces]`: the side from which each of `faces` may be visible, as in `Rivals.visible_from`."""
     sides = np.zeros(len(normals), dtype=np.int8)
     middles = corners[np.unique(face_of_triangle, return_index=True)[1][faces]].mean(axis=1)
     faces_of_solid: dict[int, list[int]] = {}
@@ -121,9 +121,9 @@ def _visible_from(
 
 
 def visible_pairs(rivals: Rivals, normals: Array, offsets: Array, viewpoint: Array) -> Ints:
-    """The pairs `[n, 2]` of which a viewpoint is on the right side of both faces.
+    """The pairs `[n, 2]` with a viewpoint on the visible side of both faces.
 
-    The bottom of a box on a floor is not: it is seen from below, and the floor from above.
+    The bottom of a box on a floor is not among them: it is visible from below, and the floor from above.
     """
     side = np.sign(normals @ viewpoint - offsets)[rivals.pairs]
     visible = ((rivals.visible_from == 0) | (rivals.visible_from == side)) & (side != 0)
@@ -141,7 +141,7 @@ def settle(
     directions: NDArray[np.floating],
     triangle: Ints,
 ) -> None:
-    """Replace a hit on a hidden rival by the triangle that is visible.
+    """Replace hits on hidden rivals by the visible triangles.
 
     Parameters
     ----------
@@ -179,13 +179,13 @@ def settle(
 def encloses(corners: Array, p: Array) -> bool:
     """Whether a watertight surface `[triangles, 3, 3]` encloses a point: a ray crosses it an odd number of times.
 
-    The winding of the triangles does not matter, and the ray's direction is one in which nothing is ever aligned.
+    The winding of the triangles does not matter; the ray's direction is generic, so that no edge is aligned with it.
     """
     return crossings(np.ascontiguousarray(corners), np.ascontiguousarray(p)) % 2 == 1
 
 
 def enclosed(corners: Array, points: Array) -> NDArray[np.bool_]:
-    """What `encloses` answers for each of many points `[n, 3]`, by a tree over the triangles."""
+    """Whether a watertight surface encloses each of many points `[n, 3]`, by a tree over the triangles."""
     margin = 1e-9 * float(np.abs(corners).max() + np.abs(points).max(initial=0.0))
     tree = box_tree(corners.min(axis=1) - margin, corners.max(axis=1) + margin)
     count = np.empty(len(points), dtype=np.int64)

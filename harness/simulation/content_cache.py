@@ -1,6 +1,6 @@
-"""Files that results are made from: whoever opens one records it, and a result is kept while its files stay the same.
+"""A cache of results that depend on files: files are recorded when opened, and a result is valid until one changes.
 
-A scene's identity (`fingerprint`) is made of this record, so that it cannot miss a file that was read.
+A scene's identity (`fingerprint`) is computed from this record, so that it cannot miss a file that was read.
 """
 
 import hashlib
@@ -22,8 +22,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _SETTLED_NS = 2 * 10**9
-"""A file written to within this time of being read may change again without a new time stamp: two seconds is the
-coarsest step of a file system's clock (FAT)."""
+"""A file that was written less than this before it was read may change again without a new time stamp: two seconds is
+the coarsest resolution of a file system's clock (FAT)."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class FileRead:
 
     path: str
     sha256: str
-    """The hash of its contents, hexadecimal."""
+    """Hash of its contents, hexadecimal."""
     stamp: tuple[int, ...]
     """Size, times and identity on the disk."""
     settled: bool
-    """Whether the stamp alone tells that the contents are the same."""
+    """Whether an equal stamp suffices as evidence that the contents are unchanged."""
 
     def again(self) -> "FileRead | None":
-        """The record as of now; None when the contents are others."""
+        """The current record of the file; None when its contents have changed."""
         try:
             if self.settled and _stamp(self.path) == self.stamp:
                 return self
@@ -50,7 +50,7 @@ class FileRead:
 
 
 def read_recorded(path: str | Path, limit_bytes: int, what: str) -> bytes:
-    """As `files.read_regular`, and recorded."""
+    """Read a file as `files.read_regular`, and record it."""
     data, file = _read(str(path), limit_bytes, what)
     _record([file])
     return data
@@ -58,7 +58,7 @@ def read_recorded(path: str | Path, limit_bytes: int, what: str) -> bytes:
 
 @contextmanager
 def recording() -> Iterator[list[FileRead]]:
-    """Lists the files read meanwhile, by this thread and through `read_recorded`, in their order."""
+    """A context that lists the files read within it by this thread through `read_recorded`, in order."""
     files: list[FileRead] = []
     _stack().append(files)
     try:
@@ -69,7 +69,7 @@ def recording() -> Iterator[list[FileRead]]:
 
 
 class Cached(Generic[P, T]):
-    """A function whose results are kept; see `cached_by_content`."""
+    """A function with cached results; see `cached_by_content`."""
 
     def __init__(self, function: Callable[P, T], maxsize: int) -> None:
         self._function = function
@@ -79,7 +79,7 @@ class Cached(Generic[P, T]):
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
-        """The function's result."""
+        """The function's result, cached or computed."""
         assert not kwargs
         key = cast("Hashable", args)
         with self._lock:
@@ -100,18 +100,18 @@ class Cached(Generic[P, T]):
         return result
 
     def cache_clear(self) -> None:
-        """Keep nothing."""
+        """Empty the cache."""
         with self._lock:
             self._results.clear()
 
 
 def cached_by_content(maxsize: int) -> Callable[[Callable[P, T]], Cached[P, T]]:
-    """A decorator as `functools.lru_cache`, but results are kept only while the files they came from stay the same.
+    """A decorator like `functools.lru_cache` whose results are valid only until a file that they depend on changes.
 
     Parameters
     ----------
     maxsize
-        How many results are kept, those used last. The arguments are positional and hashable.
+        Number of results to keep, the most recently used. Arguments must be positional and hashable.
     """
     return lambda function: Cached(function, maxsize)
 

@@ -1,4 +1,4 @@
-"""A scene as a standard GLB file, so that another renderer can repeat the picture."""
+"""Export of a scene as a standard GLB file, so that another renderer can reproduce the image."""
 
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ def write_glb(scene: Scene, path: str | Path) -> None:
 
 
 def _unlit(tree: dict[str, Any]) -> None:
-    """Declare the materials unlit: what one sees is the texture, in any renderer that knows KHR_materials_unlit."""
+    """Declare the materials unlit: a renderer that supports KHR_materials_unlit shows the bare texture."""
     tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_unlit"})
     for material in tree.get("materials", []):
         material.setdefault("extensions", {})["KHR_materials_unlit"] = {}

@@ -1,4 +1,4 @@
-"""How the second camera answers to light otherwise than the first: a matcher should not mind."""
+"""A different exposure of the second camera, to which a matcher should be insensitive."""
 
 import numpy as np
 from numpy.typing import NDArray

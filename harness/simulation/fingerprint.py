@@ -1,4 +1,4 @@
-"""A scene's identity: the same on every machine, wherever its files lie."""
+"""A scene's identity, the same on every machine and for any location of its files."""
 
 import hashlib
 import json
@@ -13,14 +13,14 @@ from harness.simulation.scene import Mesh, Scene, file_specs
 from harness.simulation.texture import texels_of
 
 LARGEST_ASSET_BYTES = max(IMAGE_LIMIT_BYTES, MESH_LIMIT_BYTES)
-"""The largest file that a scene is made of."""
+"""The largest file of a scene, bytes."""
 
 
 @cached_by_content(64)
 def fingerprint(scene: Scene) -> str:
-    """SHA-256 (hexadecimal) of what makes the scene: its settings, and its files' contents in place of their paths.
+    """SHA-256 (hexadecimal) of a scene: of its settings, with the files' contents instead of their paths.
 
-    The files are those that are opened when the scene is read, and no list made beside that.
+    The files are those that are actually opened when the scene is read.
 
     Raises
     ------
@@ -29,14 +29,14 @@ def fingerprint(scene: Scene) -> str:
     """
     read = files_read(scene)
     contents = {str(path): files[0].sha256 for path, files in read.items()}
-    # Files that the scene's files name in their turn: a texture beside a mesh changes the picture as the mesh does.
+    # Files that the scene's files refer to: a texture of a mesh changes the image as the mesh does.
     beside = [file.sha256 for _, files in sorted(read.items()) for file in files[1:]]
     table = [_replaced(scene.model_dump(mode="json"), contents), beside]
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
 def files_read(scene: Scene) -> dict[Path, tuple[FileRead, ...]]:
-    """The files that are opened to read each mesh and image that a scene names: itself, then others.
+    """The files that are opened to read each mesh and image of a scene: that file, then those it refers to.
 
     Raises
     ------

@@ -14,16 +14,16 @@ from harness.simulation.gltf_schema import Accessor, Gltf, Sparse
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _LIMIT_ELEMENTS = 2**26
-"""An accessor without a buffer view is all zeros, as many as it says."""
+"""Most elements of an accessor: one without a buffer view is all zeros, of any declared count."""
 
 
 class Accessors:
-    """Reads accessors.
+    """Reader of accessors.
 
     Parameters
     ----------
     load
-        The contents of a buffer that has a URI, by its index.
+        Returns the contents of a buffer that has a URI, by its index.
     binary
         The binary chunk of a GLB, which is the first buffer when that has no URI.
     """
@@ -33,21 +33,21 @@ class Accessors:
         self._buffers: dict[int, bytes] = {}
 
     def read(self, index: int, kinds: tuple[str, ...], *, normalised: bool = False, whole: bool = False) -> Array:
-        """Elements `[count, components]` as float64; whole numbers that are marked so are brought to 0 .. 1 or -1 .. 1.
+        """Elements `[count, components]` as float64; integers marked as normalised are scaled to 0 .. 1 or -1 .. 1.
 
         Parameters
         ----------
         kinds
-            The types that make sense here.
+            The allowed types.
         normalised
-            Whole numbers make sense only if they are marked as normalised.
+            Whether integers must be marked as normalised.
         whole
-            Only whole numbers make sense.
+            Whether only integers are allowed.
 
         Raises
         ------
         InputError
-            When the accessor, its view or its buffer is not there or is of another type.
+            When the accessor, its view or its buffer is missing or of another type.
         """
         key = f"accessors[{index}]"
         if not 0 <= index < len(self._gltf.accessors):

@@ -1,6 +1,6 @@
-"""The parts of glTF 2.0's JSON that are read, and what of it is refused by name.
+"""The parts of glTF 2.0's JSON that are read, and those that are rejected by name.
 
-Property names are those of the specification; what is not listed is ignored, unless it is an extension.
+Property names are those of the specification; properties that are not listed are ignored, unless they are extensions.
 """
 
 import math
@@ -21,7 +21,7 @@ _NO_DIFFERENCE = {
     "KHR_materials_dispersion", "KHR_materials_emissive_strength", "KHR_materials_variants", "KHR_xmp_json_ld",
     "KHR_mesh_quantization", "KHR_animation_pointer", "EXT_lights_image_based",
 }  # fmt: skip
-"""Extensions that shape the answer to light alone, or offer something else than what is shown first."""
+"""Extensions that only affect shading, or offer alternatives to what is shown by default."""
 _APPLIED = {"KHR_texture_transform", "EXT_texture_webp"}
 
 Index = Annotated[int, Field(ge=0, lt=2**31)]
@@ -67,7 +67,7 @@ class SparseIndices(_Part):
 
 
 class SparseValues(_Part):
-    """By what they are replaced."""
+    """The values that replace them."""
 
     bufferView: Index
     byteOffset: Index = 0
@@ -139,7 +139,7 @@ class TextureInfo(_Part):
     """A texture as a material uses it."""
 
     class Extensions(Spec):
-        """Those that are applied."""
+        """The extensions that are applied."""
 
         model_config = ConfigDict(frozen=True, extra="ignore")
         KHR_texture_transform: TextureTransform | None = None
@@ -161,7 +161,7 @@ class TextureInfo(_Part):
 
 
 class BaseColour(_Part):
-    """What counts of `pbrMetallicRoughness`."""
+    """The properties of `pbrMetallicRoughness` that are used."""
 
     baseColorFactor: tuple[Share, Share, Share, Share] | None = None
     baseColorTexture: TextureInfo | None = None
@@ -176,7 +176,7 @@ class Material(_Part):
     alphaMode: str = "OPAQUE"
 
     def refuse_what_shows(self, file: Path, key: str) -> None:
-        """Refuse light and transparency, which are not rendered.
+        """Check that a material has no emission and no transparency, which are not rendered.
 
         Raises
         ------
@@ -264,10 +264,9 @@ class Gltf(_Part):
     samplers: tuple[Sampler, ...] = ()
 
     def refuse_extensions(self, file: Path) -> None:
-        """Refuse extensions that change the picture and are not applied.
+        """Check that there are no extensions that change the image and are not applied.
 
-        An extension of the file itself, and of what has another form to fall back on, may be left out unless the file
-        requires it.
+        An extension of the file itself, or one with a fallback, is ignored unless the file requires it.
 
         Raises
         ------

@@ -14,12 +14,12 @@ from harness.simulation.mesh_ply import read_ply
 FORMATS = {".glb": read_gltf, ".gltf": read_gltf, ".obj": read_obj, ".ply": read_ply}
 
 _LARGEST = 1e9
-"""The largest coordinate that is taken for one, in the file's unit: a square of it is still far from overflowing."""
+"""The largest valid coordinate, in the file's unit: its square is still far from overflow."""
 
 
 @cached_by_content(8)
 def read_mesh(path: Path, textured: bool = True) -> tuple[MeshPart, ...]:
-    """The triangles in a mesh file, with the transforms of its scene graph applied; kept while its files stay the same.
+    """The triangles in a mesh file, with the transforms of its scene graph applied; cached until its files change.
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ def read_mesh(path: Path, textured: bool = True) -> tuple[MeshPart, ...]:
     Raises
     ------
     InputError
-        When the file is missing, is of no known format, says what is not rendered, or has no triangles or vertices that
-        are not finite.
+        When the file is missing, is of no known format, has features that are not rendered, no triangles, or vertices
+        that are not finite.
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"not a mesh file; give one of {', '.join(FORMATS)}", file=path)

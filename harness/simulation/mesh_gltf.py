@@ -1,8 +1,8 @@
-"""glTF 2.0 files, text and binary: the base colour of every triangle, as if it had no lights.
+"""glTF 2.0 files, text and binary: the unlit base colour of every triangle.
 
-What shapes a surface's answer to light (metal, roughness, normals, occlusion, and the extensions of that kind) does not
-count, as a scene has no lights; surfaces are seen from both sides; points and lines have no area; animations rest. All
-else that changes the picture is applied, or refused by name.
+Shading properties (metal, roughness, normals, occlusion, and extensions of that kind) are ignored, as a scene has no
+lights; surfaces are visible from both sides; points and lines have no area; animations are not played. Everything else
+that changes the image is applied, or rejected by name.
 """
 
 import base64
@@ -95,7 +95,7 @@ def _shortened(text: str) -> str:
 
 @dataclass(frozen=True)
 class _Surface:
-    """A material's texture and factor, and which texture coordinates it uses, how."""
+    """A material's texture and factor, and how it uses which texture coordinates."""
 
     picture: Picture | None
     factor: tuple[float, float, float] | None
@@ -126,7 +126,7 @@ class _Reader:
         return entries[index]
 
     def _placed(self) -> Iterator[tuple[int, Array]]:
-        """Meshes of the scene's nodes, with their transforms `[4, 4]`; each node once, parents first."""
+        """The meshes of the scene's nodes with their transforms `[4, 4]`; each node once, parents first."""
         gltf = self._gltf
         if gltf.scenes:
             roots = self._one("scenes", gltf.scene or 0).nodes
@@ -218,7 +218,7 @@ class _Reader:
             given = None if base is None else base.baseColorFactor
             factor = None if given is None else (given[0], given[1], given[2])
             if texture is not None and texture.transform is not None and texture.transform.rotation != 0:
-                # Its text and its matrix turn opposite ways, and renderers differ.
+                # The specification's text and its matrix rotate in opposite directions, and renderers differ.
                 key = f"materials[{index}].pbrMetallicRoughness.baseColorTexture.extensions.KHR_texture_transform"
                 self._refuse(f"{key}.rotation", "turned textures are not rendered")
             picture, wraps = (None, (_REPEAT, _REPEAT)) if texture is None else self._picture(texture.index)
@@ -266,7 +266,7 @@ class _Reader:
         return self._fetched(buffer.uri, LIMIT_BYTES, "buffer", key)
 
     def _fetched(self, uri: str, limit_bytes: int, what: str, key: str) -> bytes:
-        """What a URI means: data in itself, or a file beside the mesh."""
+        """The data of a URI: embedded data, or a file relative to the mesh."""
         if uri.startswith("data:"):
             head, comma, content = uri.partition(",")
             try:
@@ -292,8 +292,8 @@ def _triangles(indices: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
 
 
 def _laid_out(picture: Picture, wraps: tuple[int, int]) -> Picture:
-    """A picture that repeats as the wrap modes say: mirrored copies beside it, which make a clamped one right too as
-    long as it is not left.
+    """A tile that repeats as the wrap modes require: with mirrored copies, which also suit a clamped texture if
+    coordinates stay within 0 .. 1.
     """
     levels = picture.levels
     if wraps[0] != _REPEAT:

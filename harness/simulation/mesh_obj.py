@@ -1,7 +1,7 @@
 """Wavefront OBJ files and their materials (MTL).
 
-What counts of a material is its diffuse colour: `Kd` times `map_Kd`. What shapes its answer to light does not, as a
-scene has no lights. What would change the picture and is not rendered is refused by name.
+A material is its diffuse colour, `Kd` times `map_Kd`. Shading properties are ignored, as a scene has no lights.
+Properties that would change the image and are not rendered are rejected by name.
 """
 
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ _IGNORED = {
     "shadow_obj",
     "trace_obj",
 }
-"""Names, shading, points and lines: nothing with an area."""
+"""Ignored keywords: names, shading, points and lines, which have no area."""
 _MAP_OPTIONS = {
     "-blendu",
     "-blendv",
@@ -203,7 +203,7 @@ def _in_range(indices: NDArray[np.int64], count: int, what: str, obj: _Obj, face
 
 
 def _index(word: str, count: int) -> int:
-    """From 0 on; negative numbers count backwards from the last one so far."""
+    """The index from 0; negative numbers count backwards from the last element so far."""
     number = int(word)
     if number == 0 or number < -count or number > 2**31:
         raise ValueError
@@ -211,7 +211,7 @@ def _index(word: str, count: int) -> int:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines with something in them, without comments, with their numbers; a backslash at the end joins the next one."""
+    """Numbered lines that are not empty, without comments; a backslash at the end continues a line."""
     joined, start = "", 0
     for number, line in enumerate(text.split("\n"), 1):
         start = start or number
@@ -269,7 +269,7 @@ def _read_mtl(text: str, file: Path) -> dict[str, _Material]:
 
 
 def _shines_through(keyword: str, words: list[str], file: Path, key: str) -> bool:
-    """Whether a line makes the material let light through (d below 1, Tr above 0) or give light (Ke)."""
+    """Whether a line makes the material transparent (d below 1, Tr above 0) or emissive (Ke)."""
     if keyword not in {"d", "tr", "ke"} or words[:1] == ["-halo"]:
         return False
     numbers = _numbers(words, file, key)

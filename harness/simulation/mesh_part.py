@@ -1,4 +1,4 @@
-"""What readers of meshes have in common: parts, their look, and the files that they name."""
+"""Shared by the readers of meshes: parts, their colours, and the files that they refer to."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +15,7 @@ from harness.simulation.content_cache import read_recorded
 from harness.simulation.texture import Texels
 
 LIMIT_BYTES = 2**28
-"""The largest mesh, material or buffer file that is read."""
+"""The largest mesh, material or buffer file that is read, bytes."""
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
@@ -23,27 +23,27 @@ WHITE: Colour = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class MeshPart:
-    """Triangles of a file that share one texture."""
+    """The triangles of a file that share a texture."""
 
     corners: Array
     """`[triangles, 3, 3]`, in the file's unit, z up."""
     uv: Array | None
     """`[triangles, 3, 2]`, in repetitions of the texture, v up; None when the file has none."""
     texels: Texels | None
-    """Grey `[height, width]`; None when the file does not say what the triangles look like."""
+    """Grey `[height, width]`; None when the file has no colours for these triangles."""
 
 
 @dataclass
 class Look:
-    """Makes parts of what a file says of colours; equal textures are one array.
+    """Builds parts from a file's colours; equal textures share one array.
 
-    A factor and colours that are the same everywhere darken the texture, or are the look by themselves. Colours that
-    vary become a texture of their own where there is no other.
+    A factor and uniform vertex colours multiply the texture, or replace a missing one. Vertex colours that vary become
+    a texture if there is no other.
     """
 
     file: Path
     linear: bool = False
-    """Factors multiply amounts of light (glTF), not levels."""
+    """Whether factors multiply linear intensities (glTF) rather than grey levels."""
     _greys: dict[tuple[int, Colour], Texels] = field(default_factory=dict)
     _pictures: list[Picture] = field(default_factory=list)
 
@@ -62,11 +62,11 @@ class Look:
         Parameters
         ----------
         factor
-            Of the material, 0 .. 1; None when the file gives none.
+            The material's factor, 0 .. 1; None when the file has none.
         colours
-            Of the corners, `[triangles, 3, 3]`, 0 .. 1.
+            Colours of the corners, `[triangles, 3, 3]`, 0 .. 1.
         key
-            Where in the file the colours are, for messages.
+            The key of the colours in the file, for messages.
         """
         if colours is not None:
             if not (np.isfinite(colours).all() and colours.min() >= 0 and colours.max() <= 1):
@@ -102,7 +102,7 @@ class Look:
 
 
 def _ramp(corners: Array, greys: Array) -> MeshPart:
-    """Greys of corners `[triangles, 3]` as a texture: between the middles of two texels grey is linear in u."""
+    """A texture for the greys of corners `[triangles, 3]`: between the centres of two texels grey is linear in u."""
     low, high = float(greys.min()), float(greys.max())
     along = np.zeros_like(greys) if high == low else (greys - low) / (high - low)
     uv = np.stack([0.25 + 0.5 * along, np.full_like(along, 0.5)], axis=-1)
@@ -110,12 +110,12 @@ def _ramp(corners: Array, greys: Array) -> MeshPart:
 
 
 def named_file(name: str, owner: Path) -> Path:
-    """The file that another one names, beside it. Backslashes are taken as slashes: other systems write them."""
+    """The path of a file that `owner` refers to, relative to it. Backslashes, from other systems, count as slashes."""
     return owner.parent / name.replace("\\", "/")
 
 
 def is_beside(name: str, owner: Path) -> bool:
-    """Whether there is such a file beside another one."""
+    """Whether a file that `owner` refers to exists."""
     try:
         return named_file(name, owner).is_file()
     except (OSError, ValueError):  # too long a name, or none
@@ -123,7 +123,7 @@ def is_beside(name: str, owner: Path) -> bool:
 
 
 def read_named(name: str, owner: Path, limit_bytes: int, what: str, *, key: str | None = None) -> tuple[bytes, Path]:
-    """Contents and path of a file that another one names; what is wrong with it says who named it."""
+    """Contents and path of a file that `owner` refers to; errors name the owner."""
     path = named_file(name, owner)
     try:
         return read_recorded(path, limit_bytes, what), path
@@ -134,7 +134,7 @@ def read_named(name: str, owner: Path, limit_bytes: int, what: str, *, key: str 
 
 
 def read_picture(name: str, owner: Path, *, key: str | None = None) -> Picture:
-    """The picture that a file names."""
+    """The image that a file refers to."""
     data, path = read_named(name, owner, IMAGE_LIMIT_BYTES, "texture", key=key)
     try:
         return decode(data, path)
@@ -145,7 +145,7 @@ def read_picture(name: str, owner: Path, *, key: str | None = None) -> Picture:
 
 
 def text_of(data: bytes) -> str:
-    """A text file's contents, UTF-8 or else Latin-1, lines ended by a line feed alone."""
+    """A text file's contents, from UTF-8 or else Latin-1, with line feeds as line ends."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -154,7 +154,7 @@ def text_of(data: bytes) -> str:
 
 
 def refuse_unless_convex(corners: Array, polygon: NDArray[np.int64], file: Path) -> None:
-    """Refuse polygons that a fan about the first corner does not fill.
+    """Check that a fan about its first corner fills every polygon.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def refuse_unless_convex(corners: Array, polygon: NDArray[np.int64], file: Path)
         return
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.stack([np.bincount(polygon, weights=cross[:, axis]) for axis in range(3)], axis=-1)[polygon]
-    # A thousandth of the square of the area: corners on one line, rounded, are no fold.
+    # A thousandth of the squared area, as collinear corners with rounding errors are not a fold.
     folded = np.sum(cross * total, axis=-1) < -1e-3 * np.sum(total**2, axis=-1)
     if folded.any():
         raise InputError(

@@ -1,4 +1,4 @@
-"""PLY files: vertices, polygons, texture coordinates of vertices or of corners, colours, one texture."""
+"""PLY files: vertices, polygons, texture coordinates of vertices or corners, colours, and one texture."""
 
 import re
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _TYPES = {
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _LOST = {"tristrips", "multi_texture_vertex", "multi_texture_face"}
-"""Elements that hold faces or textures in ways that are not read."""
+"""Elements with faces or textures in forms that are not supported."""
 
 
 @dataclass
@@ -47,7 +47,7 @@ class _Lists:
 
     lengths: NDArray[np.int64]
     values: Array
-    """All lists, one after the other."""
+    """All lists, concatenated."""
 
 
 Ints = NDArray[np.int64]
@@ -93,7 +93,7 @@ def read_ply(path: Path, *, textured: bool) -> list[MeshPart]:
 
 
 def _fans(lengths: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles `[n, 3]` of polygons about their first corners, as indices into all corners; the polygon of each."""
+    """Triangle fans `[n, 3]` of polygons, as indices into all corners, and the polygon of each triangle."""
     triangles = lengths - 2
     polygon = np.repeat(np.arange(len(lengths)), triangles)
     first = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int64)[polygon]
@@ -103,7 +103,7 @@ def _fans(lengths: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def _uv(vertex: Table, face: Table, indices: _Lists, used: Ints, corner: Ints, path: Path) -> Array | None:
-    """Texture coordinates `[triangles, 3, 2]`, of the faces' corners, else of the vertices."""
+    """Texture coordinates `[triangles, 3, 2]` of the faces' corners, or else of the vertices."""
     lists = face.get("texcoord")
     if isinstance(lists, _Lists):
         if not np.array_equal(lists.lengths, 2 * indices.lengths):
@@ -126,7 +126,7 @@ def _texture(names: list[str], face: Table, path: Path) -> str:
 
 
 def _colours(vertex: Table, face: Table, used: Ints, polygon: Ints) -> Array | None:
-    """Red, green and blue of corners `[triangles, 3, 3]`, 0 .. 1, of faces, else of vertices."""
+    """Red, green and blue of corners `[triangles, 3, 3]`, 0 .. 1, from faces, or else from vertices."""
     for table, index in ((face, polygon[:, None].repeat(3, axis=1)), (vertex, used)):
         for prefix in ("", "diffuse_"):
             names = [prefix + name for name in ("red", "green", "blue")]
@@ -137,7 +137,7 @@ def _colours(vertex: Table, face: Table, used: Ints, polygon: Ints) -> Array | N
 
 
 def _share(levels: NDArray[Any]) -> Array:
-    """Whole numbers as a share of the largest of their type."""
+    """Integers divided by the largest value of their type."""
     scale = np.iinfo(levels.dtype).max if levels.dtype.kind in "iu" else 1
     return np.asarray(levels.astype(np.float64) / scale)
 
@@ -146,7 +146,7 @@ def _share(levels: NDArray[Any]) -> Array:
 
 
 def _header(data: bytes, path: Path) -> tuple[str, list[_Element], list[str], bytes]:
-    """Byte order (empty: text), elements, names of textures, and what comes after the header."""
+    """Byte order (empty for text), elements, names of textures, and the data after the header."""
     match = re.match(rb"ply[ \t]*\r?\n(?:[^\n]*\n)*?end_header[ \t]*\r?\n", data[:100_000])
     if match is None:
         raise InputError("cannot be read as a mesh: it has no header of a PLY file", file=path)
@@ -193,7 +193,7 @@ def _tables(order: str, elements: list[_Element], body: bytes, path: Path) -> di
 
 
 class _Words:
-    """Values of a text file, one after the other."""
+    """Reads the values of a text file in order."""
 
     def __init__(self, body: bytes) -> None:
         self._words = np.array(body.split(), dtype=np.bytes_).astype(np.float64) if body.split() else np.zeros(0)
@@ -219,7 +219,7 @@ class _Words:
 
 
 class _Bytes:
-    """Values of a binary file, one after the other."""
+    """Reads the values of a binary file in order."""
 
     def __init__(self, body: bytes, order: str) -> None:
         self._body, self._order, self._at = body, order, 0
@@ -239,7 +239,7 @@ class _Bytes:
         return self._alike(element) or _gathered(element, (self._row(element) for _ in range(element.count)))
 
     def _alike(self, element: _Element) -> Table | None:
-        """All rows at once, where their lists are as long as those of the first row; else None."""
+        """All rows at once, if their lists are as long as those of the first row; else None."""
         if not element.count:
             return None
         start = self._at
@@ -285,7 +285,7 @@ def _gathered(element: _Element, rows: Iterator[list[Array]]) -> Table:
 
 
 def _typed(values: Array, kind: str) -> Array:
-    """Values of the type that the header says; raises ValueError where it does not hold them."""
+    """Values converted to the header's type; raises ValueError when it cannot represent them."""
     if kind[0] in "iu":
         limits = np.iinfo(kind)
         if values.size and not ((values >= limits.min) & (values <= limits.max) & (values == np.rint(values))).all():

@@ -1,4 +1,4 @@
-"""Noise of the camera: white, Gaussian, the same for all matchers."""
+"""Camera noise: white, Gaussian, and the same for all matchers."""
 
 import hashlib
 from typing import Any
@@ -13,10 +13,10 @@ from harness.spec import Spec
 
 
 def generator(seed: int, *purpose: str) -> np.random.Generator:
-    """A random generator for one purpose: a hash of the seed and of the words that name it.
+    """A random generator for one purpose, seeded by a hash of the seed and of the words that name the purpose.
 
-    Two purposes never share draws, and a purpose's draws depend on nothing else: not on the order of trials, on
-    workers, or on settings that are not named.
+    Two purposes never share draws, and the draws of a purpose depend on nothing else: not on the order of trials,
+    workers, or settings that are not named.
     """
     words = "\0".join((str(seed), *purpose))
     return np.random.default_rng(int.from_bytes(hashlib.sha256(words.encode()).digest()[:16], "little"))
@@ -34,8 +34,8 @@ _NAMED = {
 def words_of(sensor: Sensor) -> str:
     """The words that name a sensor among the purposes of `generator`.
 
-    A key that sensors have had for less long counts only where it is not at its default, and the model is called what
-    it was first called: a sensor that could be described before keeps its draws.
+    For sensors that earlier versions could describe the words, and so the draws, never change: newer keys are included
+    only if they are not at their default, and the model has its original name.
     """
     words: dict[str, Any] = {}
     for name, part in sensor:

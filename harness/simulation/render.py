@@ -1,13 +1,13 @@
-"""The image that a sensor sees: every pixel is the mean of a regular grid of exact samples.
+"""Rendering: every pixel of a sensor's image is the mean of a regular grid of exact samples.
 
-A grid that is too wide for its texture aliases. So the samples of a pixel are doubled either way where they are more
-than 1.5 texels apart, and doubled twice where they are more than 8 apart (by the pixel's longest side on the face that
-it sees), and doubled where they fall on faces of several textures, such as those of two objects. A pixel of several
-faces of one texture, as in a fine mesh, keeps its samples.
+A grid that is too coarse for its texture aliases. So the samples of a pixel are doubled in each direction where they
+are more than 1.5 texels apart, doubled twice where they are more than 8 apart (by the pixel's longest side on its
+face), and doubled where they fall on faces of several textures, such as those of two objects. A pixel of several faces
+of one texture, as in a fine mesh, keeps its samples.
 
-There is no light: the grey of a pixel is the grey of the texture. Most pixels lie inside one face, whose texture
-coordinates are a homography of the ray; only the others are traced sample by sample. A pixel is taken to lie
-inside one face when its four corners hit that face and the outline of no face comes near it (see `_face_of_pixels`).
+There is no lighting: the grey of a pixel is that of the texture. Most pixels lie inside one face, whose texture
+coordinates are a homography of the ray; only the others are traced sample by sample. A pixel counts as inside a face
+when its four corners hit that face and no outline of a face passes near it (see `_face_of_pixels`).
 """
 
 import math
@@ -42,13 +42,13 @@ from harness.threads import in_threads
 Image = NDArray[np.float32]
 
 _RAYS = 1 << 15
-"""Rays in flight per thread: few enough for the caches, enough to keep the interpreter's share small."""
+"""Rays per thread and batch: few enough for the CPU's caches, enough to keep the interpreter's overhead small."""
 
 _NARROW = 16.0
-"""How much longer the longest side of a pixel may be than the shortest that edges are sampled for."""
+"""Largest ratio of the longest side of a pixel to the shortest for which edges are sampled."""
 
 _MOST_PER_SIDE = 32
-"""Samples along either side of a pixel, at most, where `render.samples` does not ask for more."""
+"""Most samples along each side of a pixel, unless `render.samples` asks for more."""
 
 
 def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads: int | None = None) -> Image:
@@ -57,11 +57,11 @@ def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads:
     Parameters
     ----------
     samples
-        Samples per pixel, a square number; up to 16 times as many, at most 1,024, where they are too wide for a
-        texture or an outline (see above). A pixel whose centre is in the field has all its samples shaded, even
-        those a hair beyond the mirror's rim.
+        Samples per pixel, a square number; up to 16 times as many, at most 1,024, where they are too coarse for a
+        texture or an outline (see above). A pixel whose centre is in the field has all its samples shaded, even those
+        slightly beyond the mirror's rim.
     threads
-        All available CPUs when not given. No bit of the image depends on it.
+        Number of threads; by default all available CPUs. The image does not depend on it.
 
     Raises
     ------
@@ -76,9 +76,9 @@ def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads:
 def render_with_range(
     scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads: int | None = None
 ) -> tuple[Image, Array]:
-    """The image, as `render` returns it, and the exact range at every pixel's centre.
+    """The image, as from `render`, and the exact range at every pixel's centre.
 
-    Cheaper than `truth.truth` after `render`: in a pixel that one face fills, the range needs no ray.
+    Faster than `truth.truth` after `render`: in a pixel inside one face, the range needs no ray.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def render_with_range(
 def render_every_sample(
     scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads: int | None = None
 ) -> Image:
-    """What `render` returns, by tracing every sample: slow, and its reference."""
+    """The image, as from `render`, by tracing every sample: the slow reference implementation."""
     _, valid = pixel_directions(sensor)
     faces = np.where(valid, TRACE, TRACE - 1).astype(np.int32)
     return _shaded(_view(scene, pose), sensor, faces, samples, threads)
@@ -120,7 +120,7 @@ class _View:
 
     geometry: Geometry
     origin: Array
-    """`[3]`, metres, from the geometry's centre."""
+    """`[3]`, metres, relative to the geometry's centre."""
     rotation: Array
     """World from view, `[3, 3]`."""
     H: Array
@@ -140,11 +140,11 @@ def _view(scene: Scene, pose: Pose) -> _View:
 
 @dataclass(frozen=True)
 class _Tiles:
-    """The textures of a scene in the form of the shading loop."""
+    """The textures of a scene in the form of the shading kernel's arguments."""
 
     texels: NDArray[np.float32]
-    """All textures end to end, each padded by its first two rows and columns. One of either serves the bilinear lookup;
-    the second serves coordinates that round up to the tile's size."""
+    """All textures end to end, each padded by its first two rows and columns: one for the bilinear lookup, the other
+    for coordinates that round up to the tile's size."""
     layout: NDArray[np.int64]
     """`[textures, 3]`: start, height and width of each, without the padding."""
 
@@ -179,15 +179,15 @@ class _Corners:
     corner: NDArray[np.int64]
     """`[n]`: index into the grid of (height + 1) x (width + 1) corners."""
     index: NDArray[np.int32]
-    """Where each corner of the grid, flat, is among the n; -1 for those that no valid pixel has."""
+    """Index among the n of each corner of the grid, flat; -1 for those of no valid pixel."""
     rays: Array
     """`[3, n]`, in the sensor's frame."""
     finest_rad: float
-    """The smallest angle that the side of a pixel spans, but for narrow ones."""
+    """The smallest angle of a pixel's side, narrow pixels excepted."""
     coarsest_rad: float
-    """The largest."""
+    """The largest angle of a pixel's side."""
     narrow: NDArray[np.bool_]
-    """`[height, width]`: pixels with a side of less than a sixteenth of that, as next to a panorama's poles."""
+    """`[height, width]`: pixels with a side below a sixteenth of the largest, as near a panorama's poles."""
 
 
 @lru_cache(maxsize=8)
@@ -216,7 +216,7 @@ def _corners_of(sensor: Sensor) -> _Corners:
 
 
 def _corners_around(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The corners `[height + 1, width + 1]` of chosen pixels `[height, width]`."""
+    """The corners `[height + 1, width + 1]` of selected pixels `[height, width]`."""
     corners = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1), dtype=bool)
     for rows in (slice(0, -1), slice(1, None)):
         for columns in (slice(0, -1), slice(1, None)):
@@ -227,15 +227,15 @@ def _corners_around(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_edges: bool = True) -> Ints:
     """The face that fills each pixel `[height, width]`, -1 for the background, or TRACE, or INVALID.
 
-    An outline through a pixel is found from its points, sampled more closely than pixels; where two faces cut
-    through each other there is no outline, but then a pixel's corners lie on both: within one pixel the line is
-    straight, far more so than the margin between the outermost samples and the pixel's border.
+    Outlines are detected from their points, which are sampled more densely than pixels. Where two faces intersect there
+    is no outline, but then the corners of a pixel lie on both: within one pixel the line of intersection is straight to
+    far less than the margin between the outermost samples and the pixel's border.
     """
     _, valid = pixel_directions(sensor)
     corners = _corners_of(sensor)
     camera = parameters_of(sensor)
     step = 0.9 * corners.finest_rad
-    # Beyond the field by two pixels: those at the rim reach out with their corners.
+    # Two pixels beyond the field, as the corners of pixels at the rim lie outside.
     field = field_of(sensor, margin_rad=2 * corners.coarsest_rad)
     marks = corners.narrow.copy()  # those are traced, lest edges be sampled ever more closely on their account
     goes_round = seam_px(sensor) > 0
@@ -247,7 +247,7 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     if with_edges:
         in_threads(mark, range(0, len(view.geometry.edges), _RAYS), threads)
 
-    # In a fine mesh there is an edge in nearly every pixel, and few corners are left to trace.
+    # In a fine mesh nearly every pixel has an edge, and few corners remain to be traced.
     needed = _corners_around(valid & ~marks).ravel()
     face = np.full(needed.size, TRACE, dtype=np.int32)
 
@@ -265,13 +265,13 @@ def _face_of_pixels(view: _View, sensor: Sensor, threads: int | None, *, with_ed
     out = np.empty(valid.shape, dtype=np.int32)
     classify_pixels(face.reshape(valid.shape[0] + 1, -1), valid, marks, out)
     if view.geometry.closed:
-        # Corners that slipped through a crack; the samples are traced with more care.
+        # Corners whose rays slipped through a crack; their samples are traced with more care.
         out[out == -1] = TRACE
     return out
 
 
 def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int | None) -> Image:
-    """The mean of every pixel's samples, given which face fills it or that it must be traced."""
+    """The mean of every pixel's samples, given the face that fills it, or TRACE."""
     per_side = math.isqrt(max(samples, 0))
     if samples < 1 or per_side * per_side != samples:
         raise ValueError(f"samples must be a square number, such as 4, 16 or 64; found {samples}")
@@ -291,7 +291,7 @@ def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int
 
 @dataclass(frozen=True)
 class _Shading:
-    """An image in the making."""
+    """An image that is being shaded."""
 
     view: _View
     sensor: Sensor
@@ -302,7 +302,7 @@ class _Shading:
     """Flat."""
 
     def write(self, pixels: NDArray[np.int64], per_side: int) -> None:
-        """Write the grey of pixels that are all to be traced, or all not, with more samples where they need them."""
+        """Write the grey of pixels that are either all traced or all not, with more samples where needed."""
         traced = self.face[pixels[0]] == TRACE
         if traced:
             rays = self._rays(pixels, per_side)
@@ -322,7 +322,7 @@ class _Shading:
                 self._shade(some, rays, _traced_faces(self.view, rays) if traced else self.face[some], finer)
 
     def _levels(self, pixels: NDArray[np.int64], face: Ints, per_side: int) -> NDArray[np.int64]:
-        """How often the samples of pixels are doubled if one face `[pixels]` fills each."""
+        """How many times the samples of pixels are doubled, if one face `[pixels]` fills each."""
         level = np.empty(pixels.size, dtype=np.int64)
         sampling_levels(
             pixels,
@@ -362,7 +362,7 @@ class _Shading:
 
 
 def _in_pieces(pixels: NDArray[np.int64], per_side: int) -> list[NDArray[np.int64]]:
-    """Pixels, some at a time: as many as are shaded together with so many samples."""
+    """Batches of pixels, of the size in which they are shaded together with so many samples."""
     at_once = max(1, _RAYS // per_side**2)
     return [pixels[start : start + at_once] for start in range(0, pixels.size, at_once)]
 

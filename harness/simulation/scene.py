@@ -1,6 +1,6 @@
-"""A scene: objects, their textures and where they stand, read from TOML.
+"""A scene: objects with their poses and textures, read from TOML.
 
-Lengths are metres; the world is right-handed with z up. Everything is frozen and hashable, and round-trips
+Lengths are in metres; the world is right-handed with z up. Specifications are frozen and hashable, and round-trip
 through TOML.
 """
 
@@ -25,9 +25,7 @@ BOX_SIDES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
 
 class _Placed(Spec):
-    """An object's own frame in the world: rotated by yaw about z, then pitch about y, then roll about x, then
-    moved.
-    """
+    """An object's frame in the world: rotated by yaw about z, pitch about y, then roll about x, then translated."""
 
     name: str = ""
     """A name for messages and exports."""
@@ -52,9 +50,10 @@ class _Placed(Spec):
 
 
 class Box(_Placed):
-    """A cuboid; `position_m` is the middle of its bottom.
+    """A cuboid; `position_m` is the centre of its bottom.
 
-    A side's texture is the first given of: its own (`x_min` ... `top`), `sides` for the four upright ones, `texture`.
+    A side's texture is the first one given of: its own (`x_min` ... `top`), `sides` for the four upright sides, and
+    `texture`.
     """
 
     kind: Literal["box"]
@@ -62,7 +61,7 @@ class Box(_Placed):
     size_m: tuple[Positive, Positive, Positive]
     """Extent along x, y and z, metres."""
     inward: bool = False
-    """Whether the box is a room, seen from within; otherwise it is solid, and no view may be inside."""
+    """Whether the box is a room, visible from inside; otherwise it is solid, and no view may be inside."""
     texture: Texture | None = None
     """Texture of all sides that have none of their own."""
     sides: Texture | None = None
@@ -106,14 +105,15 @@ class Plane(_Placed):
 
 
 class Chessboard(_Placed):
-    """A plane board of dark and bright squares to calibrate with, about `position_m` in its own x-y plane, seen from
-    both sides. Columns of corners follow each other along x, rows along y.
+    """A planar board of dark and bright squares for calibration, centred on `position_m` in its own x-y plane.
+
+    It is visible from both sides. Columns of corners follow each other along x, rows along y.
     """
 
     kind: Literal["chessboard"]
     """A board of squares."""
     columns: Corners = 9
-    """Inner corners along x, those where four squares meet."""
+    """Inner corners along x, where four squares meet."""
     rows: Corners = 6
     """Inner corners along y."""
     square_m: Positive = 0.04
@@ -127,13 +127,13 @@ class Chessboard(_Placed):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Extent along x and y, margins included."""
+        """Extent along x and y, including margins, metres."""
         squares = self.columns + 1 + 2 * self.margin_squares, self.rows + 1 + 2 * self.margin_squares
         return squares[0] * self.square_m, squares[1] * self.square_m
 
     @property
     def texture(self) -> ChessboardTexture:
-        """What both sides show."""
+        """Texture of both sides."""
         return ChessboardTexture(
             columns=self.columns,
             rows=self.rows,
@@ -147,7 +147,7 @@ class Chessboard(_Placed):
 class Mesh(_Placed):
     """Triangles of a GLB, OBJ or PLY file with its own UV texture.
 
-    glTF has y up and is turned so that z is; other formats are taken as z up.
+    glTF has y up and is rotated to z up; other formats are assumed to have z up.
     """
 
     kind: Literal["mesh"]
@@ -155,31 +155,31 @@ class Mesh(_Placed):
     file: str
     """Path of the GLB, OBJ or PLY file, relative to the scene's file."""
     scale: Positive = 1.0
-    """Factor on the mesh's size, no unit."""
+    """Scale factor of the mesh, no unit."""
     inward: bool = False
-    """Whether a watertight mesh may be seen from within; otherwise it is solid, and no view may be inside."""
+    """Whether a watertight mesh is visible from inside; otherwise it is solid, and no view may be inside."""
     texture: Texture | None = None
-    """Replaces the file's texture; laid on by projection along the axis nearest to each triangle's normal, in the
-    mesh's own frame and size, so that it needs no UV."""
+    """Replaces the file's texture; mapped by projection along the axis closest to each triangle's normal, in the mesh's
+    own frame and size, so that it needs no UV."""
 
 
 SceneObject = Annotated[Box | Plane | Chessboard | Mesh, Field(discriminator="kind")]
 
 
 class Scene(Spec):
-    """A world to look at."""
+    """A scene: a list of objects, and the background."""
 
     name: str
     """The scene's name."""
     description: str = ""
-    """A description for people."""
+    """A description for the reader."""
     closed: bool = True
     """Whether every ray hits something: one that escapes is then an error. An open scene shows the background
     there."""
     background_grey: Grey = 0.0
     """Grey level, 0 .. 255, of rays that hit nothing in an open scene."""
     scale: Positive = 1.0
-    """Enlarges everything about the origin, textures too; no unit."""
+    """Scale factor of everything about the origin, textures included; no unit."""
     objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
     """The objects: boxes, planes and meshes."""
 
@@ -203,12 +203,12 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
 
 
 def assets(scene: Scene) -> tuple[Path, ...]:
-    """The files of meshes and images that the scene is made of, sorted."""
+    """The files of a scene's meshes and images, sorted."""
     return tuple(sorted({Path(spec.file) for spec in file_specs(scene)}))
 
 
 def file_specs(spec: Any) -> Iterator[Mesh | ImageTexture]:
-    """What in a specification names a file."""
+    """The parts of a specification that name a file."""
     if isinstance(spec, Mesh | ImageTexture):
         yield spec
     if isinstance(spec, Spec):

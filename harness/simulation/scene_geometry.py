@@ -1,8 +1,8 @@
-"""A scene as arrays: triangles for Embree, and the planar faces that they belong to.
+"""A scene as arrays: triangles for Embree, and the planar faces to which they belong.
 
 A *face* is a connected coplanar group of triangles with one affine texture map: a side of a box, a rectangle, or a
-single triangle of a mesh. From a given viewpoint a face's texture coordinates are a homography of the direction,
-which is what lets the renderer shade a ray without tracing it (see `homographies`).
+single triangle of a mesh. From a given viewpoint a face's texture coordinates are a homography of the direction, so
+that the renderer can shade a ray without tracing it (see `homographies`).
 """
 
 import warnings
@@ -28,17 +28,17 @@ from harness.simulation.texture import Texels, texels_of
 Ints = NDArray[np.int32]
 
 _LIMIT_TEXELS = 2**27
-"""The most texels of all textures of a scene together: half a gigabyte, and as much again for the renderer."""
+"""Most texels of all textures of a scene together: half a gigabyte, and as much again for the renderer."""
 
 _NEAR_M = 64.0
-"""Within this of the world's origin, coordinates are counted from there."""
+"""Distance from the world's origin, metres, within which coordinates are relative to the origin."""
 _LATTICE_M = 16.0
-"""Beyond, from the nearest point of a lattice with this pitch."""
+"""Farther away they are relative to the nearest point of a lattice with this pitch, metres."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """The watertight surface of an object that no view may be inside."""
+    """The watertight surface of an object inside which no view may be."""
 
     name: str
     corners: Array
@@ -47,11 +47,11 @@ class Solid:
 
 @dataclass(frozen=True)
 class Geometry:
-    """What is traced and shaded; all arrays are read-only, lengths in metres, in the world's axes from `centre`."""
+    """A scene to be traced and shaded; arrays are read-only, in metres, along the world's axes relative to `centre`."""
 
     name: str
     centre: Array
-    """`[3]`: the point of the world that all coordinates here are counted from; see `geometry_near`."""
+    """`[3]`: the point of the world to which all coordinates here are relative; see `geometry_near`."""
     closed: bool
     background_grey: float
     corners: Array
@@ -70,16 +70,16 @@ class Geometry:
     """`[faces]`: index into the scene's objects."""
     textures: tuple[Texels, ...]
     textureless: np.ndarray
-    """`[textures]`, bool: the texture is one grey everywhere."""
+    """`[textures]`, bool: the texture is a uniform grey."""
     edges: Array
-    """`[edges, 2, 3]`: end points of the edges at which a face ends."""
+    """`[edges, 2, 3]`: end points of the boundary edges of faces."""
     bounds: Array
-    """`[2, 3]`: lowest and highest corner."""
+    """`[2, 3]`: lowest and highest corner of the bounding box."""
     solids: tuple[Solid, ...]
     object_names: tuple[str, ...]
     """Names of the scene's objects, for messages."""
     rivals: Rivals
-    """Faces that overlap in one plane."""
+    """Coplanar faces that overlap."""
     embree: Any
     """The triangles as an Embree scene, float32; hits are triangle indices."""
 
@@ -95,12 +95,12 @@ class _Patch:
 
 
 def geometry_near(scene: Scene, point_m: ArrayLike) -> Geometry:
-    """The geometry of a scene, counted from a centre within 14 m of a point of the world.
+    """The geometry of a scene, relative to a centre within 14 m of a point of the world.
 
-    Embree's coordinates are float32, whose step is 0.25 m at 4,000 km. Within 64 m of the world's origin the centre is
-    the origin: nothing is gained there. Farther away it is a corner of a lattice, so that neighbouring views share it.
-    Objects are moved by the difference of their position and the centre's, two coordinates of about the same size,
-    which is exact: what remains is the step of a float64 in what was given, 4.7e-10 m at 4,000 km.
+    Embree's coordinates are float32, whose resolution is 0.25 m at 4,000 km. Within 64 m of the world's origin the
+    centre is the origin, as nothing would be gained. Farther away it is a point of a lattice that neighbouring views
+    share. Objects are translated by their position minus the centre, two numbers of about the same size, so that the
+    difference is exact: what remains is the float64 resolution of the input, 4.7e-10 m at 4,000 km.
 
     Raises
     ------
@@ -115,12 +115,12 @@ def geometry_near(scene: Scene, point_m: ArrayLike) -> Geometry:
 
 @cached_by_content(8)
 def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Geometry:
-    """The triangles, faces and edges of a scene; kept while its files stay the same, so that views share the build.
+    """The triangles, faces and edges of a scene; cached until its files change, so that views share it.
 
     Parameters
     ----------
     centre
-        The point of the world that coordinates are counted from, metres.
+        The point of the world to which coordinates are relative, metres.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def _assemble(
 
 
 def homographies(geometry: Geometry, uv_maps: Array, viewpoint: ArrayLike, rotation: Array) -> Array:
-    """For each face the matrix H `[faces, 3, 3]` with `(u w, v w, w) = H @ direction`, seen from a viewpoint.
+    """For each face the homography H `[faces, 3, 3]` with `(u w, v w, w) = H @ direction`, from a viewpoint.
 
     With the plane n · p = h, a ray c + s d meets it at s = (h - n · c)/(n · d); the texture coordinate a · p + b
     there is ((a · c + b) n + (h - n · c) a) · d / (n · d).
@@ -213,7 +213,7 @@ def homographies(geometry: Geometry, uv_maps: Array, viewpoint: ArrayLike, rotat
     Parameters
     ----------
     uv_maps
-        The geometry's, or others of that form, `[faces, 2, 4]`.
+        The geometry's maps, or others of that form, `[faces, 2, 4]`.
     viewpoint
         `[3]`, metres, from the geometry's centre.
     rotation
@@ -226,9 +226,9 @@ def homographies(geometry: Geometry, uv_maps: Array, viewpoint: ArrayLike, rotat
 
 
 def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
-    """Refuse a viewpoint, metres from the geometry's centre, from which there is nothing sensible to see.
+    """Check that a viewpoint, metres, relative to the geometry's centre, is valid.
 
-    Where faces of two objects coincide, it warns of it (`Notice`).
+    Warns (`Notice`) when faces of two objects coincide.
 
     Raises
     ------
@@ -252,13 +252,14 @@ def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
         warnings.warn(
             f"{geometry.name}: faces of {' and '.join(pair)} coincide; the later one is visible. Move one of them",
             Notice,
-            stacklevel=1,  # one place, so that it is said once
+            stacklevel=1,  # the same code location, so that each notice is shown once
         )
 
 
 def _coincident_objects(geometry: Geometry, viewpoint: Array) -> list[list[str]]:
-    """The names of the objects whose faces overlap in one plane as seen from a viewpoint, two by two, or alone where an
-    object does so with itself and the two faces look different.
+    """The names of objects with overlapping coplanar faces that are visible from a viewpoint, in pairs.
+
+    A single name for an object that overlaps itself with faces of different textures.
     """
     pairs = visible_pairs(geometry.rivals, geometry.normals, geometry.offsets, viewpoint)
     objects = geometry.object_of_face[pairs]
@@ -285,7 +286,7 @@ def _patches(thing: SceneObject) -> list[_Patch]:
 
 
 def _box_patches(box: Box) -> Iterator[_Patch]:
-    """Six rectangles. On an upright side u runs level and v up; on bottom and top u runs along x and v along y."""
+    """Six rectangles. On upright sides u runs horizontally and v up; on bottom and top u runs along x and v along y."""
     a, b, c = box.size_m
     x, y, z = np.diag([a, b, c]).astype(np.float64)
     origin = np.array([-a / 2, -b / 2, 0.0])
@@ -313,7 +314,7 @@ def _rectangle(corner: Array, along_u: Array, along_v: Array, texture: Any) -> _
 
 def _mesh_patches(mesh: Mesh) -> Iterator[_Patch]:
     for part in read_mesh(Path(mesh.file), mesh.texture is None):
-        # Triangles without area are never hit and have no plane.
+        # Degenerate triangles are never hit and have no plane.
         area = np.linalg.norm(_cross_of_edges(part.corners), axis=-1)
         solid = area > 1e-14 * np.ptp(part.corners.reshape(-1, 3), axis=0).max() ** 2
         if not solid.any():
@@ -331,7 +332,7 @@ def _mesh_patches(mesh: Mesh) -> Iterator[_Patch]:
 
 
 def _projected_uv(corners: Array, texels: Texels, tile_m: float) -> Array:
-    """Texture coordinates by projection along the axis nearest to each triangle's normal; v is up on upright ones."""
+    """Texture coordinates by projection along the axis closest to each triangle's normal; v is up on upright ones."""
     axis = np.argmax(np.abs(_cross_of_edges(corners)), axis=-1)
     u_and_v = np.array([[1, 2], [0, 2], [0, 1]])[axis]
     height, width = texels.shape
@@ -367,15 +368,13 @@ def _planes(corners: Array, uv: Array) -> tuple[Array, Array, Array]:
 
 
 def _indexed(corners: Array) -> Ints:
-    """Vertex index `[triangles, 3]`: corners at the same place are one vertex, so that Embree sees no cracks."""
+    """Vertex index `[triangles, 3]`: coincident corners are one vertex, so that there are no cracks for Embree."""
     _, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     return index.reshape(-1, 3).astype(np.int32)
 
 
 def _sides(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Sides of triangles as sorted vertex pairs: the distinct ones `[n, 2]`, the index of each, and how often
-    each occurs.
-    """
+    """Sides of triangles as sorted vertex pairs: the distinct ones `[n, 2]`, each side's index, and their counts."""
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
     key = pairs[:, 0] * (int(triangles.max()) + 1) + pairs[:, 1]
     _, first, index, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""Where the corners of a scene's chessboards are seen: exact, from the boards' places and the sensor's projection."""
+"""The exact pixels of the corners of a scene's chessboards, from the boards' poses and the sensor's projection."""
 
 from dataclasses import dataclass
 
@@ -25,13 +25,13 @@ class SeenBoard(OneLine):
     points_world_m: Array
     """`[n, 3]`: in the world, metres."""
     pixels: Array
-    """`[n, 2]`: (u, v), pixels; NaN where the camera model has none."""
+    """`[n, 2]`: (u, v), pixels; NaN outside the camera model's domain."""
     visible: NDArray[np.bool_]
-    """`[n]`: in the field, on the image, and with nothing in front."""
+    """`[n]`: in the field, on the image, and not occluded."""
 
 
 def visible_boards(scene: Scene, sensor: Sensor, pose: Pose) -> tuple[SeenBoard, ...]:
-    """The chessboards of a scene as a view sees them, in the scene's order."""
+    """The corners of the chessboards of a scene in a view, in the scene's order."""
     boards = [(i, each) for i, each in enumerate(scene.objects) if isinstance(each, Chessboard)]
     if not boards:
         return ()
@@ -47,7 +47,7 @@ def _visible_board(
     flat = points - points[-1] / 2  # about the middle
     turned = flat @ board.pose.R_world_from_view[:, :2].T
     world = (turned + board.position_m) * scale
-    # Counted from the viewpoint, in this order, so that nothing is lost far from the world's origin.
+    # Relative to the viewpoint, in this order, so that no digits are lost far from the world's origin.
     in_frame = turned * scale + (np.multiply(board.position_m, scale) - pose.position_m)
     pixels, valid = project(sensor, in_frame @ pose.R_world_from_view)
     distance = np.linalg.norm(in_frame, axis=-1)

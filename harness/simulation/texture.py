@@ -1,4 +1,4 @@
-"""Textures: what a surface looks like, in grey levels 0 .. 255.
+"""Textures of surfaces, in grey levels 0 .. 255.
 
 A texture is a tile that repeats; its texture coordinates (u, v) count repetitions, v upwards, and (0, 0) is the
 lower left corner of the lower left texel. Between the texels' centres, at (i + 0.5)/n, the grey is bilinear.
@@ -30,7 +30,7 @@ class ImageTexture(Spec):
     tile_m: Positive
     """Width of one tile on the surface, metres; its height follows from the image's shape."""
     white: Positive | None = None
-    """Level in the file that is shown as 255; by default the largest of 8 or 16 bits, and 1 in floating point."""
+    """Level in the file that is mapped to 255; by default the largest of 8 or 16 bits, and 1 in floating point."""
 
     def texels(self) -> Texels:
         """Grey `[height, width]`, row 0 at the top."""
@@ -55,7 +55,7 @@ class BundledTexture(Spec):
 
 
 class NoiseTexture(Spec):
-    """Seeded noise whose spectrum is flat between two wavelengths and zero elsewhere; it tiles without a seam."""
+    """Seeded noise with a spectrum that is flat between two wavelengths and zero elsewhere; it tiles seamlessly."""
 
     kind: Literal["noise"]
     """A texture of band-limited noise."""
@@ -70,7 +70,7 @@ class NoiseTexture(Spec):
     mean: Grey = 128.0
     """Mean grey level, 0 .. 255."""
     contrast: Annotated[float, Field(gt=0, le=128)] = 40.0
-    """Standard deviation in grey levels, before the few values outside 0 .. 255 are cut off."""
+    """Standard deviation in grey levels, before values outside 0 .. 255 are clipped."""
     size_px: Annotated[int, Field(ge=8, le=4096)] = 512
     """Texels along each side of the tile."""
 
@@ -90,7 +90,7 @@ class NoiseTexture(Spec):
         return self
 
     def _has_a_wave(self) -> bool:
-        """Whether the band holds a frequency: the longest wave of each number of cycles along one side that it may."""
+        """Whether the band contains a frequency: for each number of cycles along one side, the longest allowed wave."""
         i = np.arange(min(math.ceil(self.tile_m / self.shortest_m), self.size_px // 2) + 1.0)
         least = np.sqrt(np.maximum((self.tile_m / self.longest_m) ** 2 - i**2, 0))
         # The nearest whole numbers: rounding decides as it does in `texels`.
@@ -110,7 +110,7 @@ class NoiseTexture(Spec):
 
 
 class GreyTexture(Spec):
-    """One grey everywhere: a surface on which nothing can be matched."""
+    """A uniform grey: a surface on which nothing can be matched."""
 
     kind: Literal["grey"]
     """One grey everywhere."""
@@ -119,7 +119,7 @@ class GreyTexture(Spec):
 
     @property
     def tile_m(self) -> float:
-        """Any size will do."""
+        """Width of the tile, metres: any value, as the texture is uniform."""
         return 1.0
 
     def texels(self) -> Texels:
@@ -128,7 +128,7 @@ class GreyTexture(Spec):
 
 
 class ChessboardTexture(Spec):
-    """Dark and bright squares in a bright margin: one tile, the whole board."""
+    """Dark and bright squares with a bright margin: one tile is the whole board."""
 
     columns: int
     """Inner corners along u."""
@@ -167,13 +167,13 @@ Texture = Annotated[
 
 @cached_by_content(16)
 def _read_image(file: str, white: float | None) -> Texels:
-    """Grey of an image file; one array, however many textures show it."""
+    """Grey levels of an image file; one array for all textures that use it."""
     return decode(read_recorded(file, LIMIT_BYTES, "image"), file, white=white).grey()
 
 
 @cached_by_content(64)
 def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture | ChessboardTexture) -> Texels:
-    """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, kept while its file stays the same.
+    """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, cached until its file changes.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTextur
 def lookup(texels: Texels, uv: ArrayLike) -> NDArray[np.float64]:
     """Bilinear grey at texture coordinates `[..., 2]`, which wrap around.
 
-    This is the plain form of what the renderer's kernels do, kept as their reference.
+    The reference implementation for the renderer's kernels.
     """
     height, width = texels.shape
     uv = np.asarray(uv, dtype=np.float64)

@@ -1,6 +1,6 @@
-"""The exact answer: how far away each direction's surface is, which way it faces, and whether a second view sees it.
+"""Ground truth: range and normal of the surface in each direction, and whether a second view sees it.
 
-Truth is one ray through the centre of a direction's pixel, never filtered, never averaged.
+Ground truth is traced along one ray through the centre of each pixel, without any filtering.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from harness.simulation.scene_geometry import Geometry, Ints, check_viewpoint, g
 Mask = NDArray[np.bool_]
 
 DISCONTINUITY_RATIO = 0.05
-"""Neighbouring ranges that differ by more than this share of the nearer one may be a discontinuity."""
+"""Neighbouring ranges that differ by more than this share of the smaller one may be a discontinuity."""
 
 OCCLUSION_TOLERANCE = 1e-6
-"""Relative: a ray that stops short of a point by more than this share of the distance is blocked. Float64 needs
-1e-12; the rest keeps things that touch, such as a foot on the floor, from hiding each other's points."""
+"""A ray that stops short of a point by more than this share of the distance is occluded. Float64 needs 1e-12; the rest
+prevents surfaces that touch, such as a foot on the floor, from occluding each other."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,22 +35,22 @@ class Truth(OneLine):
     """
 
     range_m: Array
-    """Euclidean distance from viewpoint 1 in metres; NaN for a direction that is not valid or meets nothing."""
+    """Euclidean distance from viewpoint 1 in metres; NaN for a direction that is not valid or hits nothing."""
     normal: Array
-    """`[rows, columns, 3]`: the surface's unit normal in the world, towards viewpoint 1; NaN where range is."""
+    """`[rows, columns, 3]`: the surface's unit normal in the world, towards viewpoint 1; NaN without a range."""
     face: Ints
-    """Index of the planar face that is seen (see `geometry`); -1 where range is NaN."""
+    """Index of the visible planar face (see `scene_geometry`); -1 without a range."""
     unoccluded: Mask
-    """Nothing stands between the point and viewpoint 2. True everywhere when there is no second view."""
+    """The point is not occluded from viewpoint 2. True everywhere without a second view."""
     in_field_2: Mask
     """The point's direction lies in the field and on the image of sensor 2, and not on a masked pixel. True everywhere
-    when there is none."""
+    without a second view."""
     visible: Mask
     """Both: the second view sees the point."""
     discontinuity: Mask
-    """Beside a jump in range: see `discontinuities`."""
+    """Adjacent to a jump in range: see `discontinuities`."""
     textureless: Mask
-    """The texture that is seen is one grey everywhere."""
+    """The texture of the surface is a uniform grey."""
 
 
 def truth(
@@ -69,13 +69,13 @@ def truth(
     Parameters
     ----------
     directions_v1
-        `[rows, columns, 3]`, unit length, in view 1's frame; what is not valid may be NaN.
+        `[rows, columns, 3]`, unit length, in view 1's frame; may be NaN where not valid.
     valid
         `[rows, columns]`, bool.
     pose_2, sensor_2
-        The second view. With a pose alone the field is ignored.
+        The second view. With a pose alone its field is ignored.
     wrap_columns
-        The first and last columns are neighbours, as in a panorama of 360 degrees. Wrong for a mirror image.
+        Whether the first and last columns are neighbours, as in a panorama of 360 degrees.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def truth(
 
 
 def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
-    """Whether world directions `[n, 3]` are seen by a sensor: what `project` says is valid."""
+    """Whether world directions `[n, 3]` are seen by a sensor, as `valid` of `project`."""
     if sensor.mask is not None:
         return np.asarray(project(sensor, directions @ pose.R_world_from_view)[1])
     out = np.empty(len(directions), dtype=bool)
@@ -150,7 +150,7 @@ def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
 
 
 def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *, threads: int | None = None) -> Array:
-    """Range in metres alone, as in `truth`: NaN for a direction that is not valid or meets nothing."""
+    """Only the range of `truth`, metres: NaN for a direction that is not valid or hits nothing."""
     valid = np.asarray(valid, dtype=bool)
     range_m = np.full(valid.shape, np.nan)
     rays = rotated(np.asarray(directions, dtype=np.float64)[valid], pose.R_world_from_view)
@@ -159,18 +159,17 @@ def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *,
 
 
 def discontinuities(range_m: Array, normal: Array, directions: Array, *, wrap_columns: bool) -> Mask:
-    """Pixels beside a jump in range, `[rows, columns]`; both pixels of a pair are marked.
+    """Pixels adjacent to a jump in range, `[rows, columns]`; both pixels of a pair are marked.
 
-    Two neighbours jump when their ranges differ by more than `DISCONTINUITY_RATIO` and their tangent planes do
-    not meet between them. On one plane the ranges may differ by any amount (a floor seen at a grazing angle),
-    and so they may across the crease of two planes: then either plane, continued, passes behind the other one's
-    point (a concave crease) or either passes before it (a convex one). At an outline one passes behind and one
-    before.
+    There is a jump between two neighbours when their ranges differ by more than `DISCONTINUITY_RATIO` and their tangent
+    planes do not intersect between them. On one plane the ranges may differ by any amount (a floor at a grazing angle),
+    and so they may across the crease between two planes: there both planes, extended, pass behind the other point (a
+    concave crease) or both pass in front of it (a convex one). At an outline one passes behind and one in front.
 
     Parameters
     ----------
     range_m
-        `[rows, columns]`; a pair with NaN is no jump.
+        `[rows, columns]`, metres; a pair with NaN is not a jump.
     normal, directions
         `[rows, columns, 3]`, in one frame; directions of unit length.
     """
@@ -193,10 +192,10 @@ def _first_hits(geometry: Geometry, pose: Pose, rays: Array, threads: int | None
 def _unoccluded(
     geometry: Geometry, pose_2: Pose, towards: Array, distance: Array, face: Ints, threads: int | None
 ) -> Mask:
-    """Whether nothing stops the rays from view 2 towards points on faces at a distance."""
+    """Whether the rays from view 2 to points on faces at a distance are not occluded."""
     origin = _from_centre(geometry, pose_2)
     check_viewpoint(geometry, origin)
     hits = cast(geometry, origin, towards, threads=threads)
     reached = geometry.face_of_triangle[hits.triangle] == face
-    # In an open scene a ray may miss a point on the very outline: nothing stopped it before the point.
+    # In an open scene a ray may miss a point exactly on an outline: then it is not occluded.
     return np.asarray(reached | ~(hits.range_m < (1 - OCCLUSION_TOLERANCE) * distance))
