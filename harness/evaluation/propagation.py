@@ -187,7 +187,7 @@ MISALIGNMENT: tuple[Parameter, ...] = (
         for axis in "xyz"
     ),
 )
-"""Of camera and hyperboloid mirror; the believed rig takes them for aligned."""
+"""Misalignments of camera and hyperboloid mirror, which the assumed rig does not have."""
 
 
 def calibration_parameters(sensor: Sensor) -> tuple[Parameter, ...]:
