@@ -128,7 +128,7 @@ def run(options: Namespace) -> int:
         print(f"{photograph.file}: {photograph.scale}")
     if estimate.matches.remark:
         print(estimate.matches.remark)
-    for line in estimate.geometry.lines():
+    for line in (*estimate.sharpness.lines(), *estimate.geometry.lines()):
         print(line)
     unit = "" if estimate.has_metres else ", in units of the baseline"
     print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {options.out / 'range.html'}")

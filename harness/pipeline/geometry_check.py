@@ -31,6 +31,8 @@ MOST_SHARE = 0.02
 """Range error, as a share of the range, above which a geometry is called wrong."""
 LEAST_COVERED = 0.5
 """Share of the ranges that have to be within one standard deviation of the matching alone; 0.68 of them should."""
+MOST_COVERED = 0.15
+"""The same share, below which a geometry is called wrong where it costs more than `MOST_SHARE`, too."""
 _NEIGHBOURHOOD = 0.05
 """Share of the tiles that give the geometry's part about a tile."""
 _LEAST_NEIGHBOURS = 8
@@ -53,7 +55,7 @@ class Verdict(StrEnum):
     DOUBTFUL = "doubtful"
     """Something is wrong that costs more than the noise."""
     WRONG = "wrong"
-    """Something is wrong that costs more than 2 % of the range."""
+    """Something is wrong that costs more than 2 % of the range, and much more than the noise."""
     UNKNOWN = "unknown"
     """There are too few matches to tell."""
 
@@ -202,7 +204,9 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
         matching = (sigma_m / range_m)[row, column % pair.grid.width_px]
     share, covered = _cost(tiles, causes, matching)
     verdict = Verdict.OK if covered >= LEAST_COVERED else Verdict.DOUBTFUL
-    return GeometryCheck(Verdict.WRONG if np.median(share) > MOST_SHARE else verdict, tiles, causes, share, covered)
+    if np.median(share) > MOST_SHARE and covered < MOST_COVERED:
+        verdict = Verdict.WRONG
+    return GeometryCheck(verdict, tiles, causes, share, covered)
 
 
 def geometry_share(check: GeometryCheck, pair: Pair) -> Array:

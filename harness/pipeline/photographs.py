@@ -24,11 +24,12 @@ from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sensitivity_to_alpha_2
 from harness.images import LIMIT_BYTES, decode
-from harness.matching.interface import MatcherSettings, Matches
+from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.ranges import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.geometry_check import GeometryCheck, check_geometry, geometry_share
+from harness.pipeline.sharpness import Sharpness, compare_sharpness, equalised, filled, half_size, has_few_matches
 from harness.pipeline.sight import check_sensor
 
 WRITTEN = (
@@ -82,6 +83,8 @@ class Estimate(OneLine):
     """Whether the length of the motion is known; all ranges are in units of it where it is not."""
     geometry: GeometryCheck
     """Whether motion and calibration agree with the images."""
+    sharpness: Sharpness
+    """How sharp the images are; `pair.images` are equally sharp."""
     reason: NDArray[np.uint8]
 
     @property
@@ -110,6 +113,7 @@ class Estimate(OneLine):
             "sigma_motion_median_m": median(self.sigma_motion_m),
             "baseline_m": self.pair.motion.baseline_m,
             "unit": "metre" if self.has_metres else "baseline",
+            "sharpness": self.sharpness.summary(),
             "geometry": self.geometry.summary(),
         }
 
@@ -180,8 +184,9 @@ def estimate(
     grid = _grid(grid or Grid(), sensors, motion)
     check_sensor(sensors[0], grid)
     check_sensor(sensors[1], grid, key="sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
-    pair = Pair((first.grey, second.grey), sensors, motion, grid)
-    matches = matcher.match(pair)
+    sharpness = compare_sharpness((first.grey, second.grey), sensors, motion, grid)
+    pair = Pair(equalised((first.grey, second.grey), sensors, sharpness), sensors, motion, grid)
+    matches = _matched(pair, matcher, sharpness)
     a_1 = alpha_1(pair.grid, motion.t_v1)
     range_m, reason = ranges_of(matches, a_1, motion.baseline_m)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -204,8 +209,20 @@ def estimate(
         sigma_motion_m=motion_m,
         has_metres=has_metres,
         geometry=geometry,
+        sharpness=sharpness,
         reason=reason,
     )
+
+
+def _matched(pair: Pair, matcher: MatcherSettings, sharpness: Sharpness) -> Matches:
+    """The matches; where soft images have few, those of images of half the size as well."""
+    matches = matcher.match(pair)
+    support = matcher.support(0.0)
+    by_pixels = support is not None and support.frame == "mirror"
+    density = float(np.mean(matches.reasons == Reason.MATCHED))
+    if by_pixels and has_few_matches(sharpness, density, pair.images):
+        return filled(matches, matcher.match(half_size(pair)))
+    return matches
 
 
 def _grid(grid: Grid, sensors: tuple[Sensor, Sensor], motion: Motion) -> Grid:
