@@ -387,7 +387,7 @@ def test_what_cannot_be_ranged_is_refused_in_a_line(left: object, motion: object
     [
         (GOOD.astype(np.int64), "must be of type uint8, uint16, or floats of grey levels 0 .. 255; found int64"),
         (GOOD.astype(bool), "found bool"),
-        (GOOD / 255.0, "none here is above 1; multiply by 255"),
+        (GOOD / 255.0, "none is above 1; multiply by 255"),
         (GOOD + 200.0, "grey levels must be finite and lie within 0 .. 255"),
         (np.full((120, 160), np.nan), "grey levels must be finite"),
     ],

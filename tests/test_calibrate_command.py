@@ -98,7 +98,7 @@ class TestCommand:
         assert re.search(r"camera\.focal_px +61\d\.\d+ +± \d", said)
         assert "RMS 0.1" in said
         assert "430 of 432 corners agree" in said
-        assert "taken for granted: the camera looks down, a mirror image" in said
+        assert "assumed: the camera looks down, a mirror image" in said
         assert str(out.with_suffix(".html")) in said
         assert {each.name for each in tmp_path.iterdir()} == {"sensor.toml", "sensor.json", "sensor.html"}
 
@@ -118,8 +118,8 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            (["a.png"], "--board: say what the board is, as 9x6 for 9 by 6 inner corners"),
-            (["a.png", "--board", "9x6"], "--square-m: say how large a square is: --square-m 0.04 for 40 mm"),
+            (["a.png"], "--board: give the board's inner corners, as 9x6 for 9 by 6"),
+            (["a.png", "--board", "9x6"], "--square-m: give the side of a square: --square-m 0.04 for 40 mm"),
             (["--board", "9x6", "--square-m", "0.04"], "images: give images of a board, or corners"),
             (["a.png", "--board", "9x6", "--square-m", "0.04"], "a.png: no such file"),
             (["a.png", "--board", "9x6", "--square-m", "-1"], "board: square_m: must be above 0; found -1"),
@@ -178,7 +178,7 @@ class TestArguments:
             ({"a": 3}, (640, 480), "corners: must be a file, or points on the board"),
             ({"a": ([1, 2], "x")}, (640, 480), "corners: must be a file, or points on the board"),
             ({}, (640, 480), "corners: contains no corners"),
-            ({"a": ([1, 2], [3, 4])}, None, "size: say how large the images are"),
+            ({"a": ([1, 2], [3, 4])}, None, "size: give the width and height of the images"),
             ({"a": ([1, 2], [3, 4])}, (640, 480), "image 'a' has 1 corners"),
         ],
     )

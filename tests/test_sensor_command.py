@@ -251,7 +251,7 @@ def test_what_is_too_far_is_refused_unless_it_is_allowed(tmp_path, capsys):
     text = said(capsys, *words, code=2)
     apart = float(re.search(r"--to: the nearest Kannala-Brandt fisheye is (\S+) px RMS away", text)[1])
     assert 0.2 < apart < 1
-    assert "--allow-residual PX takes it all the same" in text
+    assert "--allow-residual PX accepts it" in text
     assert said(capsys, *words, "--allow-residual", 1.01 * apart).startswith("# Camera list")
     with pytest.raises(SystemExit, match="2"):
         main(["sensor", *map(str, words), "--allow-residual", "0"])

@@ -235,7 +235,7 @@ def test_load_sensor_takes_all_of_it(tmp_path):
     assert harness.load_sensor(own, mirrored=True).mirrored
     with pytest.raises(InputError, match="--size: leave it out: the sensor file says its size"):
         harness.load_sensor(own, size=(10, 10))
-    with pytest.raises(InputError, match="sensor: is no file"):
+    with pytest.raises(InputError, match="sensor: is not a file"):
         harness.load_sensor({}, looks="up")
 
 

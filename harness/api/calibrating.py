@@ -1,4 +1,4 @@
-"""A sensor calibrated from images of a chessboard, or from corners."""
+"""Calibration of a sensor from images of a chessboard, or from corners."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -25,13 +25,13 @@ from harness.geometry.angles import Array
 from harness.spec import dump_toml, parse
 
 Places = Mapping[str, tuple[ArrayLike, ArrayLike]]
-"""For each image the corners' places on the board, metres, and their pixels."""
+"""For each image the corners' positions on the board, metres, and their pixels."""
 Given = str | Path | Corners | Places | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibrationResult(SensorCalibration):
-    """A calibrated sensor, what it rests on, and how sure it is.
+    """A calibrated sensor, the corners it was estimated from, and its uncertainty.
 
     `sensor`; `rms_px` and `rms_of_images_px` of the corners; `keys` with `uncertainty.values`, `.sigma`, `.covariance`;
     `ray_sigma_px` over `grid`; `halves`, two calibrations from half of the images; `notes`.
@@ -89,31 +89,31 @@ def calibrate(
     field: Mapping[str, Any] | FieldOfView | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> CalibrationResult:
-    """Find a sensor from images of a chessboard, or from corners.
+    """Calibrate a sensor from images of a chessboard, or from corners.
 
     Parameters
     ----------
     images
-        Image files by one camera, a whole board in each. They need the extra `calibration`.
+        Image files from one camera, each of a whole board. They need the extra `calibration`.
     board
-        Its inner corners and the side of its squares: `{"columns": 9, "rows": 6, "square_m": 0.04}`.
+        The board's inner corners and the side of its squares: `{"columns": 9, "rows": 6, "square_m": 0.04}`.
     corners, size
-        In place of images: a file of corners (CSV, JSON, NPZ, or OpenCV's), or for each image by its name the corners'
-        places on the board, metres, and their pixels, both `[n, 2]`; and the images' width and height where it is not
-        said, pixels.
+        Instead of images: a file of corners (CSV, JSON, NPZ, or OpenCV's), or for each image by its name the corners'
+        positions on the board, metres, and their pixels, both `[n, 2]`; and the images' width and height, pixels, if
+        the file does not contain them.
     model
         The kind of camera model.
     lens, free, fix
-        Lens terms to find, such as `["k1", "k2"]`, the model's usual ones when None; other keys to find beside the
-        usual ones; and keys not to find, with their values or None for the usual ones.
+        Lens terms to estimate, such as `["k1", "k2"]`, by default the usual ones of the model; keys to estimate in
+        addition to the usual ones; and keys not to estimate, with their values, or None for that of `start`.
     start
-        A sensor of that kind to start from; a file, a table or a sensor.
+        An initial sensor of that kind: a file, a table or a sensor.
     mount
-        How the camera is mounted, which boards do not tell: `{"looks": "down", "mirrored": True}`.
+        How the camera is mounted, which boards do not determine: `{"looks": "down", "mirrored": True}`.
     field
-        The directions that the sensor sees; as far as the boards reach when None.
+        The sensor's field of view; by default what the boards cover.
     tell
-        Called with a line as it goes on.
+        Called with a line of text to report progress.
 
     Returns
     -------
@@ -172,7 +172,7 @@ def _search(
     if not images:
         raise InputError("give images of a board, or corners", key="images")
     if board is None:
-        raise InputError("say what the board is: its inner corners and the side of its squares", key="board")
+        raise InputError("give the board's inner corners and the side of its squares", key="board")
     return find_corners([Path(each) for each in images], board, tell)
 
 
@@ -182,7 +182,7 @@ def _corners(given: str | Path | Corners | Places, board: Board | None, size: tu
     if isinstance(given, str | Path):
         return read_corners(Path(given), square_m=None if board is None else board.square_m, size=size)
     if size is None:
-        raise InputError("say how large the images are: width and height, pixels", key="size")
+        raise InputError("give the width and height of the images, pixels", key="size")
     corners: list[tuple[str, Array, Array]] = []
     try:
         for name, pair in given.items():

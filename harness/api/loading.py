@@ -24,14 +24,14 @@ def load_experiment(
     axes: Mapping[str, Sequence[Any]] | None = None,
     sets: Mapping[str, Any] | None = None,
 ) -> Experiment:
-    """Read an experiment, and change it.
+    """Read an experiment, with changed axes and settings.
 
     Parameters
     ----------
     experiment
         A shipped name, the path of a TOML file, a table like that of a file, or an experiment.
     axes
-        Dotted keys of a trial and the values that each takes: further axes, or other values of one that is there.
+        Dotted keys of a trial and the values of each: further axes, or other values of an existing one.
     sets
         Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
 
@@ -99,16 +99,16 @@ def load_sensor(
         The path of a sensor's TOML, or of a calibration file of another program; a table like that of a sensor's TOML,
         or a sensor; the default sensor when None.
     camera
-        Which of several cameras in a calibration file, from 0.
+        The number of the camera in a calibration file with several, from 0.
     looks, mirrored
-        How the camera is mounted, which no calibration says: where the optical axis points, `up`, `down` or `forward`,
-        and whether its image is reversed left to right; up and not when None. A camera below a mirror looks down and
-        is mirrored.
+        How the camera is mounted, which no calibration contains: where the optical axis points, `up` (the default),
+        `down` or `forward`, and whether its image is reversed left to right (by default not). A camera below a mirror
+        looks down and is mirrored.
     size
-        Width and height in pixels, for a calibration that does not say them.
+        Width and height in pixels, for a calibration that does not contain them.
     angle_max_deg, elevation_deg
-        How far the lens sees off its optical axis, and between which elevations; as far as model and image allow when
-        None.
+        The field of view: the largest angle off the optical axis, and the lowest and the highest elevation, degrees; by
+        default as far as model and image allow.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def load_sensor(
     if isinstance(sensor, str | Path):
         return load_calibrated_sensor(Path(sensor), chosen)
     if chosen != Chosen():
-        raise InputError("is no file; give what is to be chosen in its tables", key="sensor")
+        raise InputError("is not a file; set these values in its tables", key="sensor")
     if isinstance(sensor, Mapping):
         made = parse(Sensor, sensor_of_table(sensor, "sensor") if "file" in sensor else sensor, file="sensor")
         check_mask(made, file="sensor")
@@ -157,16 +157,16 @@ def load_motion(
         View 2's pose in view 1's frame, TOML as `omnirange motion` writes it; a calibration file of a rig, such as a
         Kalibr camchain; or a trajectory in TUM's format (`time x y z qx qy qz qw`) or KITTI's (3 x 4 matrices).
     first, second
-        Numbers of the rig's cameras or of the trajectory's poses, from 0; by default the first two, which of a
-        trajectory must be all.
+        Numbers of the rig's cameras or of the trajectory's poses, from 0; by default the first two, if a trajectory has
+        no others.
     sensor, sensor_2
-        Of views 1 and 2; `sensor_2` is `sensor` where it is None. How they are mounted turns a motion between lenses
-        into one between sensors.
+        The sensors of views 1 and 2; `sensor_2` is `sensor` when None. Their mounts convert a motion between lenses to
+        one between sensors.
     frame
-        For a trajectory, which does not say it: `sensor` if its poses are the sensor's, z up, or `lens` if they are the
-        lens's, X along u, Y along v, Z along the optical axis.
+        The frame of a trajectory's poses, which the file does not contain: `sensor`, z up, or `lens`, X along u, Y
+        along v, Z along the optical axis.
     looks, mirrored
-        How both are mounted where no sensor is given, as for `load_sensor`.
+        How both cameras are mounted if no sensor is given; see `load_sensor`.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def load_motion(
     Raises
     ------
     InputError
-        When the file cannot be read, or does not say where both views are.
+        When the file cannot be read, or does not contain the poses of both views.
 
     Examples
     --------

@@ -28,7 +28,7 @@ from harness.spec import dump_toml
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MotionEstimate(EstimatedMotion):
-    """The motion from view 1 to view 2, and how far it can be trusted.
+    """The motion from view 1 to view 2, its covariance and a verdict.
 
     `status` ("ok", "weak", "no parallax", "failed") with `reasons` in words; `R_v2_from_v1` and the unit
     `direction_v1` of t, with `covariance`; `motion` for `estimate_range`.
@@ -40,7 +40,7 @@ class MotionEstimate(EstimatedMotion):
     floor: Floor | None
     """The floor, where the camera's height above it was given."""
     calibration_px: float
-    """Standard deviation of the calibration that was given, pixels."""
+    """The standard deviation of the calibration, pixels, as given."""
 
     def __repr__(self) -> str:
         words = [f"'{self.status}'"]
@@ -54,7 +54,7 @@ class MotionEstimate(EstimatedMotion):
     @property
     def angles_deg(self) -> dict[str, float]:
         """`yaw`, `pitch` and `roll` of view 2 in view 1's frame; `azimuth` and `elevation` of viewpoint 2 seen from
-        viewpoint 1; degrees. Only those that are known.
+        viewpoint 1; degrees. Unknown ones are left out.
         """
         if self.R_v2_from_v1 is None:
             return {}
@@ -81,12 +81,12 @@ class MotionEstimate(EstimatedMotion):
 
     @property
     def motion(self) -> Motion:
-        """What `estimate_range` takes; |t| is the baseline that was given, or 1.
+        """The motion as an argument of `estimate_range`; |t| is the given baseline, or 1.
 
         Raises
         ------
         InputError
-            When the images do not tell where view 2 stands.
+            When the images do not determine the motion.
         """
         if self.R_v2_from_v1 is None or self.direction_v1 is None:
             raise InputError(self._nothing())
@@ -94,7 +94,7 @@ class MotionEstimate(EstimatedMotion):
 
     @property
     def pose(self) -> Pose:
-        """View 2's pose in view 1's frame; the same errors as `motion`."""
+        """View 2's pose in view 1's frame; raises as `motion`."""
         return pose_in(self.motion)
 
     @property
@@ -118,7 +118,7 @@ class MotionEstimate(EstimatedMotion):
         return f"there is no motion to go on with: {self.status}; {'; '.join(self.reasons)}"
 
     def summary(self) -> dict[str, Any]:
-        """Everything but arrays of pairs, as plain values: what `--json` writes."""
+        """All results except those of single pairs, as plain values, as written by `--json`."""
         known = self.R_v2_from_v1 is not None
         return {
             "status": str(self.status),
@@ -142,7 +142,7 @@ class MotionEstimate(EstimatedMotion):
         }
 
     def lines(self) -> list[str]:
-        """What the command prints: the motion in plain words."""
+        """The motion as lines of text, as printed by the command."""
         angles, sigmas, parts = self.angles_deg, self.sigmas_deg, []
         if angles:
             sigma = f"; sigma {sigmas['rotation']:.2g}" if sigmas else ""
@@ -165,20 +165,18 @@ class MotionEstimate(EstimatedMotion):
             )
         agreeing = "" if self.sparse is None else f", {self.sparse.inlier.sum()} agree"
         residual = "" if self.sparse is None else f" to {self.sparse.scale_px:.2g} px"
-        parts.append(f"pairs      {len(self.pairs)} keypoints look alike{agreeing}{residual}")
+        parts.append(f"pairs      {len(self.pairs)} keypoints match{agreeing}{residual}")
         if self.direct is not None:
-            parts.append(
-                f"direct     {len(self.direct.tiles)} tiles look alike to {self.direct.noise_grey:.2g} grey levels"
-            )
+            parts.append(f"direct     {len(self.direct.tiles)} tiles match to {self.direct.noise_grey:.2g} grey levels")
         parts.append(f"status     {self.status}")
         parts += [f"           {reason}" for reason in self.reasons]
         if self.calibration_effects is not None:
             rotation, direction = (math.degrees(each) for each in moved_by(self.calibration_effects))
-            exact = "take the calibration for exact"
-            counted = f"count {self.calibration_px:g} px of calibration in" if self.calibration_px else exact
+            exact = "assume an exact calibration"
+            counted = f"include a calibration error of {self.calibration_px:g} px" if self.calibration_px else exact
             parts.append(
-                f"Sigmas {counted}. One that is {REPORTED_PX:g} px off moves the rotation by {rotation:.2g}, the "
-                f"direction by {direction:.2g} degrees, and hardly shows."
+                f"Sigmas {counted}. An error of {REPORTED_PX:g} px would shift the rotation by {rotation:.2g}, the "
+                f"direction by {direction:.2g} degrees, with hardly any residual."
             )
         return parts
 
@@ -225,7 +223,7 @@ def estimate_motion(
     bits: int | None = None,
     seed: int = 0,
 ) -> MotionEstimate:
-    """Estimate the rotation between two views and the direction from one to the other, from their images alone.
+    """Estimate the rotation between two views and the direction from view 1 to view 2, from their images alone.
 
     Needs the extra: `pip install 'omnirange[motion]'`.
 
@@ -236,7 +234,7 @@ def estimate_motion(
     sensor
         The sensor of both views: the path of a TOML file, a table, or a sensor.
     sensor_2
-        The sensor of view 2 where it is another one, likewise.
+        The sensor of view 2, if it is another one.
     freedom
         `free`; `upright`, where the sensor's z is vertical in both views; `planar`, where it also moves horizontally.
     baseline_m
@@ -245,14 +243,14 @@ def estimate_motion(
         How high view 1's viewpoint is above the floor, metres, along the floor's normal; the distance of the viewpoints
         follows from it. The floor is looked for below the sensor's horizon, within 20 degrees of level.
     direct
-        Fit the motion to the grey levels themselves after the keypoints: several times finer, for two seconds more.
+        After the keypoints, fit the motion to the grey levels: several times more accurate, and two seconds slower.
     calibration_px
         Standard deviation of the calibration (centre along u and v, focal length, radial lens term) in pixels of the
-        image, which is counted into `covariance`; 0 takes it for exact.
+        image, which `covariance` includes; 0 for an exact calibration.
     bits
         White is 2^bits - 1; see `estimate_range`.
     seed
-        Of the random samples; the same gives the same answer to the last bit.
+        Seed of the random samples; results are reproducible to the bit.
 
     Returns
     -------

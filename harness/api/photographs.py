@@ -1,4 +1,4 @@
-"""Photographs from files or arrays, checked."""
+"""Reading and checking photographs from files or arrays."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from harness.images import Picture
 from harness.pipeline.photographs import Photograph, read_photograph
 
 Image = str | Path | NDArray[Any]
-"""The path of an image file, or grey levels or colours: `[height, width]` or `[height, width, 3]`."""
+"""The path of an image file, or an array of grey levels `[height, width]` or colours `[height, width, 3]`."""
 
 
 def photographs_of(
@@ -31,7 +31,7 @@ def photographs_of(
 
 
 def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Photograph:
-    """An image from a file, or from an array that was checked."""
+    """An image from a file, or from a checked array."""
     if isinstance(image, str | Path):
         option = "--sensor" if name == "left" else "--sensor-2"
         return read_photograph(Path(image), sensor, bits, option=option)
@@ -51,7 +51,7 @@ def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Ph
     if not np.isfinite(image).all() or image.min() < 0 or image.max() > white:
         raise InputError(f"grey levels must be finite and lie within 0 .. {white:g}", key=name)
     if np.issubdtype(image.dtype, np.floating) and 0 < image.max() <= 1:
-        raise InputError("grey levels are of 0 .. 255, and none here is above 1; multiply by 255", key=name)
+        raise InputError("grey levels must be 0 .. 255, but none is above 1; multiply by 255", key=name)
     picture = Picture(image, white, f"an array of {image.dtype}, white is {white:g}")
     grey_levels = picture.grey()
     grey_levels.flags.writeable = False

@@ -1,4 +1,4 @@
-"""How far a sweep has got, as it runs."""
+"""Progress of a running sweep."""
 
 import time
 from collections.abc import Sequence
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
 
 _LINE_EVERY_S = 60.0
 _NOTEBOOK_EVERY_S = 0.5
-"""A notebook has one line that is written over; each time is a message to the browser."""
+"""Seconds between updates of the line in a notebook, each of which is a message to the browser."""
 
 
 def someone_watches() -> bool:
-    """Whether what is printed goes to a terminal or a notebook."""
+    """Whether output goes to a terminal or a notebook."""
     from rich.console import Console
 
     console = Console()
@@ -21,8 +21,9 @@ def someone_watches() -> bool:
 
 
 class Progress:
-    """Trials done, failures, rate and time left: a bar on a terminal, a line that changes in a notebook;
-    elsewhere a line a minute, and one at the end.
+    """Shows trials done, failures, rate and time left.
+
+    On a terminal as a bar, in a notebook as a line that is updated, elsewhere as a line per minute and one at the end.
     """
 
     def __init__(self, name: str, total: int, done: int) -> None:
@@ -55,16 +56,16 @@ class Progress:
         self.stop()
 
     def stop(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         self._bar.stop()
 
     def say(self, text: str) -> None:
-        """A line above the bar; nothing where there is none."""
+        """Print a line above the bar; nothing if there is no bar."""
         if self._console.is_terminal:
             self._console.print(f"{self._name}: {text}", highlight=False, markup=False)
 
     def update(self, rows: "Sequence[Finished]") -> None:
-        """Count rows that have just been finished."""
+        """Count rows that were just finished."""
         self._done += len(rows)
         self._failed += sum(row.state == "failed" for row in rows)
         rate = (self._done - self._before) / max(time.monotonic() - self._begun, 1e-9)
@@ -78,14 +79,14 @@ class Progress:
             print(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}", flush=True)
 
     def _write_over(self, text: str) -> None:
-        """Show a line instead of the one before, if that has been there long enough to be read."""
+        """Replace the previous line, if it has been shown long enough to be read."""
         if time.monotonic() - self._said > _NOTEBOOK_EVERY_S:
             self._said = time.monotonic()
             self._longest = max(self._longest, len(text))
             print(f"\r{text:<{self._longest}}", end="", flush=True)
 
     def finish(self) -> None:
-        """Say how many trials were run, and how long it took."""
+        """Print how many trials were run, and how long it took."""
         ran = self._done - self._before
         self.stop()
         if not ran:
@@ -104,7 +105,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A time in words."""
+    """A duration as text."""
     if seconds < 99.5:
         return f"{seconds:.3g} s" if seconds < 10 else f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

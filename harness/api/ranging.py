@@ -50,7 +50,7 @@ class RangeEstimate(Estimate):
         Parameters
         ----------
         folder
-            Made if it is not there.
+            Created if it does not exist.
 
         Raises
         ------
@@ -83,12 +83,12 @@ def estimate_range(
     grid: Grid | None = None,
     bits: int | None = None,
 ) -> RangeEstimate:
-    """Match two mirror images and triangulate. No scene and no truth are needed.
+    """Match two omnidirectional images and triangulate. No scene and no ground truth are needed.
 
     Parameters
     ----------
     left, right
-        Mirror images of view 1 and view 2: paths of image files, or arrays of the sensor's size, `[height, width]` or
+        Images of view 1 and view 2: paths of image files, or arrays of the sensor's size, `[height, width]` or
         `[height, width, 3]`, both of one type: uint8; uint16, whose full scale is 65535; or floats,
         finite grey levels of 0 .. 255.
     sensor
@@ -98,11 +98,11 @@ def estimate_range(
         view 1's frame, metres, for views that are turned alike; or what `estimate_motion` returned, whose covariance
         then counts in `sigma_m`. When None it is estimated, and ranges are in units of the baseline.
     matcher
-        A kind of matcher, a table with `kind` and its settings, or the settings of a matcher.
+        The kind of a matcher, a table with `kind` and its settings, or the settings of a matcher.
     sensor_2
-        The sensor of view 2 where it is another one, likewise.
+        The sensor of view 2, if it is another one.
     grid
-        The panorama's pixels; 720 x 200 when None.
+        The grid of the panorama; 720 x 200 pixels when None.
     bits
         White is 2^bits - 1 in files and in arrays of uint16, such as 12 of a camera that stores 12 bits in 16; when
         None the type decides.

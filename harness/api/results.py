@@ -23,20 +23,20 @@ from harness.runs.worker import run_here
 from harness.spec import as_table
 
 _MOST_ROWS = 20
-"""The most rows of a table in a notebook."""
+"""Most rows of a table in a notebook."""
 
 _SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "range_rmse_m")
 
 
 class RunResult:
-    """The trials of an experiment that are finished, and all that follows from them.
+    """The finished trials of an experiment, and the results derived from them.
 
     Attributes
     ----------
     experiment : Experiment
-        What was run.
+        The experiment that was run.
     folder : pathlib.Path or None
-        Where the run is kept; None for a run in memory.
+        The folder of the run; None for a run in memory.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class RunResult:
 
     @property
     def cells(self) -> pd.DataFrame:
-        """The errors of every trial in cells of surface, direction and range: what the law's test is made from."""
+        """The errors of every trial in cells of surface, direction and range: the data of the sensitivity test."""
         return self._result.cells
 
     @cached_property
@@ -122,12 +122,12 @@ class RunResult:
 
     @property
     def law(self) -> dict[str, Any] | None:
-        """The test of the sensitivity law, as in `summary.json`; None where trials do not differ enough for one."""
+        """The test of the sensitivity law, as in `summary.json`; None if the trials do not differ enough for one."""
         return self._result.summary.get("law")
 
     @property
     def limit(self) -> pd.DataFrame:
-        """Each method's spread over draws of the noise against the Cramér-Rao bound; empty if pixels were not kept."""
+        """Each method's spread over noise draws against the Cramér-Rao bound; empty if pixels were not stored."""
         return pd.DataFrame(self._result.summary.get("limit", []))
 
     @property
@@ -139,11 +139,11 @@ class RunResult:
 
     @property
     def environment(self) -> dict[str, Any]:
-        """Versions, CPU, and hashes of source and scenes, as they are now."""
+        """Current versions, CPU, and hashes of source and scenes."""
         return self._result.environment
 
     def outcome(self, trial: str | int | Mapping[str, Any] | None = None) -> TrialMaps:
-        """The maps of one trial: read if the run kept them, else computed again.
+        """The maps of one trial: read if the run stored them, else computed again.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class RunResult:
         Parameters
         ----------
         file
-            Where to; when None into the run's folder, with `summary.json` and `environment.json` beside it.
+            The output file; when None, the run's folder, with `summary.json` and `environment.json` beside it.
 
         Returns
         -------
@@ -251,8 +251,8 @@ def open_results(folder: str | Path, *, run_code: bool = False) -> RunResult:
     folder
         The output folder of `omnirange run` or `harness.run`.
     run_code
-        Whether programs and plug-ins that the run names may be run. What the report shows is kept with the run and
-        needs none.
+        Whether programs and plug-ins that the run names may be executed. The report needs none: its data are stored
+        with the run.
 
     Returns
     -------

@@ -27,25 +27,25 @@ def run(
     keep_arrays: bool = False,
     progress: bool | None = None,
 ) -> RunResult:
-    """Run the trials of an experiment that are not done.
+    """Run the trials of an experiment that are not yet done.
 
     Parameters
     ----------
     experiment
         A shipped name, the path of a TOML file, a table like that of a file, or an experiment.
     axes
-        Dotted keys of a trial and the values that each takes: further axes, or other values of one that is there.
+        Dotted keys of a trial and the values of each: further axes, or other values of an existing one.
     sets
         Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
     out
-        The run's folder: trials are stored there as they finish, and the same call resumes where it was stopped. When
+        The run's folder: trials are stored there as they finish, and the same call resumes an interrupted run. When
         None, the run is in memory.
     workers
-        Processes; as many as pay when None.
+        Number of processes; when None, as many as save time.
     keep_arrays
-        Whether to keep every trial's maps in `out`, from where `result.outcome` reads them.
+        Whether to store every trial's maps in `out`, from which `result.outcome` reads them.
     progress
-        Whether to show how far the run is; when None, in a terminal and in a notebook.
+        Whether to show progress; when None, in a terminal and in a notebook.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def run(
     Raises
     ------
     InputError
-        When something given is wrong, or no trial could be carried out: the first one's message.
+        When an argument is invalid, or every trial failed: the first one's message.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a sensor is and sees, and its calibration in other programs' files."""
+"""Descriptions of sensors, and their conversion to calibration files of other programs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from harness.io.calibrations.conversion import WrittenSensor, written
 from harness.report.sensor_words import facts_of, title_of, warnings_of
 
 LARGEST_RESIDUAL_PX = 0.2
-"""RMS, above which a conversion has to be asked for."""
+"""RMS residual, pixels, above which a conversion has to be allowed explicitly."""
 
 
 @dataclass(frozen=True, repr=False)
 class SensorDescription(OneLine):
-    """What a sensor is and sees."""
+    """A description of a sensor and its field of view."""
 
     title: str
     """Camera model and size."""
     facts: dict[str, str]
-    """What there is to say, by name: field, image circle, blind spot, resolution, used."""
+    """Facts by name: field, image circle, blind spot, resolution, used."""
     warnings: tuple[str, ...]
-    """What does not fit, a sentence each."""
+    """Inconsistencies, one sentence each."""
     coverage: Coverage
     """The figures: rim, blind spot, pixels per degree."""
 
     def __str__(self) -> str:
-        """All of it as lines."""
+        """The description as lines of text."""
         width = max(map(len, self.facts))
         lines = [self.title, *(f"  {name:<{width}}  {text}" for name, text in self.facts.items())]
         return "\n".join([*lines, *(f"  ! {each}" for each in self.warnings)])
@@ -43,7 +43,7 @@ class SensorDescription(OneLine):
         Parameters
         ----------
         notes
-            Sentences that the page has too.
+            Further sentences for the page.
 
         Raises
         ------
@@ -71,7 +71,7 @@ class SensorDescription(OneLine):
 
 
 def describe_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = None) -> SensorDescription:
-    """What a sensor is and sees: field, image circle, blind spot, pixels per degree, and what does not fit.
+    """Describe a sensor: field, image circle, blind spot, pixels per degree, and inconsistencies.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def describe_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = Non
     Raises
     ------
     InputError
-        As of `load_sensor`, or when no pixel sees anything.
+        As for `load_sensor`, or when no pixel is in the field.
 
     Examples
     --------
@@ -110,10 +110,10 @@ def convert_sensor(
     model: str | None = None,
     allow_residual_px: float = LARGEST_RESIDUAL_PX,
 ) -> WrittenSensor:
-    """A sensor as the calibration file of another program.
+    """Convert a sensor to the calibration file of another program.
 
-    It is exact where the format has the sensor's model, or one that is the same in other parameters. Otherwise the
-    camera is taken whose rays are nearest over the pixels that see something.
+    The conversion is exact if the format has the sensor's model, or one that is the same in other parameters. Otherwise
+    the result is the camera whose rays are closest over the pixels of the field.
 
     Parameters
     ----------
@@ -122,9 +122,9 @@ def convert_sensor(
     to
         `toml`, `opencv`, `opencv-xml`, `kalibr`, `camodocal`, `basalt`, `ocamcalib` or `colmap`.
     model
-        The camera model to write; the best that the format has when None.
+        The camera model to write; when None, the best one of the format.
     allow_residual_px
-        The largest RMS residual that is taken, pixels.
+        The largest RMS residual that is accepted, pixels.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def convert_sensor(
     Raises
     ------
     InputError
-        When the format is not known, or the nearest camera is farther away than allowed.
+        When the format is unknown, or the closest camera has a larger residual than allowed.
 
     Examples
     --------
@@ -148,7 +148,7 @@ def convert_sensor(
     if not apart.rms_px <= allow_residual_px:
         raise InputError(
             f"the nearest {apart.optics.model.title} is {apart.rms_px:.2g} px RMS away, {apart.largest_px:.2g} px at "
-            "most; --allow-residual PX takes it all the same",
+            "most; --allow-residual PX accepts it",
             key="--to",
         )
     return conversion

@@ -8,7 +8,7 @@ from harness.runs.settings_reference import find_settings
 
 
 def settings(key: str | None = None) -> pd.DataFrame:
-    """The settings of an experiment: type, unit, default and meaning of every key.
+    """A table of the settings of an experiment: type, unit, default and meaning of every key.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ def render(
     samples: int = 16,
     grid: Grid | None = None,
 ) -> RenderedView:
-    """Render one view of a scene with its true range.
+    """Render one view of a scene, with its true range.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ def render(
     yaw_deg, pitch_deg, roll_deg
         Rotation of the sensor about z, then y, then x, degrees.
     samples
-        Rays in each pixel, a square number, at least; more where they are too wide for a texture or an outline.
+        Least number of rays per pixel, a square number; more where a texture or an outline needs them.
     grid
-        The panorama's pixels; 720 x 200 when None.
+        The grid of the panorama; 720 x 200 pixels when None.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def render(
     Raises
     ------
     InputError
-        When an argument is wrong, the view cannot see the scene, or the sensor sees nothing.
+        When an argument is invalid, the viewpoint is outside the scene, or no pixel is in the sensor's field.
 
     Examples
     --------

@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> None:
-    """Empty the caches if asked to, and say what they hold."""
+    """Empty the caches if asked to, and print their contents."""
     from harness import compiled
     from harness.pipeline.render_cache import RenderCache
 

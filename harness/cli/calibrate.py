@@ -1,4 +1,4 @@
-"""`omnirange calibrate`: a sensor from images of a chessboard."""
+"""`omnirange calibrate`: calibrate a sensor from images of a chessboard."""
 
 import argparse
 import re
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult
 
 _ARGUMENTS = ("fix", "free", "lens", "start", "model")
-"""Arguments of `harness.calibrate` that are options of the same name."""
+"""Arguments of `harness.calibrate` that are also options."""
 
 
 def add(commands: Commands) -> None:
@@ -22,17 +22,15 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "calibrate",
         run,
-        brief="find a sensor from images of a chessboard",
-        description="Find the sensor that took images of a chessboard: camera model, lens and image centre, with their "
-        "covariance and the standard deviation of the rays. Writes the sensor file, and beside it all numbers (JSON) "
-        "and a page (HTML).",
-        epilog="Boards do not tell whether an image is a mirror image, nor which way the camera looks: say so with "
-        "--looks and --mirrored where it is not what the model takes for granted. Example: omnirange calibrate "
+        brief="calibrate a sensor from images of a chessboard",
+        description="Calibrate the sensor that took images of a chessboard: camera model, lens and image centre, with "
+        "their covariance and the standard deviation of the rays. Writes the sensor file, and beside it all numbers "
+        "(JSON) and a page (HTML).",
+        epilog="Boards do not show whether an image is a mirror image, nor which way the camera looks: say so with "
+        "--looks and --mirrored if the model's defaults are wrong. Example: omnirange calibrate "
         "images/*.png --board 9x6 --square-m 0.04 --model unified --looks down --mirrored --out sensor.toml",
     )
-    images = command.add_argument(
-        "images", nargs="*", type=Path, metavar="IMAGE", help="images with a whole board each"
-    )
+    images = command.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="images, each of a whole board")
     completers.offer(images, completers.files())
     command.add_argument(
         "--board", type=_board, metavar="NxM", help="inner corners of the board, those where four squares meet: 9x6"
@@ -42,7 +40,7 @@ def add(commands: Commands) -> None:
         "--corners",
         type=Path,
         metavar="FILE",
-        help="corners in place of images: CSV, JSON, NPZ, OpenCV's XML or YAML",
+        help="corners instead of images: CSV, JSON, NPZ, OpenCV's XML or YAML",
     )
     completers.offer(corners, completers.files())
     command.add_argument(
@@ -53,53 +51,53 @@ def add(commands: Commands) -> None:
 
 
 def _add_model(command: Parser) -> None:
-    command.add_argument("--model", default="unified", metavar="KIND", help="kind of camera model (default: unified)")
+    command.add_argument("--model", default="unified", metavar="KIND", help="the camera model (default: unified)")
     command.add_argument(
         "--lens",
         type=_words,
         metavar="TERMS",
-        help="lens terms to find, such as k1,k2,p1,p2, or none (default: these four for the unified model, none else)",
+        help="lens terms to estimate, such as k1,k2,p1,p2, or none (default: these four for unified, else none)",
     )
     command.add_argument(
         "--fix",
         action="append",
         default=[],
         metavar="KEY[=VALUE]",
-        help="do not find a number, such as aspect or xi=0.98; repeatable",
+        help="do not estimate a parameter, such as aspect or xi=0.98; repeatable",
     )
     command.add_argument(
         "--free",
         action="append",
         default=[],
         metavar="KEY",
-        help="find a number that is usually given, such as skew; repeatable",
+        help="estimate a parameter that is usually given, such as skew; repeatable",
     )
-    command.add_argument("--start", type=Path, metavar="FILE", help="sensor TOML to start from, in place of a search")
+    command.add_argument("--start", type=Path, metavar="FILE", help="sensor TOML to start from, instead of a search")
     add_mount_and_field(
         command,
         looks="down for a hyperboloid mirror, up for all others",
         mirrored="yes for a hyperboloid mirror alone",
-        angle_max="as far as the boards",
+        angle_max="what the boards cover",
     )
 
 
 def run(options: Namespace) -> None:
-    """Calibrate, write the files, and print what was found."""
+    """Calibrate, write the files, and print the result."""
     import harness
     from harness.errors import InputError
     from harness.spec import dump_toml
 
     board = None
     if options.board is not None and options.corners is not None:
-        raise InputError("leave it out: the file of corners says where they are on the board", file="--board")
+        raise InputError("leave it out: the file of corners contains their positions on the board", file="--board")
     if options.board is not None:
         if options.square_m is None:
-            raise InputError("say how large a square is: --square-m 0.04 for 40 mm", file="--square-m")
+            raise InputError("give the side of a square: --square-m 0.04 for 40 mm", file="--square-m")
         board = {"columns": options.board[0], "rows": options.board[1], "square_m": options.square_m}
     elif options.square_m is not None:  # the corners' unit, for a file that counts squares
         board = {"columns": 2, "rows": 2, "square_m": options.square_m}
     elif options.corners is None:
-        raise InputError("say what the board is, as 9x6 for 9 by 6 inner corners", file="--board")
+        raise InputError("give the board's inner corners, as 9x6 for 9 by 6", file="--board")
     mount = {"looks": options.looks, "mirrored": options.mirrored}
     try:
         calibration = harness.calibrate(
@@ -129,7 +127,7 @@ def run(options: Namespace) -> None:
 
 
 def _field(options: Namespace) -> dict[str, float] | None:
-    """The directions that the sensor is said to see; None where nothing is said."""
+    """The field of view in the options; None if there is none."""
     if options.angle_max is None and options.elevation is None:
         return None
     low, high = options.elevation or (-90.0, 90.0)
@@ -138,7 +136,7 @@ def _field(options: Namespace) -> dict[str, float] | None:
 
 
 def _summary(calibration: "CalibrationResult") -> list[str]:
-    """The numbers, what is left of the corners, how sure the rays are, and what should be known."""
+    """The parameters, the residuals of corners, the uncertainty of rays, and warnings, as lines of text."""
     import numpy as np
 
     values, sigmas = calibration.uncertainty.values.tolist(), calibration.uncertainty.sigma.tolist()
@@ -153,7 +151,7 @@ def _summary(calibration: "CalibrationResult") -> list[str]:
         f"the worst is {calibration.corners.images[worst]} with {calibration.rms_of_images_px[worst]:.3f} px"
     )
     lines.append(
-        f"standard deviation of rays, a turn of the sensor apart: {np.median(calibration.ray_sigma_px):.2g} px "
+        f"standard deviation of rays, up to a rotation of the sensor: {np.median(calibration.ray_sigma_px):.2g} px "
         f"(median), {calibration.ray_sigma_px.max():.2g} px (largest)"
     )
     if calibration.halves is not None:
@@ -166,8 +164,8 @@ def _summary(calibration: "CalibrationResult") -> list[str]:
         f"corners lie {coverage.innermost_deg:.0f}° to {coverage.outermost_deg:.0f}° off the axis, in "
         f"{coverage.share:.0%} of the field"
     )
-    mirrored = "a mirror image" if calibration.sensor.mirrored else "no mirror image"
-    lines.append(f"taken for granted: the camera looks {calibration.sensor.looks}, {mirrored} (--looks, --mirrored)")
+    mirrored = "a mirror image" if calibration.sensor.mirrored else "not a mirror image"
+    lines.append(f"assumed: the camera looks {calibration.sensor.looks}, {mirrored} (--looks, --mirrored)")
     return lines + [f"note: {each}" for each in calibration.notes]
 
 

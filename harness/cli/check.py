@@ -1,4 +1,4 @@
-"""`omnirange check`: whether a matcher does what every matcher has to do."""
+"""`omnirange check`: test whether a matcher does what every matcher has to do."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
         "check",
         run,
         brief="test a matcher, such as your own",
-        description="Test a matcher on small scenes, and report which rules it breaks.",
+        description="Test a matcher on small scenes, and report the rules that it breaks.",
         epilog="docs/matchers.md says how to write one",
     )
     matcher = command.add_argument(
@@ -28,7 +28,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Carry out every check, a line for each."""
+    """Run every check, and print a line for each."""
     from harness.runs.executors import ONE_THREAD
 
     os.environ.update(ONE_THREAD | os.environ)
@@ -51,7 +51,7 @@ def run(options: Namespace) -> int:
 
 
 def _marks() -> dict[bool | None, str]:
-    """What stands before a line; plain letters where the terminal has no others."""
+    """The marks at the beginning of lines; plain letters if the terminal has no others."""
     marks: dict[bool | None, str] = {True: "✓", False: "✗", None: "-"}
     try:
         "".join(marks.values()).encode(sys.stdout.encoding or "ascii")

@@ -1,4 +1,4 @@
-"""`omnirange compare`: runs side by side."""
+"""`omnirange compare`: compare runs side by side."""
 
 from argparse import Namespace
 from pathlib import Path

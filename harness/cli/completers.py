@@ -1,4 +1,4 @@
-"""What a shell offers for an argument when Tab is pressed."""
+"""Shell completion of arguments."""
 
 import argparse
 from collections.abc import Callable, Iterable
@@ -12,7 +12,7 @@ Completer = Callable[..., list[str]]
 
 
 def offer(action: argparse.Action, *completers: Completer) -> None:
-    """Let an argument be completed by what any of the completers gives."""
+    """Let an argument be completed by the words of several completers."""
 
     def complete(prefix: str, **_: Any) -> list[str]:
         return [word for completer in completers for word in completer(prefix)]
@@ -36,7 +36,7 @@ def sensors(prefix: str, **_: Any) -> list[str]:
 
 
 def files(*endings: str) -> Completer:
-    """Files with one of some endings, any file when there are none given, and folders, which end in a slash."""
+    """A completer of files with some endings (all files by default) and of folders, which end in a slash."""
 
     def complete(prefix: str, **_: Any) -> list[str]:
         stem, slash, _name = prefix.rpartition("/")
@@ -59,7 +59,7 @@ def folders(prefix: str, **_: Any) -> list[str]:
 
 
 def kinds(prefix: str, **_: Any) -> list[str]:
-    """The kinds of matcher, those of installed packages too."""
+    """The kinds of matcher, including those of installed packages."""
     from harness.matching.plugins import entry_points
     from harness.matching.registry import BUILT_IN
 

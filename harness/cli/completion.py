@@ -1,4 +1,4 @@
-"""`omnirange completion`: what makes a shell complete the program's commands, options and names."""
+"""`omnirange completion`: a script for shell completion of commands, options and names."""
 
 from argparse import Namespace
 

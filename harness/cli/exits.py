@@ -1,8 +1,8 @@
-"""What the command exits with."""
+"""Exit codes of the command."""
 
 from harness.interrupts import EXIT_CODE as INTERRUPTED
 
 OK, FAILED, INPUT, BUG = 0, 1, 2, 70
-"""All went well; a trial failed; something given is wrong; a fault of this program's (70 is `EX_SOFTWARE`)."""
+"""Success; a trial failed; invalid input; a bug in this program (70 is `EX_SOFTWARE`)."""
 
 __all__ = ["BUG", "FAILED", "INPUT", "INTERRUPTED", "OK"]

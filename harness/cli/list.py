@@ -1,4 +1,4 @@
-"""`omnirange list`, and `omnirange` by itself: what there is to run, to look at and to match with."""
+"""`omnirange list`, and `omnirange` by itself: the shipped experiments, scenes, sensors, matchers and camera models."""
 
 import shutil
 import textwrap
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 
 def run(_options: Namespace) -> None:
-    """Print the lists, and the commands that begin with them."""
+    """Print the lists, and how to use their entries."""
     from harness.camera.models import MODELS
     from harness.matching.registry import BUILT_IN
 

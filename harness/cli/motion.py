@@ -1,4 +1,4 @@
-"""`omnirange motion`: the motion between two photographs of your own."""
+"""`omnirange motion`: estimate the motion between two photographs of your own."""
 
 from argparse import Namespace
 from pathlib import Path
@@ -15,10 +15,10 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "motion",
         run,
-        brief="rotation and direction between two images of your own",
+        brief="estimate rotation and direction between two images of your own",
         description="Estimate from two images how view 2 is turned and in which direction it stands, and say whether "
         "that can be trusted. Needs pip install 'omnirange[motion]'.",
-        epilog="Exit code 1 where the images do not tell where view 2 stands.",
+        epilog="Exit code 1 if the images do not determine the motion.",
     )
     add_images(command)
     add_sensor(command, "sensor TOML or calibration file of both views", required=True, second=True)
@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
     held.add_argument("--planar", action="store_true", help="and the sensor has moved horizontally")
     add_length(command)
     command.add_argument(
-        "--sparse", action="store_true", help="leave it at the keypoints: quicker, and several times coarser"
+        "--sparse", action="store_true", help="use keypoints only: faster, and several times less accurate"
     )
     command.add_argument(
         "--calibration-sigma-px",
@@ -43,7 +43,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Estimate, print, and write what is asked for."""
+    """Estimate the motion, print it, and write the requested files."""
     import harness
     from harness.errors import InputError
 

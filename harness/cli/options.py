@@ -1,4 +1,4 @@
-"""How sub-commands are declared, and the settings that several of them have."""
+"""Declaration of sub-commands, and the options that several of them have."""
 
 import argparse
 import re
@@ -14,7 +14,7 @@ from harness.errors import nearest
 
 
 class Parser(argparse.ArgumentParser):
-    """Takes no abbreviations, and says what is wrong in one line, as the rest of the program does."""
+    """An argument parser without abbreviations, whose errors are one line, as in the rest of the program."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
@@ -22,14 +22,14 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse what is not a choice, and name the nearest one; overrides argparse's."""
+        """Check that a value is one of the choices; the error names the nearest one. Overrides argparse's."""
         if action.choices is not None and value not in action.choices:
             what = "command " if action.metavar == "COMMAND" else ""
             hint = nearest(str(value), [str(each) for each in action.choices])
             raise argparse.ArgumentError(None if what else action, f"unknown {what}'{value}'; {hint}")
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong, and exit."""
+        """Print the error, and exit."""
         print(f"omnirange: {shortened(message)}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(INPUT)
 
@@ -49,16 +49,16 @@ class Commands:
         description: str,
         epilog: str = "",
     ) -> Parser:
-        """Declare a sub-command, with the settings that all have.
+        """Declare a sub-command, with the options that all have.
 
         Parameters
         ----------
         run
-            Carries it out, and gives the exit code; None is 0.
+            Executes it, and returns the exit code; None is 0.
         brief
-            What it does, in the program's `--help`.
+            The summary in the program's `--help`.
         description, epilog
-            Before and after its settings in its own `--help`.
+            The text before and after the options in its own `--help`.
         """
         command = self._parsers.add_parser(name, help=brief, description=description, epilog=epilog)
         command.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -67,13 +67,13 @@ class Commands:
 
 
 def add_experiment(command: Parser) -> None:
-    """`experiment`: a name or a path."""
+    """Add `experiment`: a name or a path."""
     what = command.add_argument("experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file")
     completers.offer(what, completers.experiments, completers.files(".toml"))
 
 
 def add_images(command: Parser) -> None:
-    """`LEFT`, `RIGHT` and `--bits`: the images of both views, and what is white in them."""
+    """Add `LEFT`, `RIGHT` and `--bits`: the images of both views, and their white level."""
     command.add_argument("left", type=Path, metavar="LEFT", help="image of view 1 (PNG, JPEG, TIFF ...)")
     command.add_argument("right", type=Path, metavar="RIGHT", help="image of view 2")
     command.add_argument(
@@ -87,13 +87,13 @@ def add_images(command: Parser) -> None:
 
 
 def add_out(command: Parser, what: str = "output folder", *, metavar: str = "DIR", required: bool = False) -> None:
-    """`--out` as `out`: a path; None where it may be left out and is."""
+    """Add `--out` as `out`: a path, or None when it is optional and missing."""
     out = command.add_argument("--out", type=Path, metavar=metavar, required=required, help=what)
     completers.offer(out, completers.folders if metavar == "DIR" else completers.files())
 
 
 def add_changes(command: Parser, *, axes: bool = True) -> None:
-    """`--set` and `--axis` as `set` and `axis`: lists of text, for `load_experiment` to read."""
+    """Add `--set` and `--axis` as `set` and `axis`: lists of text, parsed by `load_experiment`."""
     changed = command.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the base trial; repeatable"
     )
@@ -110,7 +110,7 @@ def add_changes(command: Parser, *, axes: bool = True) -> None:
 
 
 def add_backend(command: Parser) -> None:
-    """`--workers` and `--dask` as `workers` and `dask`: a number or an address, for `backend_for` to read; or None."""
+    """Add `--workers` and `--dask` as `workers` and `dask`: a number or an address, parsed by `backend_for`."""
     where = command.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=whole_number, metavar="N", help="number of processes (default: one per CPU, if it saves time)"
@@ -119,7 +119,7 @@ def add_backend(command: Parser) -> None:
 
 
 def whole_number(text: str) -> int:
-    """A number of at least 1."""
+    """The whole number, of at least 1, that a text spells."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; found '{text}'")
     return int(text)

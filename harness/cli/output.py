@@ -1,4 +1,4 @@
-"""Standard output that may be closed or full: the command continues."""
+"""Standard output that may be closed or full without stopping the command."""
 
 import os
 import sys
@@ -10,9 +10,9 @@ from harness.errors import InputError
 
 
 class Output:
-    """A stream that takes what it can no longer write; all else is the stream's.
+    """A wrapper of a stream that discards what can no longer be written.
 
-    A reader that goes away (`| head`) is nobody's fault. Any other failure is kept in `error`.
+    A reader that goes away (`| head`) is not an error. Any other failure is stored in `error`.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -24,7 +24,7 @@ class Output:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, if anybody reads."""
+        """Write, if the stream still accepts data."""
         if not self._is_gone:
             try:
                 self._stream.write(text)
@@ -33,7 +33,7 @@ class Output:
         return len(text)
 
     def flush(self) -> None:
-        """Hand on what is written."""
+        """Flush the stream."""
         if not self._is_gone:
             try:
                 self._stream.flush()
@@ -53,12 +53,12 @@ class Output:
 
 @contextmanager
 def patient_output() -> Iterator[None]:
-    """Let standard output fail without harm, and write escapes for characters that it does not have.
+    """Let standard output fail without stopping the command, and escape characters that it cannot encode.
 
     Raises
     ------
     InputError
-        In the end, when it could not be written for another reason than a reader that has gone away.
+        On exit, when writing failed for a reason other than a reader that has gone away.
     """
     stream = sys.stdout
     if stream is None:

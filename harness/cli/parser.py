@@ -32,7 +32,7 @@ _COMMANDS = (
     settings,
     completion,
 )
-"""In the order in which `--help` lists them."""
+"""The sub-commands, in the order of `--help`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,8 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when all went well, 1 when a trial failed, 2 when something given is wrong (one line on stderr says what),
-        70 when this program is (one line says that too), 130 after Ctrl-C.
+        0 on success, 1 when a trial failed, 2 for invalid input (with one line on stderr), 70 for a bug in this program
+        (likewise), 130 after Ctrl-C.
     """
     if "_ARGCOMPLETE" in os.environ:  # a shell asks what may follow; answered, and the program ends
         import argcomplete
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _explained(error: BaseException) -> tuple[str, int]:
-    """What is said of an error, and the exit code."""
+    """The message of an error, and the exit code."""
     if isinstance(error, InputError):
         return str(error), INPUT
     if isinstance(error, MemoryError):
@@ -95,14 +95,14 @@ def _explained(error: BaseException) -> tuple[str, int]:
 
 
 def _is_unicode(text: str) -> bool:
-    """Whether it can be written into files and onto terminals: no bytes that were none of UTF-8."""
+    """Whether a text can be encoded: it contains no bytes that were not valid UTF-8."""
     return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 class _Notices:
-    """Shows a notice in one line, as other messages, and once; and the warning of a library as Python does.
+    """Shows each notice once, as one line like other messages; warnings of libraries as Python does.
 
-    Python's own count of what was said begins anew whenever a library changes its filters for a while.
+    Python's own register of shown warnings is reset whenever a library changes its filters for a while.
     """
 
     def __init__(self) -> None:
@@ -117,7 +117,7 @@ class _Notices:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        """In place of `warnings.showwarning`."""
+        """Replaces `warnings.showwarning`."""
         if not issubclass(category, Notice):
             print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end="")
         elif str(message) not in self._said:

@@ -1,4 +1,4 @@
-"""`omnirange range`: range from two photographs of your own."""
+"""`omnirange range`: estimate range from two photographs of your own."""
 
 import sys
 from argparse import Namespace
@@ -190,7 +190,7 @@ def _given(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
 
 
 def _masked(sensor: "Sensor", mask: Path | None, option: str) -> "Sensor":
-    """The sensor with the mask of an option, or as it is."""
+    """The sensor with the mask of an option, or unchanged."""
     from harness.errors import InputError
 
     if mask is None:

@@ -1,4 +1,4 @@
-"""`omnirange render`: one view with its true range."""
+"""`omnirange render`: render one view with its true range."""
 
 from argparse import Namespace
 
@@ -26,13 +26,13 @@ def add(commands: Commands) -> None:
     for angle, axis in (("yaw", "the vertical axis z"), ("pitch", "y"), ("roll", "x")):
         command.add_argument(f"--{angle}-deg", type=float, default=0.0, metavar="A", help=f"turn about {axis}, degrees")
     command.add_argument(
-        "--samples", type=int, default=16, metavar="N", help="rays per pixel, a square number, at least (16)"
+        "--samples", type=int, default=16, metavar="N", help="least number of rays per pixel, a square number (16)"
     )
     add_out(command, required=True)
 
 
 def run(options: Namespace) -> None:
-    """Render, and write the folder."""
+    """Render the view, and write the folder."""
     import harness
 
     view = harness.render(

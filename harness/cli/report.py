@@ -1,4 +1,4 @@
-"""`omnirange report`: the tables and the report of a run, anew."""
+"""`omnirange report`: rebuild the tables and the report of a run."""
 
 import warnings
 from argparse import Namespace
@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Write everything that is made from the rows of a run."""
+    """Write all output files of a run."""
     from harness.runs.recorded import recorded
     from harness.runs.run import run_status
     from harness.runs.store import DATABASE, OTHER_CODE, Store

@@ -1,4 +1,4 @@
-"""What `run` and `report` end in: files made from the rows of a run, and what is said of them."""
+"""The last step of `run` and `report`: writing the output files of a run, and printing a summary."""
 
 import gc
 import sys
@@ -26,23 +26,23 @@ def write(
     with_report: bool = True,
     run_code: bool = True,
 ) -> int:
-    """Write everything that is made from the rows, say what came out, and give the exit code.
+    """Write all output files of a run, print a summary, and return the exit code.
 
     Parameters
     ----------
     folder
-        Where to write.
+        The output folder.
     given
-        What the run was made from, for messages.
+        The experiment as the user gave it, for messages.
     shown
-        The folder in the user's words, for messages.
+        The folder as the user gave it, for messages.
     run_code
-        Whether matchers may be run that are not part of this program.
+        Whether matchers that are not part of this program may be run.
 
     Raises
     ------
     InputError
-        Where no trial could be carried out because of what was `given`: the user's to mend, like a wrong key.
+        When every trial failed because of `given`, which the user can correct.
     """
     shown = shown or folder
     from harness.runs.density import too_sparse
@@ -56,9 +56,9 @@ def write(
         from harness.report.build import build_report
 
         result = result_of(experiment, store, run_code=run_code)
-        write_summary(result, store, folder)  # before the report: what can be read without it is not lost with it
+        write_summary(result, store, folder)  # first, so that a failure of the report does not lose it
         not_drawn: list[str] = []
-        gc.freeze()  # rows are millions of objects that stay: not to be searched again while figures are drawn
+        gc.freeze()  # millions of long-lived rows: no garbage collection while figures are drawn
         try:
             write_report(result, build_report(result, not_drawn), store, folder)
         finally:
@@ -87,7 +87,7 @@ def write(
 
 
 def show(summary: dict[str, Any], folder: Path) -> None:
-    """Print the main figures, and where the report is."""
+    """Print the main figures, and the path of the report."""
     from rich.console import Console
 
     console = Console()
@@ -97,7 +97,7 @@ def show(summary: dict[str, Any], folder: Path) -> None:
 
 
 def say_unused_rows(unused: "UnusedRows") -> None:
-    """Say how many trials of a folder are not used, and why."""
+    """Print how many trials of a folder are not used, and why."""
     for count, why in (
         (unused.other_code, "by other code or libraries"),
         (unused.other_scene, "of other scenes, or of an earlier version of this one"),

@@ -1,4 +1,4 @@
-"""`omnirange run`: an experiment's trials, its tables and its report."""
+"""`omnirange run`: run an experiment's trials, and write its tables and its report."""
 
 import json
 import os
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from harness.runs.experiment import Experiment
 
 _MOST_CHECKED = 8
-"""So many different sensors are looked through before a run that is not made."""
+"""Most different sensors that a dry run checks."""
 
 
 def add(commands: declare.Commands) -> None:
@@ -46,7 +46,7 @@ def add(commands: declare.Commands) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Run what is not yet done, then write everything that is made from it."""
+    """Run the trials that are not yet done, then write all output files."""
     # Heavy libraries are loaded here, so that --help and a mistyped name answer at once.
     from harness.runs.executors import ONE_THREAD, backend_for
 

@@ -1,4 +1,4 @@
-"""`omnirange sensor`: what a sensor sees, from a file of any known calibration; and the file in another format."""
+"""`omnirange sensor`: describe a sensor from a calibration file of any known format, or convert the file."""
 
 import argparse
 import math
@@ -25,15 +25,15 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "sensor",
         run,
-        brief="say what a sensor sees; read and write calibration files",
-        description="Say what a sensor is and sees, and draw it; or write it as another program's calibration. The "
-        "file may be a sensor's TOML or a calibration by OpenCV, Kalibr, CamOdoCal, basalt, OCamCalib, OmniMVS or "
-        "COLMAP.",
-        epilog="A calibration does not say how its camera is mounted, nor how far it sees: up, not mirrored, and as "
-        "far as model and image allow, unless told. A camera below a mirror has --looks down --mirrored.",
+        brief="describe a sensor; read and write calibration files",
+        description="Describe a sensor and its field of view, and draw it; or write it as another program's "
+        "calibration. The file may be a sensor's TOML or a calibration by OpenCV, Kalibr, CamOdoCal, basalt, "
+        "OCamCalib, OmniMVS or COLMAP.",
+        epilog="A calibration does not contain the mount of its camera or its field of view. Defaults: up, not "
+        "mirrored, and as far as model and image allow. A camera below a mirror has --looks down --mirrored.",
     )
     file = command.add_argument(
-        "file", type=Path, metavar="FILE", help="a sensor or a calibration, told by its content"
+        "file", type=Path, metavar="FILE", help="a sensor or a calibration; the format is recognised by its content"
     )
     completers.offer(file, completers.sensors, completers.files())
     add_choices(command)
@@ -45,7 +45,7 @@ def add(commands: Commands) -> None:
         "--allow-residual",
         type=_length,
         metavar="PX",
-        help="take a nearest camera whose RMS residual is at most so many pixels (0.2)",
+        help="accept the closest camera if its RMS residual is at most so many pixels (0.2)",
     )
     add_out(
         command,
@@ -86,7 +86,7 @@ def _describe(read: "SensorFile", options: Namespace) -> None:
 
 
 def _origin(read: "SensorFile") -> str:
-    """What kind of file it is, and which camera of it."""
+    """The format of the file, and the camera in it."""
     from harness.io.calibrations import READERS as KNOWN
 
     if read.calibration is None or read.camera is None:
@@ -101,7 +101,7 @@ def _origin(read: "SensorFile") -> str:
 
 
 def _motion(read: "SensorFile") -> list[str]:
-    """Where the camera is, seen from the file's first one, as `omnirange range` takes it."""
+    """The camera's motion from the file's first one, as options of `omnirange range`."""
     from harness.camera.sensor import lens_from_sensor
     from harness.io.calibrations.rigs import transform_between
     from harness.io.motions import motion_of
@@ -136,7 +136,7 @@ def _convert(read: "SensorFile", options: Namespace) -> None:
 
 
 def _said_of(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> list[str]:
-    """How near the written camera is, and what its file does not hold."""
+    """The residuals of the written camera, and what its file does not contain."""
     apart = written.conversion
     low, high = (math.degrees(each) for each in apart.angles_rad)
     where = f"over {apart.pixels} pixels, {low:.4g} to {high:.4g} deg off the optical axis"
@@ -157,7 +157,7 @@ def _said_of(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> 
 
 
 def _reading(read: "SensorFile") -> str:
-    """The options that give a file, read back, the sensor's mount and field."""
+    """The options with which the file has the sensor's mount and field when it is read back."""
     sensor = read.sensor
     words = [f"--looks {sensor.looks}", *(["--mirrored"] if sensor.mirrored else [])]
     if sensor.field.angle_max_deg < 180:

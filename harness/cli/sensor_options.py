@@ -1,4 +1,4 @@
-"""The options by which commands are given sensors: a file of any known kind, and what a calibration does not say."""
+"""Options for sensors: a file of any known format, and what a calibration does not contain."""
 
 import argparse
 from argparse import Namespace
@@ -35,16 +35,22 @@ def add_sensor(command: Parser, what: str, *, required: bool = False, second: bo
 
 
 def add_choices(command: Parser) -> None:
-    """What a calibration file does not say, or a sensor file is not to say."""
-    command.add_argument("--camera", type=int, metavar="N", help="which of several cameras in a calibration, from 0")
+    """Add the options for what a calibration file does not contain, or to override a sensor file."""
+    command.add_argument(
+        "--camera", type=int, metavar="N", help="number of the camera in a calibration with several, from 0"
+    )
     add_mount_and_field(command, looks="up, for a calibration", mirrored="no, for a calibration")
     command.add_argument(
-        "--size", type=int, nargs=2, metavar=("W", "H"), help="its image's size, for a calibration that does not say it"
+        "--size",
+        type=int,
+        nargs=2,
+        metavar=("W", "H"),
+        help="size of the image, for a calibration that does not contain it",
     )
 
 
 def add_mount_and_field(command: Parser, *, looks: str, mirrored: str, angle_max: str = "") -> None:
-    """`--looks`, `--mirrored`, `--angle-max` and `--elevation`, with the defaults in words."""
+    """Add `--looks`, `--mirrored`, `--angle-max` and `--elevation`, with the defaults for their help texts."""
     command.add_argument(
         "--looks",
         choices=("up", "down", "forward"),
@@ -57,15 +63,22 @@ def add_mount_and_field(command: Parser, *, looks: str, mirrored: str, angle_max
     )
     default = f" (default: {angle_max})" if angle_max else ""
     command.add_argument(
-        "--angle-max", type=float, metavar="DEG", help=f"how far it sees off its optical axis{default}"
+        "--angle-max",
+        type=float,
+        metavar="DEG",
+        help=f"largest angle of the field off the optical axis, degrees{default}",
     )
     command.add_argument(
-        "--elevation", type=float, nargs=2, metavar=("LOW", "HIGH"), help="between which elevations it sees, degrees"
+        "--elevation",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="lowest and highest elevation of the field, degrees",
     )
 
 
 def chosen(options: Namespace, camera: int | None) -> "Chosen":
-    """What the options of `add_choices` say, with the number of a camera."""
+    """The values of the options of `add_choices`, with the number of a camera."""
     from harness.io.calibrations.sensors import Chosen
 
     return Chosen(
@@ -79,7 +92,7 @@ def chosen(options: Namespace, camera: int | None) -> "Chosen":
 
 
 def first_sensor(options: Namespace) -> "Sensor | None":
-    """The sensor of `--sensor`; None where it is not given."""
+    """The sensor of `--sensor`; None if it is not given."""
     from harness.errors import InputError
     from harness.io.calibrations.sensors import Chosen, load_sensor
 
@@ -92,7 +105,7 @@ def first_sensor(options: Namespace) -> "Sensor | None":
 
 
 def second_sensor(options: Namespace) -> "Sensor | None":
-    """The sensor of `--sensor-2`; None where it is not given."""
+    """The sensor of `--sensor-2`; None if it is not given."""
     from harness.errors import InputError
     from harness.io.calibrations.sensors import load_sensor
 
@@ -108,7 +121,7 @@ def second_sensor(options: Namespace) -> "Sensor | None":
 
 
 def _of_file(options: Namespace, file: Path, camera: int | None, other: Path | None) -> "Chosen":
-    """What the options say of a file.
+    """The options that apply to a file.
 
     Of two sensors they hold for those that are calibrations of other programs, which need them: a sensor's own TOML
     says how it is mounted.

@@ -1,4 +1,4 @@
-"""`omnirange settings`: every key of an experiment, its type, unit, default and meaning."""
+"""`omnirange settings`: print every key of an experiment, its type, unit, default and meaning."""
 
 import shutil
 import textwrap
@@ -32,7 +32,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> None:
-    """Print what the key names."""
+    """Print the settings that the key names."""
     from harness.runs.settings_reference import find_settings, settings_markdown
 
     settings = find_settings(options.key)

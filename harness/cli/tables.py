@@ -1,4 +1,4 @@
-"""What is printed as tables."""
+"""Tables for the terminal."""
 
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,7 +13,7 @@ _SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m",
 
 
 def methods_table(summary: dict[str, Any]) -> "Table":
-    """The main figures of a run, a line for each method and surface.
+    """A table of the main figures of a run, a line for each method and surface.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     title = f"{escape(summary['experiment'])}: errors over the pixels that {who} matched"
     table = _table(title)
     table.add_column("\npixels", no_wrap=True)
-    table.add_column("\nmethod", overflow="fold")  # the only one that may wrap: names can be long
+    table.add_column("\nmethod", overflow="fold")  # the only column that may wrap: names can be long
     columns = [METRICS[name] for name in _SHOWN]
     for each in columns:
         table.add_column(_in_two_lines(each), justify="right", no_wrap=True)
@@ -45,7 +45,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
 
 
 def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
-    """How the main figures of two runs differ, the sub-pixel steps one below the other: it fits 80 columns.
+    """A table of the differences of two runs' main figures, one sub-pixel step per line, in 80 columns.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def _table(title: str | None = None) -> "Table":
 
 
 def _in_two_lines(metric: "Metric") -> str:
-    """A heading as narrow as its figures: the quantity above, the statistic and the unit below."""
+    """A heading in two lines: the quantity above, the statistic and the unit below."""
     statistic = metric.statistic.replace("|error|", "").strip()
     above, _, below = (
         metric.quantity.lower().partition(" ") if not statistic else (metric.quantity.lower(), "", statistic)
