@@ -1,4 +1,4 @@
-"""The field of view as compiled loops take it."""
+"""The field of view in the form that compiled loops take."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ from harness.compiled import kernel
 
 
 class FieldLimits(NamedTuple):
-    """Limits of what a sensor sees, for directions in its frame."""
+    """Limits of a sensor's field of view, for directions in its frame."""
 
     lowest: float
     """Sine of the lowest elevation; -2 where there is no limit."""
@@ -26,11 +26,11 @@ class FieldLimits(NamedTuple):
 
 @kernel(inline=True)
 def along_up(x, y, z, field):
-    """The length of a direction times the sine of its elevation."""
+    """The sine of a direction's elevation, times its length."""
     return field.up_x * x + field.up_y * y + field.up_z * z
 
 
 @kernel(inline=True)
 def along_axis(x, y, z, field):
-    """The length of a direction times the cosine of its angle off the optical axis."""
+    """The cosine of a direction's angle off the optical axis, times its length."""
     return field.axis_x * x + field.axis_y * y + field.axis_z * z

@@ -7,7 +7,7 @@ from harness.compiled import kernel
 
 @kernel
 def bend(x, y, k1, k2, p1, p2, k3):
-    """The distorted point (x', y') of an undistorted one; see `harness.camera.lens.distort`."""
+    """The distorted point (x', y') of an undistorted one (x, y); see `harness.camera.lens.distort`."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return (
@@ -18,7 +18,7 @@ def bend(x, y, k1, k2, p1, p2, k3):
 
 @kernel
 def move_bent(x, y, dx, dy, k1, k2, p1, p2, k3):
-    """The distorted point, and how it moves when the undistorted one moves by (dx, dy)."""
+    """The distorted point, and its derivative along (dx, dy)."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
@@ -41,13 +41,13 @@ def bend_all(points, k1, k2, p1, p2, k3, out):
 
 @kernel
 def unbend(x_d, y_d, k1, k2, p1, p2, k3, fold):
-    """Undistorted point of a distorted one, by Newton's method; NaN when there is none within the fold.
+    """The undistorted point of a distorted one, by Newton's method; NaN when there is none within the fold.
 
-    Plain Newton swings from side to side of the image for lenses that bend both ways (k1 and k3 of opposite sign).
-    Within the fold the Jacobian is positive definite, so a step that is cut until it brings the error down and stays
-    inside comes to the one solution from anywhere.
+    Plain Newton steps oscillate across the image for lenses whose k1 and k3 have opposite signs. Within the fold the
+    Jacobian is positive definite, so that steps which are halved until they reduce the error and stay within the fold
+    converge to the unique solution from anywhere.
     """
-    # Begin at the distorted point, which is near, unless it lies beyond the fold.
+    # Start at the distorted point, which is close, unless it lies beyond the fold.
     radius = math.hypot(x_d, y_d)
     start = 1.0 if radius < fold else 0.5 * fold / radius
     x_next, y_next = start * x_d, start * y_d
@@ -70,7 +70,7 @@ def unbend(x_d, y_d, k1, k2, p1, p2, k3, fold):
             dy = (j_xx * error_y - j_xy * error_x) / determinant
             cut = 1.0
         elif error <= 1e-13 * radius:
-            return x, y  # only rounding is left
+            return x, y  # the error is rounding
         else:
             cut *= 0.5
         x_next, y_next = x - cut * dx, y - cut * dy

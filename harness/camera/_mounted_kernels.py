@@ -1,4 +1,4 @@
-"""The compiled projection of a camera that is mounted in another way than its model has it: turn, then project."""
+"""The compiled projection of a camera in another mount than its model's default: rotate, then project."""
 
 from typing import Any, NamedTuple
 
@@ -7,7 +7,7 @@ from harness.compiled import kernel
 
 
 class MountedCamera(NamedTuple):
-    """A camera model's parameters, and the matrix that takes directions of the sensor's frame to the model's."""
+    """A camera model's parameters, and the matrix that turns directions of the sensor's frame into the model's."""
 
     xx: float
     """First row of the matrix: the model's x axis in the sensor's frame."""

@@ -14,13 +14,13 @@ def to_pixel(m, n, camera):
 
 @kernel(inline=True)
 def moved_pixel(m, n, m_d, n_d, camera):
-    """The pixel, and its derivative where (m_d, n_d) is that of the point."""
+    """The pixel of a point, and its derivative for the derivative (m_d, n_d) of the point."""
     u, v = to_pixel(m, n, camera)
     return u, v, camera.fu * m_d + camera.skew * n_d, camera.fv * n_d
 
 
 @kernel(inline=True)
 def from_pixel(u, v, camera):
-    """The point (m, n) of the plane that a pixel shows."""
+    """The point (m, n) of the plane at a pixel."""
     n = (v - camera.cv) / camera.fv
     return (u - camera.cu - camera.skew * n) / camera.fu, n

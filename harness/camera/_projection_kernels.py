@@ -1,7 +1,7 @@
-"""The one compiled projection. Which camera model's it is follows from the type of its parameters.
+"""The compiled projection of all camera models, selected by the type of the parameters.
 
-Compiled code calls `project`, `move` and `rays`; numba puts the model's own functions in their place when it compiles.
-So loops are written once, and are compiled for each model as if written for it.
+Compiled code calls `project`, `move` and `rays`; numba replaces them by the model's own functions when it compiles. So
+loops are written once, and compiled for each model.
 """
 
 import math
@@ -17,7 +17,7 @@ class CompiledModel(NamedTuple):
 
     project: Any
     """`project(x, y, z, camera) -> u, v, inside`: the pixel of a direction of any length, and whether it is within the
-    model's domain; of a direction that is not, the pixel means nothing."""
+    model's domain; outside, the pixel is undefined."""
     move: Any
     """`move(x, y, z, dx, dy, dz, camera) -> u, v, du, dv`: the pixel, and its derivative along (dx, dy, dz)."""
     rays: Any
@@ -29,12 +29,12 @@ _MODELS: dict[Any, CompiledModel] = {}
 
 
 def add_compiled_model(parameters: Any, functions: CompiledModel) -> None:
-    """Say which functions belong to parameters of this class."""
+    """Register the functions for parameters of this class."""
     _MODELS[parameters] = functions
 
 
 def compiled_model(parameters: Any) -> CompiledModel:
-    """The functions that belong to parameters of this class."""
+    """The functions for parameters of this class."""
     return _MODELS[parameters]
 
 

@@ -5,9 +5,9 @@ from harness.compiled import kernel
 
 @kernel
 def bilinear(image, rows, columns, out):
-    """Write samples of an image between its pixels; beyond its border the border goes on.
+    """Write bilinear samples of an image; beyond its border it is extended by its nearest pixels.
 
-    rows, columns : `[n]`, at the pixels' centres whole.
+    rows, columns : `[n]`, whole numbers at the centres of pixels.
     """
     height, width = image.shape
     for i in range(rows.size):

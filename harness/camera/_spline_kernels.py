@@ -5,12 +5,12 @@ import math
 from harness.compiled import kernel
 
 QUINTIC_TAPS = 6
-"""How many coefficients a quintic B-spline takes along each axis."""
+"""Number of coefficients of a quintic B-spline along each axis."""
 
 
 @kernel(inline=True)
 def cubic_weights(f):
-    """Weights of the cubic B-spline's four coefficients, a fraction f after the second one."""
+    """Weights of the cubic B-spline's four coefficients, at a fraction f after the second one."""
     g = 1.0 - f
     return g * g * g / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f / 6
 
@@ -60,7 +60,7 @@ def cubic_spline(coefficients, u, v):
 def quintic_weights(x, value, slope):
     """Weights of the six taps of the quintic B-spline at a fraction x after the third, and their derivatives by x."""
     for side in range(2):
-        # The second half is the first one mirrored.
+        # The second half mirrors the first one.
         a = 1.0 - x if side == 0 else x
         b, c = a + 1.0, a + 2.0
         a4, b4, c4 = a * a * a * a, b * b * b * b, c * c * c * c

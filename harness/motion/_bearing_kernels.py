@@ -11,10 +11,10 @@ from harness.compiled import kernel
 
 @kernel(inline=True)
 def _distance(x, x_2, s_1, s_2, R, t):
-    """The Sampson distance in pixels, with its sign, and how far the pair is from lying behind a view.
+    """The signed Sampson distance in pixels, and the sine of the angle by which the point is in front of both views.
 
-    Whether it does: y = a x - b t with a, b > 0 for a point before both. (x × y) · n = b |n|² and (t × y) · n = a |n|²;
-    returned is the smaller of both over |n|, the sine of an angle.
+    y = a x - b t with a, b > 0 for a point in front of both. (x × y) · n = b |n|² and (t × y) · n = a |n|²; returns the
+    smaller of both over |n|, the sine of an angle, which is negative for a point behind a view.
     """
     y0 = R[0, 0] * x_2[0] + R[1, 0] * x_2[1] + R[2, 0] * x_2[2]
     y1 = R[0, 1] * x_2[0] + R[1, 1] * x_2[1] + R[2, 1] * x_2[2]
@@ -43,16 +43,16 @@ def _distance(x, x_2, s_1, s_2, R, t):
 
 @kernel
 def distances(x_1, x_2, s_1, s_2, R, t, distance, before):
-    """Write the Sampson distances `[n]`, pixels, and the sines by which pairs lie before both views `[n]`."""
+    """Write the Sampson distances `[n]`, pixels, and the sines by which points are in front of both views `[n]`."""
     for i in range(x_1.shape[0]):
         distance[i], before[i] = _distance(x_1[i], x_2[i], s_1[i], s_2[i], R, t)
 
 
 @kernel
 def truncated_cost(x_1, x_2, s_1, s_2, slack, R, t, limit, most):
-    """Sum of squared distances, each at most limit²; some number above `most` as soon as it is sure to be more.
+    """Sum of squared distances truncated at limit²; stops with a number above `most` as soon as the sum exceeds it.
 
-    slack : `[n]`, the sine by which a pair may seem to lie behind a view.
+    slack : `[n]`, the sine by which a point may appear behind a view.
     """
     total = 0.0
     square = limit * limit

@@ -26,7 +26,7 @@ def _turned(R, p0, p1, p2):
 
 @kernel
 def _sampled(x, w, R, t, camera, coefficients):
-    """View 2's grey level of a point; NaN where it is not seen."""
+    """View 2's grey level of a point; NaN outside its field."""
     model, seam = camera
     q0, q1, q2 = _turned(R, x[0] - w * t[0], x[1] - w * t[1], x[2] - w * t[2])
     u, v, inside = project(q0, q1, q2, model)
@@ -38,10 +38,10 @@ def _sampled(x, w, R, t, camera, coefficients):
 
 @kernel
 def try_planes(tiles, side, stride, least, view, x, grey, R, t, camera, coefficients, planes, share, best, score):
-    """For each tile the plane, of some, whose grey levels in view 2 correlate best with view 1's.
+    """Write for each tile the candidate plane whose grey levels in view 2 correlate best with view 1's.
 
-    tiles : `[T, 2]`, row and column of the first pixel. stride : every so many pixels are looked at.
-    planes : `[T, K, 3]`; one that is NaN is passed over. least, share : the least w, and the least share of pixels.
+    tiles : `[T, 2]`, row and column of the first pixel. stride : step between the pixels that are compared.
+    planes : `[T, K, 3]`; NaN for none. least, share : the least w, and the least share of visible pixels.
     best, score : `[T, 3]` and `[T]`, written where a plane has a better correlation than `score`.
     """
     for i in range(tiles.shape[0]):
@@ -87,7 +87,7 @@ def normal_equations(
 
     H, g : `[T, 11, 11]` and `[T, 11]`: sums of J^T J (upper triangle) and J^T r over the tile's pixels; J has columns
     for omega (of R exp([omega]×)), t, m, a and b.
-    N : `[T, 9, 9]`: what H would hold of the first nine for a gradient of covariance 1/a² (upper triangle).
+    N : `[T, 9, 9]`: the block of H of the first nine for a gradient of covariance 1/a² (upper triangle).
     sums : `[T, 4]`: the number of pixels, r², I_1 and I_1².
     """
     model, seam = camera
@@ -111,7 +111,7 @@ def normal_equations(
                 _, _, inside = project(q0, q1, q2, model)
                 if not inside:
                     continue
-                # How (u, v) moves as q moves along R e_k.
+                # The derivative of (u, v) as q moves along R e_k.
                 u, v, u0, v0 = move(q0, q1, q2, R[0, 0], R[1, 0], R[2, 0], model)
                 _, _, u1, v1 = move(q0, q1, q2, R[0, 1], R[1, 1], R[2, 1], model)
                 _, _, u2, v2 = move(q0, q1, q2, R[0, 2], R[1, 2], R[2, 2], model)

@@ -11,11 +11,11 @@ from harness.compiled import kernel
 def overlapping(
     order, node_low, node_high, leaf, low, high, corners, face_of_triangle, normals, offsets, tolerance, most, out
 ):
-    """Write pairs of faces whose triangles overlap in one plane, the earlier first, as far as there is room in `out`.
+    """Write pairs of faces whose coplanar triangles overlap, the earlier face first, up to the size of `out`.
 
     order, node_low, node_high, leaf : the tree over the triangles' boxes `low`, `high`, see `box_tree`.
 
-    Returns how many pairs there are; some are found repeatedly. Ends when there are more than `most`.
+    Returns the number of pairs, some of which occur repeatedly. Stops when there are more than `most`.
     """
     count = 0
     first_leaf = node_low.shape[0] // 2
@@ -76,7 +76,7 @@ def _in_plane(triangle, normal, offset, tolerance):
 
 @kernel
 def _overlap(a, b, normal, tolerance):
-    """Whether two triangles in one plane share an area: no side of either parts them (separating axes)."""
+    """Whether two coplanar triangles share an area: no side of either separates them (separating axes)."""
     for swap in range(2):
         first, second = (a, b) if swap == 0 else (b, a)
         for k in range(3):
@@ -100,8 +100,8 @@ def settle_hits(
     starts, rivals, first_triangle, order, corners, face_of_triangle, normals, offsets, tolerance, origin, directions,
     triangle,
 ):  # fmt: skip
-    """Write, for every hit on a face with rivals, the triangle that is seen: the nearest, and of those at one range the
-    one of the latest face.
+    """Write the visible triangle of every hit on a face with rivals: the nearest, or at equal range that of the latest
+    face.
 
     starts, rivals : the rivals of face f are `rivals[starts[f] : starts[f + 1]]`, ascending.
     first_triangle, order : the triangles of face f are `order[first_triangle[f] : first_triangle[f + 1]]`.
@@ -121,7 +121,7 @@ def settle_hits(
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         nearest = _range(normals, offsets, hit, cx, cy, cz, dx, dy, dz)
         latest, shown = hit, triangle[i]
-        # First how near the nearest is, then who is there.
+        # First the range of the nearest, then the latest face at that range.
         for turn in range(2):
             for at in range(starts[hit], starts[hit + 1]):
                 f = rivals[at]
@@ -166,7 +166,7 @@ def _inside(corners, cx, cy, cz, dx, dy, dz):
 
 @kernel
 def crossings(corners, p):
-    """How many triangles `[triangles, 3, 3]` a ray from p goes through, in a direction in which nothing is aligned."""
+    """Number of triangles `[triangles, 3, 3]` that a ray from p intersects, in a generic direction."""
     count = 0
     for i in range(len(corners)):
         count += _goes_through(corners[i], p)
@@ -175,7 +175,7 @@ def crossings(corners, p):
 
 @kernel
 def crossings_of_all(order, node_low, node_high, leaf, corners, points, out):
-    """Write for every point what `crossings` returns.
+    """Write the number of `crossings` of every point.
 
     order, node_low, node_high, leaf : the tree over the triangles' boxes, see `box_tree`. Boxes have a margin, so that
     no rounding here leaves one out.
@@ -204,7 +204,7 @@ def crossings_of_all(order, node_low, node_high, leaf, corners, points, out):
 
 @kernel
 def _meets(low, high, p):
-    """Whether the ray from p meets a box; all components of its direction are positive."""
+    """Whether the ray from p intersects a box; all components of its direction are positive."""
     enter, leave = 0.0, math.inf
     for k in range(3):
         r = (0.537761, 0.279103, 0.795541)[k]
@@ -214,7 +214,7 @@ def _meets(low, high, p):
 
 @kernel
 def _goes_through(corners, p):
-    """Whether the ray from p goes through a triangle, 1 or 0."""
+    """Whether the ray from p intersects a triangle, 1 or 0."""
     r0, r1, r2 = 0.537761, 0.279103, 0.795541
     a0, a1, a2 = corners[0, 0] - p[0], corners[0, 1] - p[1], corners[0, 2] - p[2]
     b0, b1, b2 = corners[1, 0] - p[0], corners[1, 1] - p[1], corners[1, 2] - p[2]

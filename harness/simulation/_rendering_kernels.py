@@ -23,11 +23,11 @@ WIDE = 8.0
 
 @kernel
 def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions, search_misses, triangle, range_m):
-    """Put Embree's float32 hits right in float64; write the range along each direction, NaN for none.
+    """Verify Embree's float32 hits in float64, and correct them; write the range along each direction, NaN for none.
 
-    A ray is inside a triangle when the three products `d · (v_i x v_j)` have one sign. For a side that two triangles
-    share this number is exactly opposite in the other one, so that in float64 no ray passes between them. Rays whose
-    triangle does not hold up are searched for in all triangles, if need be with a hair of tolerance for sides that
+    A ray is inside a triangle when the three products `d · (v_i x v_j)` have the same sign. For a side that two
+    triangles share, the product is exactly opposite in the other one, so that in float64 no ray passes between them.
+    Rays that miss their triangle are tested against all triangles, if necessary with a small tolerance for sides that
     coincide but do not share their end points.
     """
     cx, cy, cz = origin
@@ -98,8 +98,8 @@ def rotate_rays(rays, rotation, out):
 
 @kernel
 def mark_edges(edges, viewpoint, rotation, camera, field, step, goes_round, marks):
-    """Set `marks [height, width]` in every pixel that an edge may pass through; the first column is the last one's
-    neighbour if the image goes round.
+    """Set `marks [height, width]` in every pixel that an edge may pass through; with `goes_round` the image is periodic
+    in azimuth.
 
     An edge is an arc of a great circle. It is sampled at angles of at most `step`, which spans less than 0.9 pixels, so
     that every point of it is within 0.45 of a sample; a sample marks all pixels within REACH of it, its own and often a
@@ -128,7 +128,7 @@ def mark_edges(edges, viewpoint, rotation, camera, field, step, goes_round, mark
         mx, my, mz = px + qx, py + qy, pz + qz
         m = math.sqrt(mx * mx + my * my + mz * mz)
         if 4.0 - m * m < step * step:
-            # The chord is 2 sin(angle/2) and m is 2 cos(angle/2): a short arc, as in any fine mesh. Its middle
+            # The chord is 2 sin(angle/2) and m is 2 cos(angle/2): a short arc, as in any fine mesh. Its midpoint
             # will do.
             samples, c, s, cosine, sine = 1, 1.0, 0.0, 1.0, 0.0
             px, py, pz = mx / m, my / m, mz / m
@@ -161,7 +161,7 @@ def mark_edges(edges, viewpoint, rotation, camera, field, step, goes_round, mark
 
 @kernel
 def faces_of_triangles(triangle, face_of_triangle, out):
-    """Write the face of each triangle and count those that are none."""
+    """Write the face of each triangle, and return the number of misses."""
     misses = 0
     for i in range(triangle.size):
         if triangle[i] < 0:
@@ -193,7 +193,7 @@ def classify_pixels(corner_face, valid, marks, out):
 def sampling_levels(
     pixels, width, face_of_pixel, per_side, corner_index, corner_rays, H, texture_of_face, texture_layout, level
 ):
-    """Write how often the samples of pixels that one face fills each must be doubled either way: 0, 1 or 2.
+    """Write how many times the samples of pixels, each inside one face, are doubled in each direction: 0, 1 or 2.
 
     The measure is the longest side of a pixel on its face's tile, in texels, shared among the `per_side` samples along
     it.
@@ -225,7 +225,7 @@ def sampling_levels(
         left = ((u_c - u_a) * columns) ** 2 + ((v_c - v_a) * rows) ** 2
         right = ((u_d - u_b) * columns) ** 2 + ((v_d - v_b) * rows) ** 2
         spacing = math.sqrt(max(top, bottom, left, right)) / per_side
-        # Where a corner is beyond the plane's horizon, the pixel reaches to infinity on it.
+        # Where a corner is beyond the plane's horizon, the pixel extends to infinity on the plane.
         positive = w_a > 0.0
         beyond = (w_b > 0.0) != positive or (w_c > 0.0) != positive or (w_d > 0.0) != positive
         if beyond or not spacing <= WIDE:
@@ -320,7 +320,7 @@ def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_lay
                 v = (v_x * x + v_y * y + v_z * z) * inverse
                 column = (u - np.floor(u)) * columns
                 row = (v - np.floor(v)) * rows
-                # Not a number where a ray runs along its plane: never read outside the tile.
+                # NaN where a ray is parallel to its plane: never read outside the tile.
                 column = column if column >= 0.0 else 0.0  # noqa: FURB136  (max() may let it through)
                 row = row if row >= 0.0 else 0.0  # noqa: FURB136
                 left, above = np.int32(column), np.int32(row)
@@ -342,7 +342,7 @@ def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_lay
 
 @kernel
 def face_ranges(face_of_pixel, directions, w_rows, distances, out):
-    """Write the range of each pixel that one face fills; leave the others.
+    """Write the range of each pixel inside one face; others are unchanged.
 
     `w_rows [faces, 3]` are the normals in the sensor's frame, `distances [faces]` those of the planes from the
     viewpoint.
@@ -371,7 +371,7 @@ def describe_surfaces(
     world,
     textureless,
 ):
-    """Write what rays hit to the pixels of a picture; leave the others.
+    """Write the surfaces that rays hit to the pixels of an image; others are unchanged.
 
     pixel_of_ray, rays, range_of_ray, face_of_ray : of each ray, `[n]`: a flat index into the picture, its world
         direction, and its hit.
@@ -395,7 +395,7 @@ def describe_surfaces(
 
 @kernel
 def look_from(from_1, from_2, rays, range_m, towards, distance):
-    """Unit directions, and distances, in which a second viewpoint has the points that rays from a first one meet."""
+    """Write unit directions and distances from a second viewpoint to the points that rays from a first one hit."""
     for i in range(range_m.size):
         x = from_1[0] + range_m[i] * rays[i, 0] - from_2[0]
         y = from_1[1] + range_m[i] * rays[i, 1] - from_2[1]
@@ -429,7 +429,7 @@ def mark_jumps(range_m, normal, directions, wrap_columns, ratio, jump):
 
 @kernel
 def _continued(range_m, normal, direction, other):
-    """Range along another direction of the plane through a point; infinite where it is never met."""
+    """Range along another direction to the tangent plane at a point; infinite if there is no intersection."""
     towards = normal[0] * other[0] + normal[1] * other[1] + normal[2] * other[2]
     if not towards < 0.0:
         return math.inf
@@ -439,9 +439,9 @@ def _continued(range_m, normal, direction, other):
 
 @kernel
 def in_view(directions, rotation, camera, field, width, height, out):
-    """Write whether world directions `[n, 3]` fall into a sensor's field and onto its image.
+    """Write whether world directions `[n, 3]` are in a sensor's field and on its image.
 
-    As `harness.camera.sensor.project` says it. `rotation` turns the sensor's frame into the world's.
+    As `valid` of `harness.camera.sensor.project`. `rotation` turns the sensor's frame into the world's.
     """
     for i in range(out.size):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
