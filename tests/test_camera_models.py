@@ -249,7 +249,7 @@ class TestRefusals:
             ({"focal_px": 101.0}, r"camera\.focal_px = 101: 640 pixels span 363\.06 deg, .* 101\.859164 for 360 deg"),
             (
                 {"height_px": 340},
-                r"cy_px = 159\.5: the image goes on 20\.00 rows beyond the lower pole, .* 320\.00",
+                r"cy_px = 159\.5: the image extends 20\.00 rows beyond the lower pole, .* 320\.00",
             ),
             ({"cy_px": 170.0, "height_px": 330}, r"10\.50 rows beyond the upper pole"),
         ],

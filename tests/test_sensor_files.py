@@ -184,7 +184,7 @@ def test_several_cameras_have_to_be_chosen_from(tmp_path):
 def test_the_size_of_a_file_that_has_none(tmp_path):
     text = files.FISHEYE_YAML.replace("image_width: 1600\nimage_height: 1200\n", "")
     path = files.write(tmp_path, text)
-    with pytest.raises(InputError, match="--size: the file does not say how large the image is"):
+    with pytest.raises(InputError, match="--size: the file does not contain the size of the image"):
         load_sensor(path)
     assert load_sensor(path, Chosen(size=(1600, 1200))) == load_sensor(files.write(tmp_path, files.FISHEYE_YAML, "b"))
     with pytest.raises(InputError, match="--size: the file says 1600 x 1200 pixels; leave it out"):

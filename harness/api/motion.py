@@ -35,10 +35,9 @@ class MotionEstimate(EstimatedMotion):
     """
 
     baseline_m: float | None
-    """|t| in metres, as it was given or as it follows from the camera's height; None where it is not known, which two
-    images do not tell."""
+    """|t| in metres, as given or from the camera's height; None if unknown, as it does not follow from two images."""
     floor: Floor | None
-    """The floor, where the camera's height above it was given."""
+    """The floor, if the camera's height above it was given."""
     calibration_px: float
     """The standard deviation of the calibration, pixels, as given."""
 
@@ -156,7 +155,7 @@ class MotionEstimate(EstimatedMotion):
                 f"sigma {sigmas['direction']:.2g}"
             )
             parts.append(
-                "baseline   not known from images; 1 stands for it, and ranges will be in units of it"
+                "baseline   unknown, taken as 1: ranges will be in units of it"
                 if self.baseline_m is None
                 else f"baseline   {self.baseline_m:g} m, as given"
                 if self.floor is None
@@ -238,7 +237,7 @@ def estimate_motion(
     freedom
         `free`; `upright`, where the sensor's z is vertical in both views; `planar`, where it also moves horizontally.
     baseline_m
-        Distance of the viewpoints, metres, which images do not tell; 1 stands for it when None.
+        Distance of the viewpoints, metres, which images do not determine; taken as 1 when None.
     camera_height_m
         How high view 1's viewpoint is above the floor, metres, along the floor's normal; the distance of the viewpoints
         follows from it. The floor is looked for below the sensor's horizon, within 20 degrees of level.

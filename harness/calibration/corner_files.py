@@ -86,7 +86,7 @@ def corners_csv(corners: Corners) -> str:
 
 
 ImageCorners = tuple[list[tuple[str, Array, Array]], tuple[int, int] | None]
-"""(name, points, pixels) of each image, and the images' size where it is told."""
+"""(name, points, pixels) of each image, and the images' size if the file contains it."""
 
 
 def _from_csv(file: Path, square_m: float | None) -> ImageCorners:

@@ -116,7 +116,7 @@ def _read(files: Sequence[Path]) -> tuple[list[Grey8], Circle | None]:
 def _calibrated(
     corners_of_image: dict[int, Array], names: Sequence[str], board: Board, size: tuple[int, int], circle: Circle | None
 ) -> Sensor | None:
-    """The sensor that the boards found so far tell; None where they tell none."""
+    """A sensor calibrated from the boards detected so far; None if that fails."""
     if len(corners_of_image) < _ENOUGH:
         return None
     corners = corners_of([(names[i], board.points_m, corners_of_image[i]) for i in sorted(corners_of_image)], *size)

@@ -26,7 +26,7 @@ LENS_POWERS = {"k1": 2, "k2": 4, "p1": 1, "p2": 1, "k3": 6}
 _CAMERA = ("focal_px", "aspect", "cx_px", "cy_px")
 _LENS = ("k1", "k2", "p1", "p2")
 _MODEL: dict[str, tuple[str, ...]] = {
-    "hyperboloid": ("b_m",),  # an image tells the shape of a mirror, not its size
+    "hyperboloid": ("b_m",),  # images determine the shape of a mirror, not its size
     "unified": ("xi",),
     "eucm": ("alpha", "beta"),
     "double_sphere": ("xi", "alpha"),

@@ -17,7 +17,7 @@ from harness.camera.models import MODELS, Mirror
 from harness.camera.optics import Optics
 
 _SIZE_M = Mirror().a_m
-"""Semi-axis of a mirror, which no image tells."""
+"""Semi-axis of a mirror, metres, which images do not determine."""
 
 
 def equivalent(optics: Optics, kind: str) -> Optics | None:

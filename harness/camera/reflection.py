@@ -1,8 +1,8 @@
 """Rays of a sensor whose camera is misaligned with its hyperboloid mirror, by the law of reflection.
 
-Such a sensor is what takes images in the true world. It has no viewpoint: each ray begins at a point of the mirror, and
-`harness.camera.sensor.project`, `unproject` and whatever else speaks of directions alone refuse it. What a
-matcher is told is a central sensor, such as `sensor.aligned`.
+Such a sensor is for rendering only. It has no single viewpoint: each ray starts at a point of the mirror, so that
+`harness.camera.sensor.project`, `unproject` and other functions of directions alone reject it. Matchers use a central
+sensor, such as `sensor.aligned`.
 """
 
 import math
@@ -21,9 +21,9 @@ from harness.geometry.angles import Array
 
 
 def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray]:
-    """Ray that a pixel sees: from where on the mirror, and in which direction.
+    """The rays of pixels: their origins on the mirror, and their directions.
 
-    Closed form but for the lens; equations in `harness.camera._reflection_kernels`. Without misalignment the
+    Closed form except for lens distortion; equations in `harness.camera._reflection_kernels`. Without misalignment the
     directions are those of `unproject`, and the line of each ray passes through the inner focus.
 
     Parameters
@@ -36,14 +36,14 @@ def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray
     Returns
     -------
     origins
-        `[..., 3]`: where the ray leaves the mirror, metres, in the sensor's frame (z up, origin at the mirror's inner
-        focus). NaN where the camera does not look at the mirror's surface, however far that is continued.
+        `[..., 3]`: the point of the mirror, metres, in the sensor's frame (z up, origin at the mirror's inner focus).
+        NaN where the camera's ray does not hit the hyperboloid, not even beyond the mirror's rim.
     directions
-        `[..., 3]`, unit length, in the same frame; NaN there, too.
+        `[..., 3]`, unit length, in the same frame; NaN likewise.
     valid
-        `[...]`, bool: the mirror reaches so far, the camera's body does not hide what is there, and the pixel is on the
-        image and used. The mirror's rim is a circle on it, as the field of view gives it; the blind disc in its middle
-        is a round body at the camera centre, which moves with the camera.
+        `[...]`, bool: the point is within the mirror's rim, not hidden by the camera's body, and the pixel is on the
+        image and not masked. The rim is a circle on the mirror, given by the field of view; the blind disc is the image
+        of a round body at the camera centre, which moves with the camera.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     flat = pixels.reshape(-1, 2)
@@ -57,9 +57,9 @@ def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray
 
 
 def reflected_rays(sensor: Sensor, u: Array, v: Array) -> tuple[Array, Array, np.ndarray]:
-    """Rays of many pixels as rows `[3, n]`: the quick form of `reflect`, which leaves out image and mask.
+    """Rays of many pixels as rows `[3, n]`: the fast form of `reflect`, without the checks of image and mask.
 
-    One compiled loop without the interpreter's lock: bands of pixels may run in threads.
+    A compiled loop that releases the interpreter's lock: bands of pixels may run in threads.
 
     Parameters
     ----------
@@ -72,10 +72,10 @@ def reflected_rays(sensor: Sensor, u: Array, v: Array) -> tuple[Array, Array, np
 
 
 def project_points(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, np.ndarray]:
-    """Pixel at which a point is seen, in a misaligned mirror or a central sensor.
+    """The pixels of points, in a misaligned mirror or a central sensor.
 
-    For a central sensor that is `project`. For a misaligned one the pixel depends on the distance too: Newton's
-    method finds where on the mirror the path of light from the point to the camera is shortest
+    For a central sensor this is `project`. For a misaligned one the pixel also depends on the distance: Newton's method
+    finds the point of the mirror at which the path of light from the point to the camera is shortest
     (`harness.camera._reflected_point_kernels`).
 
     Parameters
@@ -86,9 +86,9 @@ def project_points(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, np.ndarr
     Returns
     -------
     pixels
-        `[..., 2]`, (u, v) in pixels. Also given beyond the rim as long as mirror and lens go on; NaN farther out.
+        `[..., 2]`, (u, v) in pixels. Also given beyond the rim, within the model's domain; NaN farther out.
     valid
-        `[...]`, bool, as that of `reflect`.
+        `[...]`, bool, as for `reflect`.
     """
     points = np.asarray(points_m, dtype=np.float64)
     if sensor.is_central:
@@ -101,7 +101,7 @@ def project_points(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, np.ndarr
 
 
 def points_jacobian(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, Array]:
-    """How the pixel at which a point is seen moves with the point, and with the sensor's misalignment.
+    """Derivatives of the pixels of points by the points, and by the sensor's misalignment.
 
     Parameters
     ----------
@@ -131,16 +131,16 @@ def points_jacobian(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, Array]:
 
 
 def camera_of_points(sensor: Sensor) -> Any:
-    """What the compiled projections are given to project points, metres, instead of directions.
+    """The argument with which the compiled projections project points, metres, instead of directions.
 
-    The parameters of a central sensor, which tells no point from its direction, or a `ReflectingCamera`.
+    The parameters of a central sensor, for which points and directions are equivalent, or a `ReflectingCamera`.
     """
     return parameters_of(sensor) if sensor.is_central else reflecting_camera(sensor)
 
 
 @lru_cache(maxsize=64)
 def reflecting_camera(sensor: Sensor) -> ReflectingCamera:
-    """What the compiled reflection is given.
+    """The argument of the compiled reflection.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def reflecting_camera(sensor: Sensor) -> ReflectingCamera:
     R, M = misalignment.R_mirror_from_camera, model_from_sensor(sensor)
     rows = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
     field, body = field_of(sensor), 0.0
-    # How far off the axis the camera sees itself, as the field of view of a camera that looks up or down gives it.
+    # The angle off the axis within which the camera sees itself, from the limits of the field of view.
     blind_deg = {"down": 90 + sensor.field.elevation_min_deg, "up": 90 - sensor.field.elevation_max_deg}.get(
         sensor.looks, 0.0
     )

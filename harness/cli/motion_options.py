@@ -1,4 +1,4 @@
-"""The options by which commands are told the length of a motion that is estimated from images."""
+"""The options for the length of a motion that is estimated from images."""
 
 from argparse import Namespace
 from collections.abc import Iterator
@@ -8,19 +8,19 @@ from harness.cli.options import Parser
 
 
 def add_length(command: Parser, *, before: str = "") -> None:
-    """`--baseline-length` and `--camera-height`, of which one may be given.
+    """Add `--baseline-length` and `--camera-height`, of which one may be given.
 
     Parameters
     ----------
     before
-        What their help begins with.
+        The beginning of their help texts.
     """
     length = command.add_mutually_exclusive_group()
     length.add_argument(
         "--baseline-length",
         type=float,
         metavar="M",
-        help=f"{before}distance of the viewpoints, metres, which images do not tell (default: 1 stands for it)",
+        help=f"{before}distance of the viewpoints, metres, which images do not determine (default: 1)",
     )
     length.add_argument(
         "--camera-height",
@@ -32,7 +32,7 @@ def add_length(command: Parser, *, before: str = "") -> None:
 
 
 def check_length(options: Namespace) -> None:
-    """Refuse what is no length.
+    """Check that the lengths are above 0.
 
     Raises
     ------

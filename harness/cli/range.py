@@ -22,10 +22,10 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "range",
         run,
-        brief="range from two mirror images of your own",
-        description="Match two mirror images and write the range of every pixel of the first view's panorama, its "
-        "predicted standard deviation, a coloured point cloud and a page. No truth is needed. Where neither --pose nor "
-        "--baseline says where view 2 is, the motion is estimated from the images, as omnirange motion does it.",
+        brief="estimate range from two images of your own",
+        description="Match two omnidirectional images and write the range of every pixel of the first view's "
+        "panorama, its predicted standard deviation, a coloured point cloud and a page. No ground truth is needed. "
+        "Without --pose and --baseline the motion is estimated from the images, as by omnirange motion.",
         epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
     )
     add_images(command)
@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
         "--mask",
         type=Path,
         metavar="FILE",
-        help="8-bit grey image, white where pixels of both images are used, in place of the sensor's own mask; of the "
+        help="8-bit grey image, white where pixels of both images are used, instead of the sensor's own mask; of the "
         "left image alone if view 2 has a sensor or a mask of its own",
     )
     command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")

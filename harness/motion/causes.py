@@ -96,7 +96,7 @@ def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Eff
         across = across + np.sum(n * dy, axis=1)
         d_1 = -(np.sum(dt * x, axis=1) + dx @ t) / sine_1
         d_2 = -(np.sum(dt * y, axis=1) + dy @ t) / sine_2
-        # w = sin(alpha_2 - alpha_1)/sin(alpha_2); what is seen in direction x + dx has m · dx more by itself.
+        # w = sin(alpha_2 - alpha_1)/sin(alpha_2); the plane's inverse range in direction x + dx is larger by m · dx.
         parallax = alpha_2 - alpha_1
         w = (np.cos(parallax) * (d_2 - d_1) - np.sin(parallax) * np.cos(alpha_2) / sine_2 * d_2) / sine_2
         return across, w - np.sum(tiles.planes * dx, axis=1)

@@ -66,7 +66,7 @@ else:
         | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
         Discriminator(_tag),
     ]
-    """The settings of any camera model, told apart by `kind`."""
+    """The settings of any camera model, distinguished by `kind`."""
 
 
 def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
 
 
 def knows(kind: Any, key: str) -> bool:
-    """Whether the settings of a camera model have a key; true where there is no such model, which is said later."""
+    """Whether the settings of a camera model have a key; true if there is no such model, which is reported later."""
     return not (isinstance(kind, str) and kind in MODELS) or key in MODELS[kind].model_fields
 
 

@@ -49,7 +49,7 @@ class Equirectangular(CameraModel):
         for pole, rows in (("upper", camera.cy_px + 0.5), ("lower", camera.height_px - 0.5 - camera.cy_px)):
             if rows > quarter + _SLACK_PX:
                 raise ValueError(
-                    f"camera.cy_px = {camera.cy_px:g}: the image goes on {rows - quarter:.2f} rows beyond the {pole} "
+                    f"camera.cy_px = {camera.cy_px:g}: the image extends {rows - quarter:.2f} rows beyond the {pole} "
                     f"pole, which is {quarter:.2f} from cy_px; with this focal_px and aspect an image from pole to "
                     f"pole has {2 * quarter:.2f} rows"
                 )

@@ -1,11 +1,11 @@
-"""The YAML of OmniMVS's rigs of fisheyes: `cameras`, each with OCamCalib's numbers in one line and its pose on the rig.
+"""OmniMVS's YAML of fisheye rigs: `cameras`, each with OCamCalib's parameters in one line and its pose on the rig.
 
-`poly` and `inv_poly` are OCamCalib's direct and inverse polynomial, each after the number of its coefficients; `center`
+`poly` and `inv_poly` are OCamCalib's direct and inverse polynomial, each after the number of coefficients; `center`
 is (row, column), `image_size` height and width, `pose` a rotation vector and a position that take the camera's points
 to the rig. A camera's frame is that of the other models: X right, Y down, Z along the optical axis.
 
-OmniMVS's own programs take directions to the image by `inv_poly` alone, and poses are right for that. Where the two
-polynomials differ by more than rounding, the camera is therefore a direct polynomial fitted to the inverse one.
+OmniMVS's own programs project with `inv_poly` alone, and the poses fit that one. If the two polynomials differ by more
+than rounding, the camera is therefore a direct polynomial fitted to the inverse one.
 """
 
 import math
@@ -21,14 +21,14 @@ from harness.io.calibrations.record import CalibratedCamera, Calibration, Conten
 from harness.io.calibrations.values import member, number, numbers, refusal, table, whole
 
 _ALIKE_PX = 0.5
-"""RMS up to which the direct polynomial stands for both."""
+"""RMS difference, pixels, up to which the direct polynomial is used."""
 _DEGREE = 11
-"""The highest that the camera model has room for; rigs of degree 12 inverse polynomials are fitted to 0.02 px."""
+"""The highest degree of the camera model; inverse polynomials of degree 12 are fitted to 0.02 px."""
 _ANGLES = 2000
 
 
 def recognises(content: Content) -> bool:
-    """Whether it has a list of cameras with polynomials."""
+    """Whether the file has a list of cameras with polynomials."""
     cameras = content.table.get("cameras")
     return isinstance(cameras, list) and any(isinstance(each, Mapping) and "inv_poly" in each for each in cameras)
 
@@ -95,12 +95,10 @@ def _rig_from_camera(content: Content, entry: Mapping[str, Any], name: str) -> A
 
 
 def _one_polynomial(direct: Array, inverse: Array, angle_max: float) -> tuple[list[float], str]:
-    """Coefficients of the camera's polynomial, and what is to be said where the file's two are not each other's
-    inverse.
-    """
+    """Coefficients of the camera's polynomial, and a warning if the file's two are not inverse to each other."""
     angle = np.linspace(0.0, angle_max, _ANGLES)[1:]
     r = inverse_radius(inverse, angle - np.pi / 2)
-    # The direct polynomial's radius for a direction is where r/|Z| is its tangent; to first order it is off by:
+    # The direct polynomial's radius for an angle is where r/|Z| is its tangent; to first order the difference is:
     apart = _excess(direct, r, angle) / _excess_slope(direct, r, angle)
     rms = float(np.sqrt(np.mean(apart**2)))
     if rms < _ALIKE_PX:
@@ -113,13 +111,13 @@ def _one_polynomial(direct: Array, inverse: Array, angle_max: float) -> tuple[li
     coefficients[powers] = solved / unit**powers
     text = (
         f"its two polynomials are {rms:.2g} px RMS apart, {np.abs(apart).max():.2g} px at most; the inverse one is "
-        "used, by which OmniMVS projects"
+        "used, as OmniMVS projects with it"
     )
     return coefficients.tolist(), text
 
 
 def _excess(direct: Array, r: Array, angle: Array) -> Array:
-    """0 where the direct polynomial sees a radius at an angle off the axis."""
+    """A function that is 0 when the direct polynomial has a radius at an angle off the axis."""
     return np.asarray(np.sin(angle) * np.polynomial.polynomial.polyval(r, direct) + np.cos(angle) * r)
 
 

@@ -211,7 +211,7 @@ def _sensor_of(calibration: Calibration, camera: CalibratedCamera, chosen: Chose
         raise InputError(problem, file=file, key="--size")
     if size is None:
         raise InputError(
-            "the file does not say how large the image is; give its width and height", file=file, key="--size"
+            "the file does not contain the size of the image; give its width and height", file=file, key="--size"
         )
     width, height = size
     table = {
