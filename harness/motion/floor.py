@@ -1,7 +1,7 @@
-"""The floor among points of known direction and inverse range: how high view 1 stands above it, in units of |t|.
+"""Detection of the floor among points of known direction and inverse range: the height of view 1 in units of |t|.
 
 On a plane the inverse range is linear in the direction, w = g · x, and 1/|g| is the plane's distance. Deviations are
-counted as angles of view 2's ray, `sin(alpha_1) (d_1/d_2)² (w - g · x)` in units of |t|, which have about one size.
+measured as angles of view 2's ray, `sin(alpha_1) (d_1/d_2)² (w - g · x)` in units of |t|, which are of similar size.
 """
 
 import math
@@ -14,11 +14,11 @@ from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.motion_error import MotionError, sensitivity_to_motion
 
 LEAST_POINTS = 20
-"""On the floor: of fewer, a table may be as large."""
+"""Least number of points on the floor; fewer may be those of a table."""
 _TILT = math.radians(20.0)
-"""Between the floor's normal and the sensor's z, at most."""
+"""Largest angle between the floor's normal and the sensor's z."""
 _LIMIT = math.radians(0.3)
-"""Deviation of a point that counts as the floor's, at most: a pixel's angle."""
+"""Largest deviation of an inlier of the floor: about the angle of a pixel."""
 _SAMPLES = 2000
 _ROUNDS = 10
 _CAUCHY = 2.385
@@ -29,27 +29,27 @@ class Floor(OneLine):
     """A plane below view 1."""
 
     height: float
-    """Distance of viewpoint 1 from it, in units of |t|."""
+    """Distance of viewpoint 1 from the plane, in units of |t|."""
     normal: Array
     """`[3]`, unit, upwards, in v1's frame."""
     points: int
-    """How many points lie on it."""
+    """Number of inliers."""
     share: float
-    """Standard deviation of the height over the height, from the points' scatter."""
+    """Relative standard deviation of the height, from the scatter of the points."""
     by_motion: Array
-    """`[6]`: how ln(height) changes with errors of the motion; see `harness.geometry.motion_error`."""
+    """`[6]`: derivatives of ln(height) by errors of the motion; see `harness.geometry.motion_error`."""
 
     def length(self, height_m: float) -> float:
-        """|t| in metres, where view 1 is so high above the floor."""
+        """|t| in metres, for a height of view 1 above the floor."""
         return height_m / self.height
 
     def error(self, covariance: Array) -> MotionError:
-        """Errors of the motion together with that of the length that follows from the height."""
+        """Errors of the motion, including that of the length that follows from the height."""
         return MotionError(covariance, -self.by_motion, self.share)
 
 
 def find_floor(x: Array, w: Array, t: Array, seed: int = 0) -> Floor | None:
-    """The plane that most of the points below the horizon lie on; None where too few do.
+    """The plane with the most inliers among points below the horizon; None if there are too few.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ def find_floor(x: Array, w: Array, t: Array, seed: int = 0) -> Floor | None:
 
 
 def _tilt(g: Array) -> float:
-    """Between the plane's normal upwards, -g, and z."""
+    """Angle between the upward normal of the plane, -g, and z."""
     return math.acos(float(np.clip(-g[2] / np.linalg.norm(g), -1, 1)))
 
 
 def _fitted(x: Array, w: Array, sharp: Array, t: Array, g: Array) -> Floor | None:
-    """Least squares under Cauchy's loss of the points that lie on the plane."""
+    """The least-squares plane, with Cauchy's loss, of the inliers."""
     for _ in range(_ROUNDS):
         e = sharp * (w - x @ g)
         near = np.abs(e) < _LIMIT
@@ -99,7 +99,7 @@ def _fitted(x: Array, w: Array, sharp: Array, t: Array, g: Array) -> Floor | Non
     if _tilt(g) > _TILT:
         return None
     height = 1 / float(np.linalg.norm(g))
-    # How the plane answers to each w: by the derivative of Cauchy's score. And ln(height), height being 1/|g|, to that.
+    # Derivative of the plane by each w, from that of Cauchy's score, and of ln(height) = -ln|g| by the plane.
     u = (sharp * (w - x @ g) / (_CAUCHY * scale)) ** 2
     answer = np.where(near, sharp**2 * (1 - u) / (1 + u) ** 2, 0.0)[:, None] * x
     by_w = -(height**2) * (g @ np.linalg.solve(answer.T @ x, answer.T))
