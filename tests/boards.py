@@ -10,7 +10,8 @@ from harness.calibration.poses import BoardPoses
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.models import Mirror, Unified
-from harness.camera.sensor import Sensor, project, unproject
+from harness.camera.reflection import project_points, ray_directions
+from harness.camera.sensor import Sensor, unproject
 
 BOARD = Board(columns=9, rows=6, square_m=0.04)
 MIRROR = Sensor(field=FieldOfView(elevation_min_deg=-75, elevation_max_deg=20))
@@ -46,12 +47,12 @@ def visible_boards(
     middle = points.mean(axis=0)
     result, R, t = [], [], []
     while len(result) < count:
-        direction, valid = unproject(sensor, rng.uniform([0, 0], [camera.width_px, camera.height_px]))
+        direction, valid = ray_directions(sensor, rng.uniform([0, 0], [camera.width_px, camera.height_px]))
         turn = Rotation.random(random_state=rng).as_matrix()
         if not valid or abs(turn[:, 2] @ direction) < 0.5:
             continue
         origin = direction * rng.uniform(*range_m) - turn[:, :2] @ middle
-        pixels, visible = project(sensor, points @ turn[:, :2].T + origin)
+        pixels, visible = project_points(sensor, points @ turn[:, :2].T + origin)
         if not visible.all():
             continue
         if rim and not _near_rim(sensor, pixels):

@@ -10,6 +10,8 @@ from boards import BOARD, MIRROR, UNIFIED, noisy, visible_boards
 import harness
 from harness.calibration.corner_files import corners_csv, read_corners
 from harness.calibration.uncertainty import ray_difference
+from harness.camera.misalignment import Misalignment
+from harness.camera.sensor import Sensor
 from harness.cli import main
 from harness.errors import InputError
 from harness.io.view_folder import png
@@ -211,3 +213,50 @@ def test_from_rendered_images_to_the_sensor_that_took_them(tmp_path):
     error = np.linalg.norm(ray_difference(calibration.sensor, sensor, calibration.grid), axis=-1)
     assert np.median(error) < 0.15
     assert any("8 of 8" in line for line in said)
+
+
+@pytest.mark.slow
+def test_misalignment_is_told_and_written_with_the_best_central_sensor_beside_it(tmp_path, capsys):
+    askew = Sensor(misalignment=Misalignment(x_mm=1, rotation_y_deg=0.5))
+    corners = noisy(visible_boards(askew, 10, 30)[0], 0.1, 7)
+    (tmp_path / "corners.csv").write_text(corners_csv(corners), encoding="utf-8")
+    command = ["calibrate", "--corners", str(tmp_path / "corners.csv"), "--misalignment", "--model"]
+    assert main([*command, "hyperboloid", "--out", str(tmp_path / "mine.toml")]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"misalignment\.x_mm +\S+  ± 0\.", said)
+    central = re.search(r"the best central sensor, with camera and mirror aligned, leaves (0\.\d+) px", said)
+    assert float(central[1]) > 0.2
+    assert "mine-central.toml" in said
+    sensor, other = (harness.load_sensor(tmp_path / f"mine{end}.toml") for end in ("", "-central"))
+    assert abs(sensor.misalignment.x_mm - 1) < 0.5
+    assert other.is_central
+    table = json.loads((tmp_path / "mine.json").read_text(encoding="utf-8"))
+    assert table["central"]["rms_px"] == pytest.approx(float(central[1]), abs=6e-4)
+    assert "misalignment.rotation_y_deg" in [each["key"] for each in table["parameters"]]
+    page = (tmp_path / "mine.html").read_text(encoding="utf-8")
+    assert "Could not be drawn" not in page
+    assert "RMS distance with the best central sensor" in page
+    assert "misalignment.z_mm" in page
+    assert (
+        main(
+            [
+                "range",
+                "a.png",
+                "b.png",
+                "--sensor",
+                str(tmp_path / "mine.toml"),
+                "--baseline",
+                "0.5",
+                "0",
+                "0",
+                "--out",
+                str(tmp_path / "range"),
+            ]
+        )
+        == 2
+    )
+    assert re.search(r"mine\.toml: misalignment: .* calibrate writes beside it", capsys.readouterr().err)
+    assert main([*command, "unified"]) == 2
+    assert "--misalignment: a unified (Mei) camera has no mirror" in capsys.readouterr().err
+    assert main(["sensor", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "sensor.html")]) == 0
+    assert "Camera and mirror are misaligned (x_mm = " in capsys.readouterr().out

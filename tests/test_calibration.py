@@ -101,7 +101,7 @@ class TestParameters:
         [
             ({"lens": ["k4"]}, "lens: there is no lens term 'k4'; did you mean 'k3'"),
             ({"free": ["focus"]}, "free: there is no one key 'focus' to estimate"),
-            ({"fix": ["a_m"]}, "fix: there is no one key 'a_m' to estimate"),
+            ({"fix": ["e_m"]}, "fix: there is no one key 'e_m' to estimate"),
         ],
     )
     def test_keys_that_are_not_there(self, options, message):

@@ -34,21 +34,23 @@ class CalibrationResult(SensorCalibration):
     """A calibrated sensor, the corners it was estimated from, and its uncertainty.
 
     `sensor`; `rms_px` and `rms_of_images_px` of the corners; `keys` with `uncertainty.values`, `.sigma`, `.covariance`;
-    `ray_sigma_px` over `grid`; `halves`, two calibrations from half of the images; `notes`.
+    `ray_sigma_px` over `grid`; `halves`, two calibrations from half of the images; `central`, the best central sensor
+    beside a misaligned one; `notes`.
     """
 
-    def write(self, file: str | Path) -> tuple[Path, Path, Path]:
+    def write(self, file: str | Path) -> tuple[Path, ...]:
         """Write the sensor file, and beside it the numbers with their covariance (JSON) and a page (HTML).
 
         Parameters
         ----------
         file
-            The sensor file, TOML; the others have its name with `.json` and `.html`.
+            The sensor file, TOML; the others have its name with `.json` and `.html`, and with `-central.toml` for the
+            best central sensor beside a misaligned one.
 
         Returns
         -------
         tuple
-            The three paths.
+            The three paths, or four.
 
         Raises
         ------
@@ -58,8 +60,11 @@ class CalibrationResult(SensorCalibration):
         from harness.report.calibration_page import build_page
 
         toml = Path(file)
-        paths = toml, toml.with_suffix(".json"), toml.with_suffix(".html")
+        paths: tuple[Path, ...] = (toml, toml.with_suffix(".json"), toml.with_suffix(".html"))
         page = build_page(self)
+        if self.central is not None:
+            paths = (*paths, toml.with_name(f"{toml.stem}-central.toml"))
+            write(paths[3], dump_toml(self.central.sensor))
         write(paths[2], page)
         write(paths[1], json.dumps(record_of(self), allow_nan=False) + "\n")
         write(paths[0], dump_toml(self.sensor))
@@ -99,13 +104,13 @@ def calibrate(
         The board's inner corners and the side of its squares: `{"columns": 9, "rows": 6, "square_m": 0.04}`.
     corners, size
         Instead of images: a file of corners (CSV, JSON, NPZ, or OpenCV's), or for each image by its name the corners'
-        positions on the board, metres, and their pixels, both `[n, 2]`; and the images' width and height, pixels, if
-        the file does not contain them.
+        positions on the board, metres, and their pixels, both `[n, 2]`; and the images' width and height if not in it.
     model
         The kind of camera model.
     lens, free, fix
         Lens terms to estimate, such as `["k1", "k2"]`, by default the usual ones of the model; keys to estimate in
-        addition to the usual ones; and keys not to estimate, with their values, or None for that of `start`.
+        addition to the usual ones, `["misalignment"]` for all of a mirror's; and keys not to estimate, with their
+        values, or None for that of `start`.
     start
         An initial sensor of that kind: a file, a table or a sensor.
     mount

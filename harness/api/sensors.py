@@ -12,7 +12,7 @@ from harness.display import OneLine
 from harness.errors import InputError
 from harness.files import write
 from harness.io.calibrations.conversion import WrittenSensor, written
-from harness.report.sensor_words import facts_of, title_of, warnings_of
+from harness.report.sensor_words import facts_of, misalignment_of, title_of, warnings_of
 
 LARGEST_RESIDUAL_PX = 0.2
 """RMS residual, pixels, above which a conversion has to be allowed explicitly."""
@@ -97,10 +97,11 @@ def describe_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = Non
     """
     loaded = load_sensor(sensor)
     try:
-        covered = coverage(loaded)
+        covered = coverage(loaded.aligned)
     except ValueError as error:
         raise InputError(str(error), key="sensor") from error
-    return SensorDescription(title_of(covered), facts_of(covered), tuple(warnings_of(covered)), covered)
+    warnings = (*misalignment_of(loaded), *warnings_of(covered))
+    return SensorDescription(title_of(covered), facts_of(covered), warnings, covered)
 
 
 def convert_sensor(

@@ -2,21 +2,24 @@
 
 The vector that is adjusted does not hold the values under the keys of the file. Focal length and lens are expressed for
 a normalised plane of slope 1 at the axis: there xi, focal length and lens terms have distinct effects on the image,
-while with the keys' values a change of xi has to be compensated by all the others. This is a change of coordinates and
-nothing else: covariances are given for the keys.
+while with the keys' values a change of xi has to be compensated by all the others. Principal point and focal length of
+a camera that is misaligned with its mirror are expressed for the image of the mirror's apex: otherwise a rotation or
+shift of the camera has to be compensated by the principal point, and an approach by the focal length. This is a change
+of coordinates and nothing else: covariances are given for the keys.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
 
 from harness.camera._projection_kernels import project_all
 from harness.camera.models import CameraModel
+from harness.camera.reflection import reflecting_camera
 from harness.camera.sensor import Sensor, parameters_of
 from harness.errors import InputError, nearest
 from harness.geometry.angles import Array
@@ -33,6 +36,8 @@ _MODEL: dict[str, tuple[str, ...]] = {
     "kannala_brandt": ("k1", "k2", "k3", "k4"),
 }
 """Keys of each model's own table that images determine."""
+MISALIGNMENT = ("x_mm", "y_mm", "z_mm", "rotation_x_deg", "rotation_y_deg")
+"""Keys of a misalignment that images determine. A rotation about the mirror's axis rotates all boards alike."""
 _MIRROR = "model.b_m"
 """The shape of a mirror is adjusted as its xi, because near a paraboloid the image is a smoother function of it."""
 _FREE_LENS = {"unified": _LENS}
@@ -66,7 +71,8 @@ def choose_keys(
     lens
         Lens terms to estimate, instead of the model's default ones.
     free, fix
-        Keys to estimate, or not, in addition to the default ones: `lens.k3`, or `k3` if that is unambiguous.
+        Keys to estimate, or not, in addition to the default ones: `lens.k3`, or `k3` if that is unambiguous; in `free`,
+        `misalignment` stands for all keys of that table that images determine.
 
     Raises
     ------
@@ -83,10 +89,16 @@ def choose_keys(
     chosen = {*_model_keys(sensor.model), *_camera_keys(kind), *(f"lens.{each}" for each in terms)}
     every = _every_key(sensor)
     for word in free:
-        chosen.add(key_named(sensor, word, "free"))
+        chosen.update(_misalignment(sensor) if word == "misalignment" else [key_named(sensor, word, "free")])
     for word in fix:
         chosen.discard(key_named(sensor, word, "fix"))
     return tuple(key for key in every if key in chosen)
+
+
+def _misalignment(sensor: Sensor) -> list[str]:
+    if kind_of(sensor.model) != "hyperboloid":
+        raise InputError(f"a {sensor.model.title} has no mirror to be misaligned with; leave it out", key="free")
+    return [f"misalignment.{name}" for name in MISALIGNMENT]
 
 
 def _model_keys(model: CameraModel) -> list[str]:
@@ -110,10 +122,12 @@ def _every_key(sensor: Sensor) -> list[str]:
     """All keys that could be estimated."""
     kind = kind_of(sensor.model)
     keys = _model_keys(sensor.model)
-    keys += [f"model.{name}" for name in ("e",) if kind == "ocam"]
+    # Of a mirror's size the boards tell nothing but by a misalignment.
+    keys += [f"model.{name}" for name, of in (("e", "ocam"), ("a_m", "hyperboloid")) if kind == of]
     camera = ["focal_px", "aspect", "skew_px", "cx_px", "cy_px"] if kind != "ocam" else ["cx_px", "cy_px"]
     keys += [f"camera.{name}" for name in camera if name in type(sensor.camera).model_fields]
-    return keys + [f"lens.{name}" for name in LENS_POWERS if sensor.model.has_lens]
+    keys += [f"lens.{name}" for name in LENS_POWERS if sensor.model.has_lens]
+    return keys + [f"misalignment.{name}" for name in MISALIGNMENT if kind == "hyperboloid"]
 
 
 def key_named(sensor: Sensor, word: str, argument: str) -> str:
@@ -152,7 +166,7 @@ def with_values(sensor: Sensor, values: Mapping[str, float]) -> Sensor:
         When a key may not have its value.
     """
     update: dict[str, Any] = {}
-    for table in ("model", "camera", "lens"):
+    for table in ("model", "camera", "lens", "misalignment"):
         spec: Any = getattr(sensor, table)
         given = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{table}.")}
         if not given:
@@ -164,6 +178,51 @@ def with_values(sensor: Sensor, values: Mapping[str, float]) -> Sensor:
         new = {name: getattr(spec, name) for name in type(spec).model_fields}
         update[table] = type(spec).model_validate(new | given | {name: tuple(each) for name, each in listed.items()})
     return sensor.model_copy(update=update)
+
+
+class Apex(NamedTuple):
+    """Where an undistorted camera of focal length 1 sees the apex of its mirror, and how much larger than aligned."""
+
+    x: float = 0.0
+    y: float = 0.0
+    size: float = 1.0
+
+    def moved(self, sensor: Sensor, key: str) -> float:
+        """A number of a sensor as it is adjusted: the principal point at the apex, the focal length by its size."""
+        return value_of(sensor, key) * (self.size if key == "camera.focal_px" else 1.0) + self._shift(sensor, key)
+
+    def moved_back(self, sensor: Sensor, keys: Sequence[str]) -> Sensor:
+        """The sensor whose numbers under these keys are given as they are adjusted."""
+        if "camera.focal_px" in keys:
+            sensor = with_values(sensor, {"camera.focal_px": sensor.camera.focal_px / self.size})
+        centre = [key for key in keys if key in {"camera.cx_px", "camera.cy_px"}]
+        return with_values(sensor, {key: value_of(sensor, key) - self._shift(sensor, key) for key in centre})
+
+    def _shift(self, sensor: Sensor, key: str) -> float:
+        camera = sensor.camera
+        if key == "camera.cx_px":
+            return camera.focal_px * self.x
+        return camera.focal_px * camera.aspect * self.y if key == "camera.cy_px" else 0.0
+
+
+def apex_in(sensor: Sensor) -> Apex:
+    """The apex of a sensor's mirror as its camera sees it.
+
+    Raises
+    ------
+    ValueError
+        When it is behind the camera.
+    """
+    if sensor.is_central:
+        return Apex()
+    mirror: Any = sensor.model
+    height = mirror.a_m + mirror.e_m
+    x, y, z = (
+        (np.array([0.0, 0.0, height]) - sensor.misalignment.offset_m) @ sensor.misalignment.R_mirror_from_camera
+    ).tolist()
+    if z <= 0:
+        raise ValueError("the mirror is behind the camera")
+    return Apex(x / z, y / z, height / z)
 
 
 @dataclass(frozen=True)
@@ -179,9 +238,10 @@ class Parameters:
         """The vector `[n]` of a sensor, in the coordinates that are adjusted."""
         slope = axial_slope(sensor.model)
         model: Any = sensor.model
+        apex = apex_in(sensor)
         return np.array(
             [
-                _unified_xi(model) if key == _MIRROR else _coordinate(key, value_of(sensor, key), slope)
+                _unified_xi(model) if key == _MIRROR else _coordinate(key, apex.moved(sensor, key), slope)
                 for key in self.keys
             ]
         )
@@ -198,16 +258,19 @@ class Parameters:
             key: semi_axis(self.sensor.model, float(each)) if key == _MIRROR else float(each)
             for key, each in zip(self.keys, vector, strict=True)
         }
-        sensor = with_values(self.sensor, {key: value for key, value in own.items() if key.startswith("model.")})
+        of_mirror = ("model.", "misalignment.")
+        sensor = with_values(self.sensor, {key: value for key, value in own.items() if key.startswith(of_mirror)})
         slope = axial_slope(sensor.model)
-        return with_values(
-            sensor, {key: _value(key, own[key], slope) for key in self.keys if not key.startswith("model.")}
+        sensor = with_values(
+            sensor, {key: _value(key, own[key], slope) for key in self.keys if not key.startswith(of_mirror)}
         )
+        return sensor if sensor.is_central else apex_in(sensor).moved_back(sensor, self.keys)
 
     def compiled(self, vector: Array) -> Any | None:
         """The argument of the compiled projections for a vector; None if there is no such sensor."""
         try:
-            return parameters_of.__wrapped__(self.sensor_at(vector))
+            sensor = self.sensor_at(vector)
+            return (parameters_of if sensor.is_central else reflecting_camera).__wrapped__(sensor)
         except (ValidationError, ValueError, OverflowError, ZeroDivisionError):
             return None
 
@@ -227,7 +290,8 @@ class Parameters:
         """Derivatives `[n, n]` of `values` by the vector, by central differences, or one-sided ones at a limit."""
         at = self.values(vector)
         columns = []
-        for i, step in enumerate(1e-5 * np.maximum(np.abs(vector), 1e-6)):
+        sizes = [1.0 if key.startswith("misalignment.") else 1e-6 for key in self.keys]
+        for i, step in enumerate(1e-5 * np.maximum(np.abs(vector), sizes)):
             sides = []
             for moved in (vector + np.eye(len(vector))[i] * step, vector - np.eye(len(vector))[i] * step):
                 try:

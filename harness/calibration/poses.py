@@ -141,7 +141,7 @@ def refine_poses(camera: object, corners: Corners, poses: BoardPoses, *, rounds:
     Parameters
     ----------
     camera
-        The argument of the compiled projections, `parameters_of(sensor)`.
+        The argument of the compiled projections, `camera_of_points(sensor)`.
 
     Returns
     -------

@@ -50,6 +50,9 @@ def record_of(calibration: SensorCalibration) -> dict[str, Any]:
             "outermost_deg": coverage.outermost_deg,
             "widest_gap_deg": coverage.widest_gap_deg,
         },
+        "central": None
+        if calibration.central is None
+        else {"rms_px": calibration.central.rms_px, "sensor": as_table(calibration.central.sensor)},
         "image_circle": None if calibration.circle is None else vars(calibration.circle),
         "notes": list(calibration.notes),
         "left_out": [] if calibration.left_out is None else corner_tables(calibration.left_out),

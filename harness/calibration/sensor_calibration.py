@@ -13,6 +13,7 @@ from harness.calibration.circle import Circle
 from harness.calibration.corners import Corners
 from harness.calibration.covered_field import covered_field
 from harness.calibration.halves import Halves, compare_halves
+from harness.calibration.misaligned import is_misalignment, misalignment_notes
 from harness.calibration.parameters import Parameters, choose_keys, key_named, kind_of, with_values
 from harness.calibration.poses import BoardPoses
 from harness.calibration.start import Start, find_start, poses_for, template_of, visible
@@ -37,6 +38,16 @@ _LEAST_CORNERS = 6
 """A board with fewer inliers is dropped."""
 _FEW_IMAGES = 5
 _VAGUE_PX = 1.0
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class CentralFit(OneLine):
+    """The best sensor with camera and mirror aligned, from the same corners: what a matcher can be told."""
+
+    sensor: Sensor
+    """With the field, and the mount, of the misaligned one."""
+    rms_px: float
+    """Root of the mean squared distance between predicted and measured corners, pixels."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -66,6 +77,8 @@ class SensorCalibration(OneLine):
     """Two calibrations from half of the images each; None with fewer than four images."""
     circle: Circle | None
     """The image circle, if one was detected."""
+    central: CentralFit | None
+    """The best central sensor, if a misalignment was estimated."""
     rounds: int
     notes: tuple[str, ...]
     """Warnings to read before the sensor is used, one line each."""
@@ -106,7 +119,7 @@ def calibrate_sensor(
         Lens terms to estimate; the model's default ones when None.
     free, fix
         Keys to estimate in addition to the default ones, and keys not to estimate, with their value, or None for that
-        of the initial sensor.
+        of the initial sensor. With `misalignment` free, the best central sensor of a hyperboloid mirror comes first.
     start
         An initial sensor of that kind, instead of a search.
     mount
@@ -121,23 +134,20 @@ def calibrate_sensor(
     InputError
         When an option is invalid, or no sensor fits the corners.
     """
-    fixed = dict(fix or {})
-    template = _template(corners, kind, start)
-    given = {key_named(template, word, "fix"): value for word, value in fixed.items() if value is not None}
-    try:
-        template = with_values(template, given)
-    except ValueError as error:
-        raise InputError(f"{', '.join(given)}: {_first_line(error)}", key="fix") from error
-    keys = choose_keys(template, lens=lens, free=free, fix=list(fixed))
-    if not keys:
-        raise InputError("nothing is left to estimate", key="fix")
-    begin = Start(template, poses_for(corners, template)) if start else find_start(corners, template, keys, circle)
+    template, keys = _chosen(_template(corners, kind, start), lens, free, dict(fix or {}))
+    plain = tuple(key for key in keys if not is_misalignment(key))
+    begin = Start(template, poses_for(corners, template)) if start else find_start(corners, template, plain, circle)
+    aligned = None
+    if plain != keys:
+        aligned = _central_start(corners, begin, plain, tell)
+        begin = begin if not template.is_central else aligned
     adjusted, used, left_out = _without_outliers(corners, Parameters(begin.sensor, keys), begin, tell)
     uncertainty = uncertainty_of(adjusted)
     calibrated = adjusted.parameters.sensor_at(adjusted.vector)
     calibrated = calibrated.model_copy(update={"mount": mount or (start.mount if start else Mount())})
     sensor = _with_field(calibrated, field or covered_field(calibrated, used, circle))
-    grid = ray_grid(sensor)
+    central = None if aligned is None else _central_fit(used, aligned.sensor, plain, sensor)
+    grid = ray_grid(sensor, distance_m=float(np.median(np.linalg.norm(adjusted.poses.apply(used)[1], axis=-1))))
     # The adjustment is in the model's own frame.
     grid = replace(grid, directions=np.ascontiguousarray(grid.directions @ model_from_sensor(sensor).T))
     turned, unturned = ray_sigma(adjusted, uncertainty.vector_covariance, grid)
@@ -156,9 +166,50 @@ def calibrate_sensor(
         coverage=coverage_of(sensor, used, grid),
         halves=halves,
         circle=circle,
+        central=central,
         rounds=adjusted.rounds,
-        notes=tuple(_notes(adjusted, uncertainty, corners, used, turned)),
+        notes=(*_notes(adjusted, uncertainty, corners, used, turned), *misalignment_notes(keys, uncertainty, template)),
     )
+
+
+def _chosen(
+    template: Sensor, lens: Sequence[str] | None, free: Sequence[str], fixed: Mapping[str, float | None]
+) -> tuple[Sensor, tuple[str, ...]]:
+    """The initial sensor with the values that are given, and the keys to estimate."""
+    given = {key_named(template, word, "fix"): value for word, value in fixed.items() if value is not None}
+    try:
+        template = with_values(template, given)
+    except ValueError as error:
+        raise InputError(f"{', '.join(given)}: {_first_line(error)}", key="fix") from error
+    keys = choose_keys(template, lens=lens, free=free, fix=list(fixed))
+    if not keys:
+        raise InputError("nothing is left to estimate", key="fix")
+    return template, keys
+
+
+def _central_start(corners: Corners, begin: Start, keys: tuple[str, ...], tell: Tell) -> Start:
+    """The best central sensor, from which a misalignment is looked for."""
+    sensor = begin.sensor.aligned
+    if keys:
+        central = Start(sensor, begin.poses if begin.sensor.is_central else poses_for(corners, sensor))
+        adjusted, _, _ = _without_outliers(corners, Parameters(sensor, keys), central, tell)
+        sensor = adjusted.parameters.sensor_at(adjusted.vector)
+    return Start(sensor, poses_for(corners, sensor))
+
+
+def _central_fit(used: Corners, sensor: Sensor, keys: tuple[str, ...], misaligned: Sensor) -> CentralFit | None:
+    """The best central sensor of the corners that were used; None where there is none."""
+    parameters = Parameters(sensor, keys)
+    central = adjust(parameters, used, parameters.vector(sensor), poses_for(used, sensor))
+    if central is None:
+        return None
+    best = parameters.sensor_at(central.vector)
+    best = best.model_copy(update={"mount": misaligned.mount})
+    rms = float(np.sqrt(np.mean(np.sum(central.residuals**2, axis=-1))))
+    try:
+        return CentralFit(_with_field(best, misaligned.field), rms)
+    except InputError:
+        return CentralFit(_with_field(best, covered_field(best, used, None)), rms)
 
 
 def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:

@@ -20,6 +20,7 @@ from harness.calibration.uncertainty import angles_off_axis
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.models import MODELS
+from harness.camera.reflection import camera_of_points, ray_directions
 from harness.camera.sensor import Sensor, parameters_of, unproject
 from harness.errors import InputError, nearest
 from harness.geometry.angles import Array
@@ -126,8 +127,8 @@ def poses_for(corners: Corners, sensor: Sensor) -> BoardPoses:
 
     NaN for a board with too few corners in the model's domain.
     """
-    camera = parameters_of(sensor)
-    first = poses_from_bearings(corners, unproject(sensor, corners.pixels)[0])
+    camera = camera_of_points(sensor)
+    first = poses_from_bearings(corners, ray_directions(sensor, corners.pixels)[0])
     poses, cost = refine_poses(camera, corners, first)
     other, other_cost = refine_poses(camera, corners, turned_over(poses, corners))
     better = other_cost < cost
@@ -193,7 +194,7 @@ def _adjusted_unified(corners: Corners, guess: Start, free: tuple[str, ...]) -> 
 
 def visible(corners: Corners, sensor: Sensor, poses: BoardPoses) -> list[int]:
     """The indices of the images in which a sensor can project every corner of the board."""
-    lost = ~np.isfinite(residuals_of(parameters_of(sensor), corners, poses)).all(axis=-1)
+    lost = ~np.isfinite(residuals_of(camera_of_points(sensor), corners, poses)).all(axis=-1)
     return np.flatnonzero(np.bincount(corners.image, lost, minlength=len(corners.images)) == 0).tolist()
 
 

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from harness.calibration.adjust import Adjusted
 from harness.calibration.parameters import intrinsic_jacobian
 from harness.camera._projection_kernels import differentiate_all, project_all
-from harness.camera.sensor import Sensor, parameters_of, unproject
+from harness.camera.reflection import camera_of_points, reflect
+from harness.camera.sensor import Sensor, field_of, unproject
 from harness.display import OneLine
 from harness.geometry.angles import Array
 
@@ -82,7 +83,7 @@ class RayGrid(OneLine):
     inside: NDArray[np.bool_]
     """`[rows, columns]`: whether a pixel is in the field."""
     directions: Array
-    """`[k, 3]`: unit directions of those inside, row by row."""
+    """`[k, 3]`: unit directions of those inside, row by row; for a misaligned sensor points on their rays, metres."""
 
     def spread(self, values: Array) -> Array:
         """Values `[k]` of the pixels inside as a map `[rows, columns]`, NaN outside."""
@@ -91,13 +92,24 @@ class RayGrid(OneLine):
         return out
 
 
-def ray_grid(sensor: Sensor, step_px: float | None = None) -> RayGrid:
-    """A lattice of pixels over a sensor's field, about 60 along its longer side unless a step is given."""
+def ray_grid(sensor: Sensor, step_px: float | None = None, distance_m: float = 1.0) -> RayGrid:
+    """A lattice of pixels over a sensor's field, about 60 along its longer side unless a step is given.
+
+    Parameters
+    ----------
+    distance_m
+        How far out on its rays a misaligned sensor is looked at; directions alone tell nothing there.
+    """
     camera = sensor.camera
     step = step_px or max(camera.width_px, camera.height_px) / 60
     u, v = (np.arange(0.5 * (size - 1) % step, size, step) for size in (camera.width_px, camera.height_px))
-    directions, inside = unproject(sensor, np.stack(np.meshgrid(u, v), axis=-1))
-    return RayGrid(u, v, inside, np.ascontiguousarray(directions[inside]))
+    pixels = np.stack(np.meshgrid(u, v), axis=-1)
+    if sensor.is_central:
+        points, inside = unproject(sensor, pixels)
+    else:
+        origins, directions, inside = reflect(sensor, pixels)
+        points = origins + distance_m * directions
+    return RayGrid(u, v, inside, np.ascontiguousarray(points[inside]))
 
 
 def ray_sigma(adjusted: Adjusted, covariance: Array, grid: RayGrid) -> tuple[Array, Array]:
@@ -131,8 +143,8 @@ def ray_difference(first: Sensor, second: Sensor, grid: RayGrid, *, turn: bool =
     turn
         Rotate the second sensor first such that the sum of squares is minimal.
     """
-    at = _project(parameters_of(first), grid.directions)
-    camera = parameters_of(second)
+    at = _project(camera_of_points(first), grid.directions)
+    camera = camera_of_points(second)
     turned = grid.directions
     for _ in range(10 if turn else 0):
         r = _project(camera, turned) - at
@@ -171,7 +183,14 @@ def _project(camera: object, directions: Array) -> Array:
 
 
 def angles_off_axis(sensor: Sensor, pixels: Array) -> Array:
-    """Angles `[m]` of the rays of pixels `[m, 2]` off the optical axis, radians; NaN where there is no ray."""
+    """Angles `[m]` of the rays of pixels `[m, 2]` off the optical axis, radians; NaN where there is no ray.
+
+    Of a misaligned sensor those of the mirror's points off the mirror's axis, as its field of view has them.
+    """
+    if not sensor.is_central:
+        limits, (origins, _, _) = field_of(sensor), reflect(sensor, pixels)
+        axis = np.array([limits.axis_x, limits.axis_y, limits.axis_z])
+        return np.asarray(np.arctan2(np.linalg.norm(np.cross(origins, axis), axis=-1), origins @ axis))
     axis, _ = unproject(sensor, [sensor.camera.cx_px, sensor.camera.cy_px])
     directions, _ = unproject(sensor, pixels)
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=-1), directions @ axis))

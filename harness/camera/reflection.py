@@ -16,7 +16,16 @@ from harness.camera._reflected_point_kernels import differentiate_reflected, pro
 from harness.camera._reflection_kernels import ReflectingCamera, reflect_pixels
 from harness.camera.lens import fold_radius
 from harness.camera.models import Mirror
-from harness.camera.sensor import Sensor, field_of, model_from_sensor, not_masked, on_image, parameters_of, project
+from harness.camera.sensor import (
+    Sensor,
+    field_of,
+    model_from_sensor,
+    not_masked,
+    on_image,
+    parameters_of,
+    project,
+    unproject,
+)
 from harness.geometry.angles import Array
 
 
@@ -128,6 +137,14 @@ def points_jacobian(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, Array]:
         by_camera.reshape(-1, 2, 6),
     )
     return by_point, by_camera * np.repeat([1e-3, math.radians(1)], 3)
+
+
+def ray_directions(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
+    """Directions `[..., 3]` in which pixels `[..., 2]` look, and validity, of any sensor: `unproject` or `reflect`."""
+    if sensor.is_central:
+        return unproject(sensor, pixels)
+    _, directions, valid = reflect(sensor, pixels)
+    return directions, valid
 
 
 def camera_of_points(sensor: Sensor) -> Any:

@@ -326,8 +326,13 @@ def seam_px(sensor: Sensor, reach_px: int = 32) -> int:
     return min(reach_px, sensor.camera.width_px) if sensor.model.goes_round(sensor.camera) else 0
 
 
-def require_central(sensor: Sensor) -> None:
+def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
     """Refuse a sensor whose camera is misaligned with its mirror.
+
+    Parameters
+    ----------
+    file
+        Where the sensor is from, for messages.
 
     Raises
     ------
@@ -336,8 +341,9 @@ def require_central(sensor: Sensor) -> None:
     """
     if not sensor.is_central:
         raise InputError(
-            "camera and mirror are misaligned, so that rays meet in no viewpoint, which is needed here; use a central "
-            "sensor, such as this one without [misalignment]",
+            "camera and mirror are misaligned, so that rays meet in no viewpoint, which is needed here; use the "
+            "central sensor that omnirange calibrate writes beside it, or one without [misalignment]",
+            file=file,
             key="misalignment",
         )
 

@@ -72,6 +72,11 @@ def _add_model(command: Parser) -> None:
         metavar="KEY",
         help="estimate a parameter that is usually given, such as skew; repeatable",
     )
+    command.add_argument(
+        "--misalignment",
+        action="store_true",
+        help="also estimate how the camera is displaced and rotated with respect to its hyperboloid mirror",
+    )
     command.add_argument("--start", type=Path, metavar="FILE", help="sensor TOML to start from, instead of a search")
     add_mount_and_field(
         command,
@@ -107,7 +112,7 @@ def run(options: Namespace) -> None:
             size=None if options.size is None else tuple(options.size),
             model=options.model,
             lens=options.lens,
-            free=options.free,
+            free=[*options.free, *(["misalignment"] if options.misalignment else [])],
             fix=dict(_fixed(each) for each in options.fix),
             start=options.start,
             mount={key: value for key, value in mount.items() if value is not None} or None,
@@ -118,7 +123,8 @@ def run(options: Namespace) -> None:
         if error.file is not None or error.key not in _ARGUMENTS:
             raise
         file = options.start if error.key == "start" else None
-        raise InputError(error.problem, file=file, key=f"--{error.key}") from error
+        option = "misalignment" if options.misalignment and "misaligned" in error.problem else error.key
+        raise InputError(error.problem, file=file, key=f"--{option}") from error
     print("\n".join(_summary(calibration)))
     if options.out is None:
         print(f"\n{dump_toml(calibration.sensor)}")
@@ -140,8 +146,9 @@ def _summary(calibration: "CalibrationResult") -> list[str]:
     import numpy as np
 
     values, sigmas = calibration.uncertainty.values.tolist(), calibration.uncertainty.sigma.tolist()
+    width = max(20, *map(len, calibration.keys))
     lines = [
-        f"  {key:<20} {value:>12.6g}  ± {sigma:.2g}"
+        f"  {key:<{width}} {value:>12.6g}  ± {sigma:.2g}"
         for key, value, sigma in zip(calibration.keys, values, sigmas, strict=True)
     ]
     worst = int(np.argmax(calibration.rms_of_images_px))
@@ -150,6 +157,10 @@ def _summary(calibration: "CalibrationResult") -> list[str]:
         f"{len(calibration.corners.image)} corners of {len(calibration.corners.images)} images; "
         f"the worst is {calibration.corners.images[worst]} with {calibration.rms_of_images_px[worst]:.3f} px"
     )
+    if calibration.central is not None:
+        lines.append(
+            f"the best central sensor, with camera and mirror aligned, leaves {calibration.central.rms_px:.3f} px"
+        )
     lines.append(
         f"standard deviation of rays, up to a rotation of the sensor: {np.median(calibration.ray_sigma_px):.2g} px "
         f"(median), {calibration.ray_sigma_px.max():.2g} px (largest)"

@@ -52,7 +52,7 @@ def run(options: Namespace) -> int:
         raise InputError(f"must be 0 or more; found {options.calibration_sigma_px:g}", file="--calibration-sigma-px")
     if options.seed < 0:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
-    sensor = first_sensor(options)
+    sensor = first_sensor(options, central=True)
     assert sensor is not None
     with naming_options():
         estimate = harness.estimate_motion(

@@ -95,7 +95,7 @@ def run(options: Namespace) -> int:
     from harness.errors import InputError
     from harness.runs.photograph_settings import own_settings
 
-    sensor = first_sensor(options)
+    sensor = first_sensor(options, central=True)
     assert sensor is not None
     sensor = _masked(sensor, options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")

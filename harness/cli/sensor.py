@@ -123,8 +123,10 @@ def _motion(read: "SensorFile") -> list[str]:
 def _convert(read: "SensorFile", options: Namespace) -> None:
     import harness
     from harness.api.sensors import LARGEST_RESIDUAL_PX
+    from harness.camera.sensor import require_central
     from harness.files import write
 
+    require_central(read.sensor, options.file)
     allowed = LARGEST_RESIDUAL_PX if options.allow_residual is None else options.allow_residual
     written = harness.convert_sensor(read.sensor, options.to, model=options.model, allow_residual_px=allowed)
     if options.out is None:

@@ -91,8 +91,15 @@ def chosen(options: Namespace, camera: int | None) -> "Chosen":
     )
 
 
-def first_sensor(options: Namespace) -> "Sensor | None":
-    """The sensor of `--sensor`; None if it is not given."""
+def first_sensor(options: Namespace, *, central: bool = False) -> "Sensor | None":
+    """The sensor of `--sensor`; None if it is not given.
+
+    Parameters
+    ----------
+    central
+        Whether a misaligned one is refused.
+    """
+    from harness.camera.sensor import require_central
     from harness.errors import InputError
     from harness.io.calibrations.sensors import Chosen, load_sensor
 
@@ -101,11 +108,15 @@ def first_sensor(options: Namespace) -> "Sensor | None":
             raise InputError("is missing: there is no file for the other options to choose from", file="--sensor")
         return None
     other = getattr(options, "sensor_2", None)
-    return load_sensor(options.sensor, _of_file(options, options.sensor, options.camera, other))
+    sensor = load_sensor(options.sensor, _of_file(options, options.sensor, options.camera, other))
+    if central:
+        require_central(sensor, options.sensor)
+    return sensor
 
 
 def second_sensor(options: Namespace) -> "Sensor | None":
-    """The sensor of `--sensor-2`; None if it is not given."""
+    """The sensor of `--sensor-2`; None if it is not given. A misaligned one is refused."""
+    from harness.camera.sensor import require_central
     from harness.errors import InputError
     from harness.io.calibrations.sensors import load_sensor
 
@@ -114,10 +125,12 @@ def second_sensor(options: Namespace) -> "Sensor | None":
             raise InputError("is missing: there is no file for --camera-2 to choose from", file="--sensor-2")
         return None
     try:
-        return load_sensor(options.sensor_2, _of_file(options, options.sensor_2, options.camera_2, options.sensor))
+        sensor = load_sensor(options.sensor_2, _of_file(options, options.sensor_2, options.camera_2, options.sensor))
+        require_central(sensor, options.sensor_2)
     except InputError as error:
         key = "--camera-2" if error.key == "--camera" else error.key
         raise InputError(error.problem, file=error.file, key=key) from error
+    return sensor
 
 
 def _of_file(options: Namespace, file: Path, camera: int | None, other: Path | None) -> "Chosen":

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from harness.calibration.sensor_calibration import SensorCalibration
 from harness.calibration.uncertainty import angles_off_axis
-from harness.camera.sensor import unproject
+from harness.camera.reflection import ray_directions
 from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.theme import FAINT, HALF, OUTSIDE, PIXEL, SUBPIXEL, WIDE, Picture
@@ -225,7 +225,7 @@ def _circle(ax: Axes, calibration: SensorCalibration) -> None:
     directions = np.stack([np.cos(around), np.sin(around)], axis=-1)
     reach = np.linspace(0, math.hypot(camera.width_px, camera.height_px), 800)
     pixels = np.array([camera.cx_px, camera.cy_px]) + reach[:, None, None] * directions
-    valid = unproject(calibration.sensor, pixels)[1]
+    valid = ray_directions(calibration.sensor, pixels)[1]
     last = valid.shape[0] - 1 - np.argmax(valid[::-1], axis=0)
     rim = pixels[last, np.arange(len(around))]
     ax.plot(rim[:, 0], rim[:, 1], color=PIXEL, linewidth=0.8, zorder=4)

@@ -9,7 +9,7 @@ from harness.report import theme
 from harness.report.markup import template
 from harness.spec import dump_toml
 
-_UNITS = {"_px": "px", "_m": "m", "_deg": "°"}
+_UNITS = {"_px": "px", "_m": "m", "_mm": "mm", "_deg": "°"}
 
 
 def build_page(calibration: SensorCalibration) -> str:

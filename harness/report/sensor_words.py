@@ -41,6 +41,15 @@ def facts_of(coverage: Coverage) -> dict[str, str]:
     return {name: text for name, text in said.items() if text}
 
 
+def misalignment_of(sensor: Sensor) -> list[str]:
+    """That camera and mirror are misaligned, a sentence; nothing where they are not."""
+    given = {name: value for name, value in sensor.misalignment.model_dump().items() if value}
+    if not given:
+        return []
+    numbers = ", ".join(f"{name} = {value:.3g}" for name, value in given.items())
+    return [f"Camera and mirror are misaligned ({numbers}): all that is said here is of the aligned sensor."]
+
+
 def warnings_of(coverage: Coverage) -> list[str]:
     """What does not fit, a sentence each; empty where all does."""
     camera = coverage.sensor.camera
