@@ -127,7 +127,7 @@ class TestCommand:
             (["a.png", "--board", "9x6", "--square-m", "-1"], "board: square_m: must be above 0; found -1"),
             (["a.png", "--board", "1x6", "--square-m", "1"], "board: columns: must be at least 2; found 1"),
             (["--corners", "none.csv"], "none.csv: no such file"),
-            (["--corners", "CSV", "--size", "800", "600"], "is of images of 640 x 480 pixels; --size says 800 x 600"),
+            (["--corners", "CSV", "--size", "800", "600"], "has images of 640 x 480 pixels; --size says 800 x 600"),
             (["--corners", "CSV", "--model", "fish"], "--model: there is no camera model 'fish'"),
             (
                 ["--corners", "CSV", "--model", "equirectangular"],

@@ -273,7 +273,7 @@ OPENCV_D = "7.7531333953325700e-02, 2.7664400596417553e-02,\n       1.3229517533
         (files.BASALT, '"qw": 1.0', '"qw": 2.0', "value0.T_imu_cam[0]: qx, qy, qz, qw must be of unit length"),
         (files.BASALT, '"vignette": []', '"vignette": [', "not valid JSON"),
         (files.COLMAP, "2 EUCM", "2 FOV", "line 5: FOV is not supported, only SIMPLE_PINHOLE"),
-        (files.COLMAP, "2 EUCM", "2 ECUM", "line 5: ECUM is no model of COLMAP's, only SIMPLE_PINHOLE"),
+        (files.COLMAP, "2 EUCM", "2 ECUM", "line 5: ECUM is not a COLMAP model, only SIMPLE_PINHOLE"),
         (files.COLMAP, "0.63 1.04", "0.63", "line 5: must be 6 numbers (fx fy cx cy alpha beta); found 5"),
         (files.COLMAP, "420.5 421.5", "0 421.5", "line 7: the focal length must be above 0; found 0"),
     ],
@@ -301,9 +301,9 @@ def test_terms_that_our_models_lack_are_refused_unless_they_are_zero(tmp_path):
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"", "is no sensor file and no calibration of a known kind; known are a sensor's TOML, CamOdoCal"),
+        (b"", "is neither a sensor file nor a calibration in a known format; known are a sensor's TOML, CamOdoCal"),
         (b"\xff\xd8\xff\xe0", "cannot be read as a text file"),
-        (b"hello world\n", "is no sensor file and no calibration"),
+        (b"hello world\n", "is neither a sensor file nor a calibration"),
         (b"a\0b", "it has null bytes"),
         (b"{" * 100_000, "not valid JSON"),
         (b"[" * 100_000, "nested more than 64 deep"),

@@ -90,7 +90,7 @@ def test_jpeg_keeps_what_its_quality_keeps():
     ("table", "message"),
     [
         ({"dark_noise_e": 3.0}, "dark_noise_e needs saturation_e"),
-        ({"jpeg_quality": 70}, "jpeg_quality needs bits = 8, as JPEG holds no others; found bits = 0"),
+        ({"jpeg_quality": 70}, "jpeg_quality needs bits = 8, as JPEG has no other depth; found bits = 0"),
         ({"bits": 17}, "bits"),
         ({"gamma": 0.0}, "gamma"),
     ],

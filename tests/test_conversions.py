@@ -172,7 +172,7 @@ def test_pixels_that_see_nothing_are_nan() -> None:
 
 @pytest.mark.parametrize("xi", [1.0, 1.5])
 def test_only_a_hyperboloid_becomes_a_sensor(xi: float) -> None:
-    with pytest.raises(ValueError, match=f"xi = {xi:g} is no hyperboloid mirror"):
+    with pytest.raises(ValueError, match=f"xi = {xi:g} is not a hyperboloid mirror"):
         from_unified(OPENCV.model_copy(update={"xi": xi}), 640, 480)
 
 

@@ -100,7 +100,7 @@ BAD = {
     ),
     "off.csv": (
         "image,x_m,y_m,u_px,v_px\n" + "".join(f"a,{i % 3},{i // 3},{i},{900 + i}\n" for i in range(6)),
-        r"a corner of image 'a' is at \(0, 900\), off an image of 640 x 480 pixels",
+        r"a corner of image 'a' is at \(0, 900\), outside an image of 640 x 480 pixels",
     ),
     "list.json": ('{"images": 3}', "images: must be a list of tables"),
     "half.json": ('{"images": [{"name": "a", "pixels": [[1, 2]]}]}', "images.0.*points_m.*missing"),
@@ -135,5 +135,5 @@ def test_npz_without_an_array_or_of_other_shapes(tmp_path):
 
 def test_size_that_contradicts_the_file(corners, tmp_path):
     (tmp_path / "a.csv").write_text(corners_csv(corners), encoding="utf-8")
-    with pytest.raises(InputError, match="is of images of 640 x 480 pixels; --size says 800 x 600"):
+    with pytest.raises(InputError, match="has images of 640 x 480 pixels; --size says 800 x 600"):
         read_corners(tmp_path / "a.csv", size=(800, 600))

@@ -175,7 +175,7 @@ def test_exposure_has_limits(key, value):
 
 def test_noise_without_a_frequency_is_refused():
     band = {"kind": "noise", "seed": 1, "tile_m": 1.0, "size_px": 64}
-    with pytest.raises(InputError, match=r"no wave that repeats in tile_m = 1 .* widen the band"):
+    with pytest.raises(InputError, match=r"no wavelength that repeats in tile_m = 1 .* widen the band"):
         parse(NoiseTexture, band | {"shortest_m": 0.9, "longest_m": 0.95})
     rng = np.random.default_rng(4)
     accepted = 0

@@ -49,7 +49,7 @@ def test_poses_are_from_the_camera_to_the_rig(tmp_path):
     ("old", "new", "complaint"),
     [
         ("model: ocam", "model: pinhole", r"cameras\[0\].model: must be ocam; found pinhole"),
-        ("[2, -300.0, 0.0]", "[3, -300.0, 0.0]", r"cameras\[0\].poly: must be the number of coefficients"),
+        ("[2, -300.0, 0.0]", "[3, -300.0, 0.0]", r"cameras\[0\].poly: must begin with the number of its coefficients"),
         ("max_fov: 200.0", "max_fov: 0", r"cameras\[0\].max_fov: must be above 0 and below 360 degrees; found 0"),
         ("pose: [0.0, 0.0, 0.0, 0.1, 0.0, 0.0]", "pose: [0.0]", r"cameras\[0\].pose: must be 6 numbers"),
     ],

@@ -93,7 +93,7 @@ def test_no_motion_is_one_line_and_no_files(folder, capsys):
 def test_a_weak_motion_warns(views):
     motion = harness.estimate_motion(views[0].image, views[1].image, views[0].sensor, calibration_px=3.0)
     assert motion.status == harness.Status.WEAK
-    with pytest.warns(Notice, match="the motion is not to be trusted, nor are ranges from it: the sigma of"):
+    with pytest.warns(Notice, match="the motion is unreliable, and so are ranges from it: the sigma of"):
         harness.estimate_range(views[0].image, views[1].image, views[0].sensor, motion, "column")
 
 

@@ -289,7 +289,7 @@ def _floor(estimated: EstimatedMotion, direction_v1: Array, sensor: Sensor, seed
     floor = find_floor(*scene_points(estimated, sensor), direction_v1, seed)
     if floor is None:
         raise InputError(
-            "no floor is found to measure it on: no level plane below view 1 has enough of what both views see; "
+            "no floor was detected: no horizontal plane below view 1 has enough points that both views see; "
             "give the distance of the viewpoints",
             key="camera_height_m",
         )

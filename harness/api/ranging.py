@@ -136,7 +136,7 @@ def estimate_range(
     if isinstance(motion, MotionEstimate):
         if motion.status == Status.WEAK:
             reasons = "; ".join(motion.reasons)
-            warnings.warn(f"the motion is not to be trusted, nor are ranges from it: {reasons}", Notice, stacklevel=2)
+            warnings.warn(f"the motion is unreliable, and so are ranges from it: {reasons}", Notice, stacklevel=2)
         if motion.baseline_m is None and motion.direction_v1 is not None:
             settings = _with_limits(settings, motion, first_sensor)
         estimated = estimate(

@@ -60,7 +60,7 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
     if own is None and size is None:
         raise InputError("does not contain the size of the images; give --size WIDTH HEIGHT", file=file)
     if own is not None and size is not None and own != size:
-        raise InputError(f"is of images of {own[0]} x {own[1]} pixels; --size says {size[0]} x {size[1]}", file=file)
+        raise InputError(f"has images of {own[0]} x {own[1]} pixels; --size says {size[0]} x {size[1]}", file=file)
     width, height = own or size or (0, 0)
     corners = corners_of(views, width, height, file=str(file))
     outside = ((corners.pixels < -0.5) | (corners.pixels > [width - 0.5, height - 0.5])).any(axis=-1)
@@ -68,7 +68,7 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
         u, v = corners.pixels[np.flatnonzero(outside)[0]].tolist()
         name = corners.images[corners.image[np.flatnonzero(outside)[0]]]
         raise InputError(
-            f"a corner of image '{name}' is at ({u:g}, {v:g}), off an image of {width} x {height} pixels", file=file
+            f"a corner of image '{name}' is at ({u:g}, {v:g}), outside an image of {width} x {height} pixels", file=file
         )
     return corners
 

@@ -122,7 +122,7 @@ def from_unified(
         Unless 0 < xi < 1: xi = 1 is a paraboloid, above it no mirror.
     """
     if not 0 < unified.xi < 1:
-        raise ValueError(f"xi = {unified.xi:g} is no hyperboloid mirror: xi must be above 0 and below 1")
+        raise ValueError(f"xi = {unified.xi:g} is not a hyperboloid mirror: xi must be above 0 and below 1")
     eps = (1 + math.sqrt(1 - unified.xi**2)) / unified.xi
     s = (eps * eps + 1) / (eps * eps - 1)
     lens = lens or Lens()

@@ -109,7 +109,7 @@ class Sensor(Spec):
         if encloses(self.model, self.misalignment.offset_m - [0, 0, 2 * self.model.e_m]):
             raise ValueError(
                 f"misalignment: the camera centre is inside the mirror, whose apex is "
-                f"{1000 * (self.model.a_m + self.model.e_m):.4g} mm from where it belongs; use smaller values"
+                f"{1000 * (self.model.a_m + self.model.e_m):.4g} mm from the outer focus; use smaller values"
             )
 
     def with_mask(self, file: str | Path) -> "Sensor":

@@ -37,9 +37,9 @@ class Chip(Spec):
     @model_validator(mode="after")
     def _consistent(self) -> "Chip":
         if self.dark_noise_e and not self.saturation_e:
-            raise ValueError("dark_noise_e needs saturation_e, which says how many electrons a grey level is")
+            raise ValueError("dark_noise_e needs saturation_e, which gives the electrons per grey level")
         if self.jpeg_quality and self.bits != 8:
-            raise ValueError(f"jpeg_quality needs bits = 8, as JPEG holds no others; found bits = {self.bits}")
+            raise ValueError(f"jpeg_quality needs bits = 8, as JPEG has no other depth; found bits = {self.bits}")
         return self
 
     @property

@@ -59,7 +59,7 @@ class Accessors:
         is_float = component == "<f4"
         if (whole and is_float) or (normalised and not is_float and not accessor.normalized):
             right = "whole numbers" if whole else "floating point, or whole numbers that are normalized"
-            raise InputError(f"must hold {right}", file=self._file, key=key)
+            raise InputError(f"must contain {right}", file=self._file, key=key)
         values = self._elements(accessor, component, _SIZES[accessor.type], key)
         if accessor.sparse is not None:
             values = self._replaced(values, accessor.sparse, component, key)

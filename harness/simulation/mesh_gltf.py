@@ -220,7 +220,7 @@ class _Reader:
             if texture is not None and texture.transform is not None and texture.transform.rotation != 0:
                 # The specification's text and its matrix rotate in opposite directions, and renderers differ.
                 key = f"materials[{index}].pbrMetallicRoughness.baseColorTexture.extensions.KHR_texture_transform"
-                self._refuse(f"{key}.rotation", "turned textures are not rendered")
+                self._refuse(f"{key}.rotation", "rotated textures are not rendered")
             picture, wraps = (None, (_REPEAT, _REPEAT)) if texture is None else self._picture(texture.index)
             self._surfaces[index] = _Surface(picture, factor, texture, wraps)
         return self._surfaces[index]
@@ -272,7 +272,7 @@ class _Reader:
             try:
                 return base64.b64decode(content, validate=True) if head.endswith(";base64") and comma else b""
             except (binascii.Error, ValueError):
-                raise InputError("holds no data in base64", file=self._path, key=f"{key}.uri") from None
+                raise InputError("contains no base64 data", file=self._path, key=f"{key}.uri") from None
         if "://" in uri:
             self._refuse(f"{key}.uri", f"addresses such as '{printable(uri)}' are not fetched")
         return read_named(unquote(uri), self._path, limit_bytes, what, key=key)[0]

@@ -283,7 +283,7 @@ def _shaded(view: _View, sensor: Sensor, faces: Ints, samples: int, threads: int
     if not np.isfinite(image).all():
         raise InputError(
             f"the image from {_where(view)} has {np.count_nonzero(~np.isfinite(image))} pixels whose grey level is not "
-            "a finite number; look at the textures and the sizes of the objects",
+            "a finite number; check the textures and the sizes of the objects",
             file=view.geometry.name,
         )
     return image.reshape(faces.shape)

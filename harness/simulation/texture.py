@@ -84,8 +84,8 @@ class NoiseTexture(Spec):
             )
         if not self._has_a_wave():
             raise ValueError(
-                f"no wave that repeats in tile_m = {self.tile_m:g} is between shortest_m = {self.shortest_m:g} and "
-                f"longest_m = {self.longest_m:g} long; widen the band"
+                f"no wavelength that repeats in tile_m = {self.tile_m:g} is between shortest_m = {self.shortest_m:g} "
+                f"and longest_m = {self.longest_m:g}; widen the band"
             )
         return self
 

@@ -55,5 +55,5 @@ def calibration_in(content: Content) -> Calibration:
         if known.recognises(content):
             return known.read(content)
     titles = ", ".join(each.title for name, each in READERS.items() if name != "opencv-xml")
-    problem = f"is no sensor file and no calibration of a known kind; known are a sensor's TOML, {titles}"
+    problem = f"is neither a sensor file nor a calibration in a known format; known are a sensor's TOML, {titles}"
     raise InputError(problem, file=content.file)

@@ -59,7 +59,7 @@ def _camera(content: Content, line: int, words: list[str]) -> CalibratedCamera:
         raise refusal(content, key, "must be CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS")
     name, kind = words[0], words[1]
     if kind not in PARAMETERS:
-        why = "is not supported" if kind in _NOT_SUPPORTED else "is no model of COLMAP's"
+        why = "is not supported" if kind in _NOT_SUPPORTED else "is not a COLMAP model"
         raise refusal(content, key, f"{kind} {why}, only {', '.join(PARAMETERS)}")
     width, height = (whole(content, word, key) for word in words[2:4])
     values = dict(zip(PARAMETERS[kind].split(), numbers(content, words[4:], key, PARAMETERS[kind]), strict=True))

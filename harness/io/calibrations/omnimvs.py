@@ -81,9 +81,7 @@ def _counted(content: Content, entry: Mapping[str, Any], name: str, above: str) 
     value, key = member(content, entry, name, above)
     found = numbers(content, value, key)
     if len(found) < 3 or found[0] != len(found) - 1:
-        raise refusal(
-            content, key, f"must be the number of coefficients, 2 or more, and then as many; found {found[:1]}"
-        )
+        raise refusal(content, key, f"must begin with the number of its coefficients, 2 or more; found {found[:1]}")
     return np.array(found[1:])
 
 
