@@ -42,6 +42,8 @@ render, estimate_range, estimate_motion
     geometry. `MotionEstimate`: how they stand to each other, and its `Status`.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
+describe_rig, find_rigs
+    `RigDescription`: what range errors to expect of a rig, by cause; and the rigs that reach an accuracy.
 run_trial
     One trial with all that its stages made, an `Outcome`: what `harness.testing.assertions` takes.
 settings
@@ -65,6 +67,7 @@ from harness.version import __version__
 
 if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult, calibrate
+    from harness.api.designing import RigDescription, describe_rig, find_rigs
     from harness.api.loading import load_experiment, load_motion, load_scene, load_sensor
     from harness.api.motion import MotionEstimate, Status, estimate_motion
     from harness.api.ranging import RangeEstimate, Verdict, estimate_range
@@ -108,6 +111,7 @@ __all__ = [
     "RangeEstimate",
     "Reason",
     "RenderedView",
+    "RigDescription",
     "RunResult",
     "Scene",
     "Sensor",
@@ -118,9 +122,11 @@ __all__ = [
     "__version__",
     "calibrate",
     "convert_sensor",
+    "describe_rig",
     "describe_sensor",
     "estimate_motion",
     "estimate_range",
+    "find_rigs",
     "load_experiment",
     "load_motion",
     "load_scene",
@@ -137,6 +143,7 @@ __all__ = [
 
 _MODULES = {
     "api.calibrating": ("CalibrationResult", "calibrate"),
+    "api.designing": ("RigDescription", "describe_rig", "find_rigs"),
     "api.loading": ("load_experiment", "load_motion", "load_scene", "load_sensor"),
     "api.motion": ("MotionEstimate", "Status", "estimate_motion"),
     "api.ranging": ("RangeEstimate", "Verdict", "estimate_range"),

@@ -8,7 +8,20 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from harness import interrupts
-from harness.cli import cache, calibrate, check, compare, completion, motion, render, report, run, sensor, settings
+from harness.cli import (
+    cache,
+    calibrate,
+    check,
+    compare,
+    completion,
+    design,
+    motion,
+    render,
+    report,
+    run,
+    sensor,
+    settings,
+)
 from harness.cli import list as list_command
 from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
@@ -28,6 +41,7 @@ _COMMANDS = (
     calibrate,
     check,
     sensor,
+    design,
     list_command,
     settings,
     completion,

@@ -70,6 +70,16 @@ def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
     return table
 
 
+def plain_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> "Table":
+    """A table of figures, right-aligned but for the last column."""
+    table = _table()
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == headings[-1] else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def _table(title: str | None = None) -> "Table":
     from rich import box
     from rich.table import Table

@@ -44,7 +44,7 @@ def build_page(
         How its file was read.
     """
     with theme.style():
-        pictures = [_image(coverage), _resolution(coverage)]
+        pictures = [image_panel(coverage), resolution_panel(coverage)]
     return template("sensor.html.j2").render(
         coverage=coverage,
         title=title,
@@ -75,7 +75,8 @@ def build_picture(coverage: Coverage, kind: str) -> bytes:
 
 
 @theme.panel
-def _image(coverage: Coverage) -> Picture:
+def image_panel(coverage: Coverage) -> Picture:
+    """The image: what is used of it, and lines of equal elevation."""
     fig = theme.figure(HALF, _HEIGHT)
     _draw_image(coverage, fig, 0)
     camera = coverage.sensor.camera
@@ -88,7 +89,8 @@ def _image(coverage: Coverage) -> Picture:
 
 
 @theme.panel
-def _resolution(coverage: Coverage) -> Picture:
+def resolution_panel(coverage: Coverage) -> Picture:
+    """Pixels per degree against the elevation."""
     fig = theme.figure(HALF, _HEIGHT)
     _draw_resolution(coverage, fig, 0)
     resolution = coverage.resolution

@@ -1,0 +1,177 @@
+"""What range errors to expect of a rig, and which rigs reach what is asked for."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.camera.coverage import coverage
+from harness.design.answers import Answer, Candidate, Cost, answers, candidates, height_m, mirror_diameter_m
+from harness.design.budget import CAUSES
+from harness.design.rig import RigDesign, load_rig
+from harness.display import OneLine
+from harness.errors import InputError
+from harness.files import write
+from harness.report.sensor_words import facts_of, title_of
+from harness.spec import parse
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+RANGES_M = (1.0, 2.0, 4.0, 8.0)
+"""At which a rig is described."""
+
+
+@dataclass(frozen=True, repr=False)
+class RigDescription(OneLine):
+    """What to expect of a rig."""
+
+    rig: RigDesign
+    facts: dict[str, str]
+    """What its sensor sees, and its size."""
+    answers: tuple[Answer, ...]
+    """A range each."""
+
+    @property
+    def table(self) -> "pd.DataFrame":
+        """The errors that 68 % of the estimates stay within, millimetres.
+
+        A row for each range; columns are the causes, `total` and the `leading` cause.
+        """
+        import pandas as pd
+
+        rows = [
+            {"range_m": each.range_m, "total": 1000 * each.error_m}
+            | {name: 1000 * each.by_cause_m[name] for name in CAUSES}
+            | {"leading": each.leading}
+            for each in self.answers
+        ]
+        return pd.DataFrame(rows).set_index("range_m")
+
+    def write(self, path: str | Path) -> None:
+        """Write a page.
+
+        Raises
+        ------
+        InputError
+            When it cannot be written, or does not end in .html.
+        """
+        from harness.report.design_page import build_page
+
+        if Path(path).suffix.lower() not in (".html", ".htm"):
+            raise InputError("must end in .html", file=path)
+        write(Path(path), build_page(self.rig, self.facts, self.answers))
+
+    def _repr_html_(self) -> str:
+        return str(self.table.to_html(float_format="{:.3g}".format))
+
+
+def describe_rig(
+    rig: str | Path | Mapping[str, Any] | RigDesign | None = None, ranges_m: Sequence[float] = RANGES_M
+) -> RigDescription:
+    """What range errors to expect of a rig, by cause, without rendering anything.
+
+    Parameters
+    ----------
+    rig
+        A TOML file, a table, or a `RigDesign`; the default sensor on half a metre when None.
+    ranges_m
+        Where to say it, metres.
+
+    Returns
+    -------
+    RigDescription
+
+    Raises
+    ------
+    InputError
+        One line that names the file or the argument, the key, and what would be right.
+
+    Examples
+    --------
+    >>> import harness
+    >>> described = harness.describe_rig({"baseline_m": 0.3, "uncertainty": {"rotation_deg": 0.05}})
+    >>> described.table.leading.tolist()
+    ['rotation', 'rotation', 'rotation', 'rotation']
+    """
+    loaded = loaded_rig(rig)
+    for range_m in ranges_m:
+        if not 0 < range_m < float("inf"):
+            raise InputError(f"must be above 0; found {range_m:g}", key="ranges_m")
+    covered = coverage(loaded.sensor)
+    facts = {"sensor": title_of(covered), **facts_of(covered), "baseline": f"{loaded.baseline_m:g} m"}
+    if loaded.has_mirror:
+        facts["size"] = (
+            f"mirror {1000 * mirror_diameter_m(loaded.sensor):.0f} mm across; from the camera's centre to its rim "
+            f"{1000 * height_m(loaded.sensor):.0f} mm"
+        )
+    return RigDescription(loaded, facts, answers(loaded, ranges_m))
+
+
+def find_rigs(
+    accuracy_m: float,
+    range_m: float,
+    rig: str | Path | Mapping[str, Any] | RigDesign | None = None,
+    *,
+    baseline_max_m: float = float("inf"),
+    height_max_m: float = float("inf"),
+    width_px: int | None = None,
+    cost: Cost | None = None,
+    most: int = 10,
+) -> list[Candidate]:
+    """The cheapest rigs whose range errors stay, for 68 % of the estimates, within an accuracy at a range.
+
+    Parameters
+    ----------
+    accuracy_m, range_m
+        What is asked for, metres.
+    rig
+        Whose sensor is resized, and whose noise, texture and uncertainties hold, as for `describe_rig`.
+    baseline_max_m, height_max_m
+        The longest baseline, and the largest distance from the camera's centre to the mirror's rim.
+    width_px
+        The image's width, where it is given.
+    cost
+        What pixels, mirrors and baselines cost.
+    most
+        How many rigs, at most.
+
+    Returns
+    -------
+    list of Candidate
+        The cheapest first; empty where none reaches it.
+
+    Raises
+    ------
+    InputError
+        As of `describe_rig`.
+
+    Examples
+    --------
+    >>> import harness
+    >>> best = harness.find_rigs(0.03, 4.0, {"uncertainty": {"rotation_deg": 0.02}}, most=1)[0]
+    >>> best.rig.title, best.answer.leading
+    ('640 x 480 px, 0.3 m', 'rotation')
+    """
+    for name, value in (("accuracy_m", accuracy_m), ("range_m", range_m), ("baseline_max_m", baseline_max_m)):
+        if not value > 0:
+            raise InputError(f"must be above 0; found {value:g}", key=name)
+    return candidates(
+        loaded_rig(rig),
+        accuracy_m,
+        range_m,
+        baseline_max_m=baseline_max_m,
+        height_max_m=height_max_m,
+        width_px=width_px,
+        cost=cost,
+        most=most,
+    )
+
+
+def loaded_rig(rig: str | Path | Mapping[str, Any] | RigDesign | None) -> RigDesign:
+    """A rig from whatever stands for one."""
+    if isinstance(rig, RigDesign):
+        return rig
+    if isinstance(rig, str | Path):
+        return load_rig(Path(rig))
+    return parse(RigDesign, dict(rig or {}), file="rig")

@@ -1,0 +1,214 @@
+"""`omnirange design`: what range errors to expect of a rig, and which rigs reach an accuracy; nothing is rendered."""
+
+import argparse
+import math
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness.cli import completers
+from harness.cli.exits import FAILED, OK
+from harness.cli.options import Commands, add_out
+
+if TYPE_CHECKING:
+    from harness.api.designing import RigDescription
+    from harness.design.answers import Candidate
+
+_PAGE = Path("design.html")
+_HEADINGS = {
+    "matching": "match-\ning",
+    "rotation": "rota-\ntion",
+    "t direction": "t's di-\nrection",
+    "t length": "t's\nlength",
+    "calibration": "cali-\nbration",
+    "alignment": "align-\nment",
+}
+"""Causes as headings of two lines."""
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "design",
+        run,
+        brief="the range errors to expect of a rig; the rigs that reach an accuracy",
+        description="Predict the range errors of a rig by cause: noise, the matcher, what is wrongly believed of the "
+        "motion, the calibration and the mirror's alignment. With --accuracy, find the cheapest rigs that reach it. "
+        "Nothing is rendered but for --verify.",
+        epilog="Cost: 1 for a megapixel, 1 for a mirror of 60 mm across (by its area), 1 for a metre of baseline; "
+        "--cost changes it. Exit code 1 where no rig reaches the accuracy.",
+    )
+    rig = command.add_argument(
+        "rig", type=Path, nargs="?", metavar="RIG", help="TOML file of a rig (default: the default sensor on 0.5 m)"
+    )
+    completers.offer(rig, completers.files(".toml"))
+    command.add_argument(
+        "--at", type=float, nargs="+", metavar="M", default=[1.0, 2.0, 4.0, 8.0], help="ranges, metres (1 2 4 8)"
+    )
+    command.add_argument(
+        "--accuracy", type=_accuracy, metavar="M@M", help="such as 0.03@4: 68 %% of estimates within 30 mm at 4 m"
+    )
+    command.add_argument("--baseline-max", type=_positive, default=math.inf, metavar="M", help="longest baseline")
+    command.add_argument(
+        "--height-max",
+        type=_positive,
+        default=math.inf,
+        metavar="M",
+        help="from the camera's centre to the mirror's rim",
+    )
+    command.add_argument("--width", type=int, metavar="PX", help="the image's width (default: several)")
+    command.add_argument(
+        "--cost",
+        type=float,
+        nargs=3,
+        metavar=("PIXELS", "MIRROR", "BASELINE"),
+        help="of a megapixel, of a mirror of 60 mm, of a metre of baseline (1 1 1)",
+    )
+    command.add_argument("--most", type=int, default=10, metavar="N", help="rigs that are listed (10)")
+    command.add_argument(
+        "--verify",
+        type=int,
+        nargs="?",
+        const=1,
+        default=0,
+        metavar="N",
+        help="simulate the rig, or the first N rigs rigs (1), and print what was measured",
+    )
+    add_out(command, "the page, default design.html", metavar="FILE")
+
+
+def run(options: Namespace) -> int:
+    """Describe a rig, or find some."""
+    return _describe(options) if options.accuracy is None else _find(options)
+
+
+def _describe(options: Namespace) -> int:
+    import harness
+
+    described = harness.describe_rig(options.rig, options.at)
+    _print_table(described)
+    page = options.out or _PAGE
+    described.write(page)
+    print(f"page: {page}")
+    if options.verify:
+        for each in described.answers:
+            _verify([described.rig], each.range_m)
+    return OK
+
+
+def _print_table(described: "RigDescription") -> None:
+    from rich.console import Console
+
+    from harness.cli.tables import plain_table
+    from harness.design.budget import CAUSES
+
+    shown = [name for name in CAUSES if any(each.by_cause_m[name] > 0 for each in described.answers)]
+    print(f"{described.rig.title}: 68 % of range errors are within (mm)")
+    table = plain_table(
+        ["range\nm", "\nall", *(_HEADINGS.get(name, f"\n{name}") for name in shown), "most of\nit by"],
+        [
+            [
+                f"{each.range_m:g}",
+                _mm(each.error_m),
+                *(_mm(each.by_cause_m[name]) for name in shown),
+                each.leading,
+            ]
+            for each in described.answers
+        ],
+    )
+    Console().print(table)
+    print()
+
+
+def _find(options: Namespace) -> int:
+    import harness
+    from harness.design.answers import Cost
+
+    accuracy_m, range_m = options.accuracy
+    rigs = harness.find_rigs(
+        accuracy_m,
+        range_m,
+        options.rig,
+        baseline_max_m=options.baseline_max,
+        height_max_m=options.height_max,
+        width_px=options.width,
+        cost=Cost(*options.cost) if options.cost else None,
+        most=max(1, options.most),
+    )
+    if not rigs:
+        print(
+            f"no rig reaches {1000 * accuracy_m:g} mm at {range_m:g} m with what is uncertain of it; "
+            "state smaller uncertainties, or allow a longer baseline"
+        )
+        return FAILED
+    _print_found(rigs, accuracy_m, range_m)
+    if options.out is not None:
+        harness.describe_rig(rigs[0].rig, options.at).write(options.out)
+        print(f"page of the first: {options.out}")
+    if options.verify:
+        _verify([each.rig for each in rigs[: options.verify]], range_m)
+    return OK
+
+
+def _print_found(rigs: "list[Candidate]", accuracy_m: float, range_m: float) -> None:
+    from rich.console import Console
+
+    from harness.cli.tables import plain_table
+    from harness.design.answers import height_m, mirror_diameter_m
+
+    print(f"68 % within {1000 * accuracy_m:g} mm at {range_m:g} m: the cheapest rigs")
+    table = plain_table(
+        ["image\npx", "baseline\nm", "mirror\nmm", "height\nmm", "\ncost", "error\nmm", "\nmargin", "limited\nby"],
+        [
+            [
+                f"{each.rig.sensor.camera.width_px} x {each.rig.sensor.camera.height_px}",
+                f"{each.rig.baseline_m:g}",
+                f"{1000 * mirror_diameter_m(each.rig.sensor):.0f}",
+                f"{1000 * height_m(each.rig.sensor):.0f}",
+                f"{each.cost:.2f}",
+                _mm(each.answer.error_m),
+                f"{each.margin:.2f}",
+                each.answer.leading,
+            ]
+            for each in rigs
+        ],
+    )
+    Console().print(table)
+    print()
+
+
+def _verify(rigs: list, range_m: float) -> None:  # type: ignore[type-arg]
+    from harness.design.verify import verify
+
+    for rig in rigs:
+        result = verify(rig, range_m, draws=16)
+        print(
+            f"simulated, {rig.title}, walls at {range_m:g} m and beyond: predicted {_mm(result.predicted_m)} mm, "
+            f"measured {_mm(result.measured_m)} mm ({result.ratio:.2f} of it); {result.density:.1%} matched, "
+            f"{result.draws} draws"
+        )
+
+
+def _mm(metres: float) -> str:
+    return f"{1000 * metres:.3g}" if math.isfinite(metres) else "unseen"
+
+
+def _accuracy(text: str) -> tuple[float, float]:
+    accuracy, at, range_m = text.partition("@")
+    try:
+        values = (float(accuracy), float(range_m))
+    except ValueError:
+        values = (math.nan, math.nan)
+    if not at or not all(0 < each < math.inf for each in values):
+        raise argparse.ArgumentTypeError(f"must be like 0.03@4, an error and a range in metres; found '{text}'")
+    return values
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"must be a number above 0; found '{text}'")
+    return value

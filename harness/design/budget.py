@@ -1,0 +1,182 @@
+"""The error budget of a rig: the standard deviation of the range by cause, point by point."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erf
+
+from harness.camera.sensor import in_field, jacobian
+from harness.design.gradients import aliased_grey, gradient_grey
+from harness.design.rig import RigDesign
+from harness.display import OneLine
+from harness.evaluation.propagation import (
+    MISALIGNMENT,
+    MOTION,
+    Parameter,
+    calibration_parameters,
+    diagonal,
+    propagated,
+    sensitivities,
+)
+from harness.geometry.angles import Array, angle_between, normalise
+from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
+from harness.simulation.chip import grey_variance
+
+CAUSES = ("noise", "matching", "rotation", "t direction", "t length", "calibration", "alignment")
+"""Causes of range errors: noise of the images, fixed errors of the matcher, and what is wrongly believed of the rig."""
+
+_GREY = 110.0
+"""The grey level at which a chip's noise is taken."""
+_OF_NOISE, _OF_ALIASING = 1.35, 1.1
+"""What measured errors are of those that the texture's mean gradients give: slant, gain and offset have to be found,
+too, texture is uneven, and some windows reach around corners. From rendered rooms of four textures; see
+`benchmarks/design.py`."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Budget(OneLine):
+    """Standard deviations of the range at points."""
+
+    points_m: Array
+    """`[..., 3]`, in view 1's frame."""
+    sigma_m: dict[str, Array]
+    """By cause, `[...]`; infinite where a view does not see the point."""
+
+    @property
+    def total_m(self) -> Array:
+        """All causes together, which are independent."""
+        return np.asarray(np.sqrt(sum(each**2 for each in self.sigma_m.values())))
+
+    @property
+    def leading(self) -> str:
+        """The cause with the largest share of the summed variance; of points that both views see."""
+        known = np.isfinite(self.total_m)
+        shares = {name: float(np.sum(np.where(known, each, 0.0) ** 2)) for name, each in self.sigma_m.items()}
+        return max(shares, key=lambda name: shares[name])
+
+
+def budget(rig: RigDesign, points_m: Array, normals: Array | None = None) -> Budget:
+    """What to expect of a rig at points.
+
+    Parameters
+    ----------
+    points_m
+        `[..., 3]`, in view 1's frame.
+    normals
+        `[..., 3]`: of the surface there; where None it faces view 1.
+    """
+    believed = rig.believed
+    visible = in_field(rig.sensor, points_m) & in_field(rig.sensor, believed.motion.apply(points_m))
+    noise, fixed = _matching(rig, points_m, normals)
+    sigma = {"noise": noise, "matching": fixed}
+    for cause, parameters, covariance in covariances(rig):
+        if covariance.any():
+            sigma[cause] = propagated(sensitivities(points_m, believed, parameters, normals), covariance)
+        else:
+            sigma[cause] = np.zeros(points_m.shape[:-1])
+    return Budget(points_m, {name: np.where(visible & np.isfinite(each), each, np.inf) for name, each in sigma.items()})
+
+
+def covariances(rig: RigDesign) -> list[tuple[str, tuple[Parameter, ...], Array]]:
+    """What is uncertain of a rig: causes, with their parameters and the covariance of these."""
+    known = rig.uncertainty
+    calibration = calibration_parameters(rig.sensor)
+    of_calibration = {
+        each.key: known.focal
+        if each.key == "camera.focal_px"
+        else known.centre_px
+        if each.key.startswith("camera.")
+        else known.shape
+        if each.key.startswith("model.")
+        else 0.0
+        for each in calibration
+    }
+    aligned = MISALIGNMENT[:5]  # a turn about the mirror's axis is the believed rotation's
+    of_alignment = {each.key: known.alignment_deg if "rotation" in each.key else known.alignment_mm for each in aligned}
+    return [
+        ("rotation", MOTION[:3], diagonal(MOTION[:3], dict.fromkeys((p.key for p in MOTION[:3]), known.rotation_deg))),
+        (
+            "t direction",
+            MOTION[3:5],
+            diagonal(MOTION[3:5], dict.fromkeys((p.key for p in MOTION[3:5]), known.t_direction_deg)),
+        ),
+        ("t length", MOTION[5:], diagonal(MOTION[5:], {"t_length": known.t_length})),
+        ("calibration", calibration, diagonal(calibration, of_calibration)),
+        ("alignment", aligned if rig.has_mirror else (), diagonal(aligned if rig.has_mirror else (), of_alignment)),
+    ]
+
+
+def _matching(rig: RigDesign, points_m: Array, normals: Array | None) -> tuple[Array, Array]:
+    """Standard deviation of the range by the images' noise, and by the matcher's errors without noise.
+
+    Of a texture of gradient g_k in view k, seen by n_k pixels of a window, a shift is known to sigma/(g_k sqrt(n_k))
+    pixels there (the bound, `harness.evaluation.bound`, for a window whose gradients are the texture's RMS). Both
+    views' add up; the law takes the angle to the range. What is aliased acts as noise does.
+    """
+    motion = rig.believed.motion
+    variance = float(grey_variance(np.full((1, 1), _GREY, dtype=np.float32), rig.chip, rig.noise_grey)[0, 0])
+    views = [points_m, motion.apply(points_m)]
+    facing = points_m if normals is None else normals
+    ranges = [np.linalg.norm(each, axis=-1) for each in views]
+    window_m2, noise, aliased, along = np.ones(ranges[0].shape), 0.0, 0.0, np.ones(ranges[0].shape)
+    for view, (points, t) in enumerate(zip(views, (motion.t_v1, motion.R_v2_from_v1 @ motion.t_v1), strict=True)):
+        normal = facing if view == 0 or normals is None else normals @ motion.R_v2_from_v1.T
+        slant = np.maximum(np.abs(np.sum(normalise(normal) * normalise(points), axis=-1)), 0.02)
+        side_m = ranges[view] / np.sqrt(_density(rig, points))  # of a pixel, across the ray
+        per_m2 = slant / side_m**2
+        if view == 0:
+            window_m2 = rig.window_px**2 / per_m2
+        along = _along_epipolar(rig, points, t)
+        # A shift in view 1 has another angle in view 2: the same length on the surface.
+        of_shift = 1 / (gradient_grey(rig.texture, 1 / np.sqrt(per_m2)) ** 2 * window_m2 * per_m2) / along**2
+        of_shift = of_shift if view else of_shift * (ranges[0] / ranges[1]) ** 2
+        noise = noise + variance * of_shift
+        aliased = aliased + aliased_grey(rig.texture, side_m / slant) ** 2 * of_shift
+    alpha_1 = angle_between(points_m, motion.t_v1)
+    law = np.abs(sensitivity_to_alpha_2(alpha_1, exact_alpha_2(points_m, motion.t_v1), motion.baseline_m))
+    fixed = np.hypot(_OF_ALIASING * np.sqrt(aliased), rig.fixed_error_px / along)
+    return law * _OF_NOISE * np.sqrt(noise), law * fixed
+
+
+def _density(rig: RigDesign, points_m: Array) -> Array:
+    """Pixels per steradian in the directions of points."""
+    J = jacobian(rig.sensor, normalise(points_m))
+    return np.asarray(np.linalg.norm(np.cross(J[..., 0, :], J[..., 1, :]), axis=-1))
+
+
+def _along_epipolar(rig: RigDesign, points_m: Array, t: Array) -> Array:
+    """Pixels per radian of the angle to t."""
+    x = normalise(points_m)
+    along = normalise(np.sum(x * t, axis=-1, keepdims=True) * x - t)
+    return np.asarray(np.linalg.norm(np.einsum("...ij,...j->...i", jacobian(rig.sensor, x), along), axis=-1))
+
+
+# --- What a rig is asked ------------------------------------------------------------------------------------------
+
+SHARE = 0.682689492
+"""Share of a normal distribution within one standard deviation."""
+FAR_FROM_T = 0.5
+"""The least sine of the angle to t of directions that count: the paper leaves out 30 degrees around the baseline."""
+
+
+def directions_of(rig: RigDesign, elevations_deg: tuple[float, ...] = (-20.0, -10.0, 0.0, 10.0)) -> Array:
+    """`[n, 3]`: directions around the rig, as many as it sees, without those near t."""
+    elevation, azimuth = np.meshgrid(np.radians(elevations_deg), np.radians(np.arange(-180, 180, 5)))
+    x = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+    ).reshape(-1, 3)
+    sine = np.linalg.norm(np.cross(x, normalise(rig.believed.motion.t_v1)), axis=-1)
+    return x[in_field(rig.sensor, x) & (sine >= FAR_FROM_T)]
+
+
+def central_68(sigma_m: Array) -> float:
+    """The error that 68.3 % of the points stay within: of a mixture of normal distributions, one a point."""
+    known = sigma_m[np.isfinite(sigma_m)]
+    if not known.size or known.size < SHARE * sigma_m.size:
+        return float("inf")
+    share, scale = SHARE * sigma_m.size / known.size, 1 / (np.sqrt(2) * np.maximum(known, 1e-300))
+    low, high = 0.0, 5 * float(known.max())  # 5 sigma hold all but 6e-7
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if erf(middle * scale).mean() < share else (low, middle)
+    return high

@@ -1,0 +1,115 @@
+"""What an engineer says of a rig: sensor and baseline, noise and texture, and how well everything is known."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from harness.camera.sensor import Sensor
+from harness.evaluation.propagation import Rig
+from harness.geometry.pose import Motion
+from harness.runs.named_files import read_in
+from harness.simulation.chip import Chip
+from harness.simulation.texture import BundledTexture, Texture
+from harness.spec import Finite, Positive, Spec, parse
+from harness.toml import read_toml
+
+Deviation = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+
+
+class Uncertainty(Spec):
+    """Standard deviations of what is believed of the rig; zero for what is exact."""
+
+    rotation_deg: Deviation = 0.0
+    """Standard deviation of view 2's rotation about each axis, degrees."""
+    t_direction_deg: Deviation = 0.0
+    """Standard deviation of the baseline's direction, sideways and upwards each, degrees."""
+    t_length: Deviation = 0.0
+    """Standard deviation of the baseline's length, as a share of it: 0.01 is 1 %."""
+    focal: Deviation = 0.0
+    """Standard deviation of the focal length, as a share of it."""
+    centre_px: Deviation = 0.0
+    """Standard deviation of each coordinate of the principal point, pixels."""
+    shape: Deviation = 0.0
+    """Standard deviation of each number of the camera model: as a share of it for the lengths of a hyperboloid mirror,
+    absolute for other models."""
+    alignment_mm: Deviation = 0.0
+    """Standard deviation of each coordinate of the camera beside its mirror's focus, millimetres; for hyperboloid
+    mirrors."""
+    alignment_deg: Deviation = 0.0
+    """Standard deviation of the camera's tilt against its mirror about each axis, degrees."""
+
+
+class RigDesign(Spec):
+    """A rig of one sensor in two places."""
+
+    name: str = ""
+    """What to call it."""
+    sensor: Sensor = Sensor()
+    """The sensor of both views: a table, or the path of a TOML file."""
+    baseline_m: Positive = 0.5
+    """Distance between the viewpoints, metres."""
+    azimuth_deg: Finite = 0.0
+    """Direction of the baseline in view 1's frame: azimuth from x towards y, degrees."""
+    elevation_deg: Finite = 0.0
+    """Direction of the baseline in view 1's frame: elevation, degrees."""
+    noise_grey: Annotated[float, Field(ge=0, le=255)] = 2.0
+    """White noise of the images, grey levels of 0 .. 255."""
+    chip: Chip = Chip()
+    """The image sensor, whose noise comes on top; taken at a grey level of 110."""
+    texture: Texture = BundledTexture(kind="bundled", name="gravel", tile_m=6.0)
+    """What surfaces look like."""
+    window_px: Annotated[int, Field(ge=3, le=101)] = 17
+    """Side of the matcher's window, pixels of mirror image 1."""
+    fixed_error_px: Annotated[float, Field(ge=0, le=10)] = 0.002
+    """The matcher's error without noise, standard deviation, pixels of the image: of aliasing, and of surfaces that
+    are not as the matcher takes them to be. `slanted` has 0.003 to 0.016 in the shipped scenes."""
+    uncertainty: Uncertainty = Uncertainty()
+    """How well the rig is known."""
+
+    @model_validator(mode="after")
+    def _has_a_mirror_to_align(self) -> "RigDesign":
+        if not self.sensor.is_central:
+            raise ValueError("sensor.misalignment: give what is not known of it, as uncertainty.alignment_mm and _deg")
+        if (self.uncertainty.alignment_mm or self.uncertainty.alignment_deg) and not self.has_mirror:
+            raise ValueError("uncertainty.alignment_mm and _deg are for sensors with a hyperboloid mirror")
+        if self.window_px % 2 == 0:
+            raise ValueError(f"window_px must be odd; found {self.window_px}")
+        return self
+
+    @property
+    def has_mirror(self) -> bool:
+        """Whether camera and mirror can be misaligned."""
+        from harness.camera.models.hyperboloid import Mirror
+
+        return isinstance(self.sensor.model, Mirror)
+
+    @property
+    def title(self) -> str:
+        """Its name, or its image size and baseline."""
+        camera = self.sensor.camera
+        return self.name or f"{camera.width_px} x {camera.height_px} px, {self.baseline_m:g} m"
+
+    @property
+    def believed(self) -> Rig:
+        """The rig itself, views turned alike."""
+        azimuth, elevation = np.radians(self.azimuth_deg), np.radians(self.elevation_deg)
+        t_hat = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+        return Rig((self.sensor, self.sensor), Motion(np.eye(3), self.baseline_m * np.array(t_hat)))
+
+
+def load_rig(file: Path) -> RigDesign:
+    """Read a rig from a TOML file; paths in it are relative to the file.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is wrong; names the file, the key and what would be right.
+    """
+    return parse(RigDesign, rig_table(read_toml(file), file), file=file)
+
+
+def rig_table(table: dict[str, Any], file: Path) -> dict[str, Any]:
+    """A rig's table with the sensor's file read in."""
+    return read_in(table, file.parent, file, "")
