@@ -95,9 +95,9 @@ def test_rays_obey_the_mirrors_equation_and_fermats_principle(
         degrees=True,
     )
     q = turn.inv().apply(P - C)
-    seen = distort(lens, q[:, :2] / q[:, 2:])
+    imaged = distort(lens, q[:, :2] / q[:, 2:])
     K = np.array([[ODD.focal_px, ODD.skew_px], [0, ODD.focal_px * ODD.aspect]])
-    np.testing.assert_allclose(seen @ K.T + [ODD.cx_px, ODD.cy_px], pixels, atol=1e-9)
+    np.testing.assert_allclose(imaged @ K.T + [ODD.cx_px, ODD.cy_px], pixels, atol=1e-9)
     # The length of the path to a point on the ray does not change when P moves on the mirror: nothing but curvature.
     X, step = P + r, 1e-6
     for du, dv in ((step, 0.0), (0.0, step)):

@@ -1,4 +1,4 @@
-"""What should be known of a misalignment that was found from boards."""
+"""What should be known of a misalignment that was estimated from boards."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -21,44 +21,48 @@ def is_misalignment(key: str) -> bool:
 
 
 def significance(keys: Sequence[str], uncertainty: Uncertainty) -> float:
-    """How far from aligned the numbers are together: `v^T C^-1 v` of those that were found (Wald), no unit.
+    """How far from aligned the estimated numbers are together: `v^T C^-1 v` (Wald), no unit.
 
-    Chi-squared with as many degrees of freedom if camera and mirror are aligned.
+    Chi-squared with as many degrees of freedom if camera and mirror are aligned; NaN if one is not determined.
     """
     own = [i for i, key in enumerate(keys) if is_misalignment(key)]
     values, C = uncertainty.values[own], uncertainty.covariance[np.ix_(own, own)]
-    return float(values @ np.linalg.solve(C, values)) if np.isfinite(C).all() else 0.0
+    return float(values @ np.linalg.solve(C, values)) if np.isfinite(C).all() else np.nan
 
 
 def misalignment_notes(keys: Sequence[str], uncertainty: Uncertainty, start: Sensor) -> Iterator[str]:
-    """What should be known before the numbers are used; nothing where no misalignment was looked for."""
+    """What should be known before the numbers are used; nothing if no misalignment was estimated."""
     own = [i for i, key in enumerate(keys) if is_misalignment(key)]
     if not own:
         return
     mirror: Any = start.model
     if "model.a_m" not in keys:
         yield (
-            f"Millimetres are in proportion to the mirror, whose size was taken for granted: a_m = {mirror.a_m:.4g}; "
+            f"Millimetres are in proportion to the mirror, whose size is an assumption: a_m = {mirror.a_m:.4g}; "
             "fix a_m to give it."
         )
-    yield "The turn about the mirror's axis was held: it turns all boards alike, and no image tells it."
+    yield "rotation_z_deg, about the mirror's axis, was held: it rotates all boards alike, and no image determines it."
     vague = [
         keys[i].partition(".")[2]
         for i in own
         if uncertainty.sigma[i] > _VAGUE["deg" if keys[i].endswith("_deg") else "mm"]
     ]
     if vague:
-        yield f"The boards hardly tell {', '.join(vague)}: rays are known better; fix what is known of the camera."
+        yield (
+            f"The boards hardly determine {', '.join(vague)}, of which rays are nearly independent; fix what is known "
+            "of the camera."
+        )
     pairs = _strongest(keys, uncertainty, own)
     if pairs:
-        yield f"These trade off with each other: {'; '.join(pairs)}. Compare rays, not numbers."
+        yield f"Strongly correlated: {'; '.join(pairs)}. Compare rays, not parameters."
     if len(own) == 5 and significance(keys, uncertainty) < _CHANCE:
-        yield "The corners show no misalignment beyond chance: a central sensor explains them as well."
+        yield "The corners show no significant misalignment: a central sensor explains them as well."
 
 
 def _strongest(keys: Sequence[str], uncertainty: Uncertainty, own: Sequence[int]) -> list[str]:
-    """For each number its strongest correlation, where it is strong, the strongest first."""
-    correlation = np.nan_to_num(uncertainty.correlation) - np.eye(len(keys))
+    """The strongest correlation of each number if it is a strong one, in order."""
+    correlation = np.nan_to_num(uncertainty.correlation)
+    np.fill_diagonal(correlation, 0.0)
     pairs = {}
     for i in own:
         j = int(np.argmax(np.abs(correlation[i])))
