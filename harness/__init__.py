@@ -37,9 +37,9 @@ load_experiment, load_scene, load_sensor
     calibration.
 describe_sensor, convert_sensor, load_motion
     What a sensor sees; its calibration in another program's format; the motion between the cameras of a calibration.
-render, estimate_range, estimate_motion
+render, estimate_range, estimate_sequence, estimate_motion
     `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images, with a `Verdict` on their
-    geometry. `MotionEstimate`: how they stand to each other, and its `Status`.
+    geometry. `SequenceRange`: from each image with the next. `MotionEstimate`: how they stand to each other, and its `Status`.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 describe_rig, find_rigs
@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from harness.api.results import RunResult, open_results
     from harness.api.running import run
     from harness.api.sensors import convert_sensor, describe_sensor
+    from harness.api.sequence import SequenceRange, estimate_sequence
     from harness.api.settings import settings
     from harness.api.views import render
     from harness.camera.intrinsics import Camera, FieldOfView
@@ -115,6 +116,7 @@ __all__ = [
     "RunResult",
     "Scene",
     "Sensor",
+    "SequenceRange",
     "Status",
     "Trial",
     "TrialMaps",
@@ -126,6 +128,7 @@ __all__ = [
     "describe_sensor",
     "estimate_motion",
     "estimate_range",
+    "estimate_sequence",
     "find_rigs",
     "load_experiment",
     "load_motion",
@@ -150,6 +153,7 @@ _MODULES = {
     "api.results": ("RunResult", "open_results"),
     "api.running": ("run",),
     "api.sensors": ("convert_sensor", "describe_sensor"),
+    "api.sequence": ("SequenceRange", "estimate_sequence"),
     "api.settings": ("settings",),
     "api.views": ("render",),
     "camera.intrinsics": ("Camera", "FieldOfView"),

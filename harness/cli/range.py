@@ -13,8 +13,10 @@ from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 if TYPE_CHECKING:
     from harness.api.motion import MotionEstimate
+    from harness.api.sequence import PairRange
     from harness.camera.sensor import Sensor
     from harness.geometry.pose import Motion
+    from harness.runs.photograph_settings import OwnSettings
 
 
 def add(commands: Commands) -> None:
@@ -29,6 +31,9 @@ def add(commands: Commands) -> None:
         epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
     )
     add_images(command)
+    command.add_argument(
+        "more", type=Path, nargs="*", metavar="IMAGE", help="images that follow: each is matched with the next"
+    )
     add_sensor(command, "sensor TOML or calibration file", required=True, second=True)
     command.add_argument(
         "--mask",
@@ -100,6 +105,8 @@ def run(options: Namespace) -> int:
     sensor = _masked(sensor, options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     settings = own_settings(options.matcher, options.set)
+    if options.more:
+        return _sequence(options, sensor, settings)
     motion: Motion | MotionEstimate
     if options.pose is None and options.baseline is None:
         motion = _estimated(options, (sensor, sensor_2))
@@ -133,6 +140,69 @@ def run(options: Namespace) -> int:
     unit = "" if estimate.has_metres else ", in units of the baseline"
     print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {options.out / 'range.html'}")
     return OK
+
+
+def _sequence(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> int:
+    """Match each image with the next, and write a folder for each pair and a page on all."""
+    import harness
+    from harness.errors import InputError
+
+    for option in ("sensor_2", "mask_2", "views", "camera_height"):
+        if getattr(options, option) is not None:
+            name = f"--{option.replace('_', '-')}"
+            raise InputError("is for two images; a sequence has one sensor, and a pose for each image", file=name)
+    images = [options.left, options.right, *options.more]
+    motions = None
+    if options.pose is not None:
+        motions = _along(options, sensor, len(images))
+    elif options.baseline is not None:
+        motions = [_given(options, (sensor, sensor))] * (len(images) - 1)
+    else:
+        check_length(options)
+
+    def tell(pair: "PairRange") -> None:
+        why = f": {'; '.join(pair.reasons)}" if pair.reasons else ""
+        judged = f", geometry {pair.verdict}" if pair.verdict else ""
+        print(
+            f"{pair.left}, {pair.right}: {pair.density:.1%} with a range, motion {pair.status}{judged}{why}", flush=True
+        )
+
+    sequence = harness.estimate_sequence(
+        images,
+        sensor,
+        options.out,
+        motions,
+        settings.matching,
+        baseline_m=options.baseline_length,
+        grid=settings.panorama,
+        bits=options.bits,
+        tell=tell,
+    )
+    print(f"page: {options.out / 'range.html'}")
+    return OK if any(each.density for each in sequence.pairs) else FAILED
+
+
+def _along(options: Namespace, sensor: "Sensor", count: int) -> "list[Motion]":
+    """The motions between successive poses of a trajectory, one pose for each image."""
+    from harness.camera.sensor import lens_from_sensor
+    from harness.errors import InputError
+    from harness.io.motions import read_motions
+
+    lens = lens_from_sensor(sensor)
+    try:
+        motions = read_motions(options.pose, lens, options.frame)
+    except InputError as error:
+        raise InputError(
+            error.problem, file=error.file, key="--frame" if error.key == "frame" else error.key
+        ) from error
+    if len(motions) != count - 1:
+        raise InputError(f"has {len(motions) + 1} poses; there are {count} images", file=options.pose)
+    standing = next((i for i, each in enumerate(motions) if not each.baseline_m > 0), None)
+    if standing is not None:
+        raise InputError(
+            f"poses {standing} and {standing + 1} are in one place, which determines no range", file=options.pose
+        )
+    return motions
 
 
 def _estimated(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "MotionEstimate":

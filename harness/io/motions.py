@@ -65,6 +65,27 @@ def read_motion(
     return relative_motion(Pose(), load(Pose, file))
 
 
+def read_motions(file: Path, lens_from_sensor: Array, frame: Frame | None = None) -> list[Motion]:
+    """Read the motions between successive poses of a trajectory.
+
+    Parameters
+    ----------
+    lens_from_sensor, frame
+        As for `read_motion`; one sensor moves.
+
+    Raises
+    ------
+    InputError
+        When the file is no trajectory, or does not say all that is needed.
+    """
+    content = read_content(file)
+    if not is_trajectory(content):
+        raise InputError("is no trajectory in TUM's (8 numbers a line) or KITTI's format (12)", file=file)
+    trajectory = read_trajectory(content)
+    count = len(trajectory.T_world_from_frame)
+    return [_of_trajectory(trajectory, (lens_from_sensor,) * 2, (i, i + 1), frame) for i in range(count - 1)]
+
+
 def _of_trajectory(
     trajectory: Trajectory, lens_from_sensor: tuple[Array, Array], views: tuple[int, int] | None, frame: Frame | None
 ) -> Motion:
