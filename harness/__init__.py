@@ -39,7 +39,8 @@ describe_sensor, convert_sensor, load_motion
     What a sensor sees; its calibration in another program's format; the motion between the cameras of a calibration.
 render, estimate_range, estimate_sequence, estimate_motion
     `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images, with a `Verdict` on their
-    geometry. `SequenceRange`: from each image with the next. `MotionEstimate`: how they stand to each other, and its `Status`.
+    geometry. `SequenceRange`: from each image with the next. `MotionEstimate`: how two stand to each other, and its
+    `Status`.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 describe_rig, find_rigs
