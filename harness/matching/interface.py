@@ -191,6 +191,8 @@ class Reason(IntEnum):
     """The matcher found none, or rejected it as too uncertain."""
     INCONSISTENT = 7
     """The match from view 2 back to view 1 leads elsewhere: most likely a point that view 2 does not see."""
+    OFF_CURVE = 8
+    """In view 2 the point lies beside its epipolar curve, unlike its surroundings: most likely it has moved."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -46,7 +46,7 @@ def sigma_alpha_2(pair: Pair, matcher: MatcherSettings, matches: Matches) -> Arr
 def _photometric_variance(pair: Pair, curves: Curves, alpha_2: Array, window_px: int) -> Array:
     first, second = pair.filtered()
     step = pair.grid.phi_pitch / 2
-    before, after = (_seen_at(second, curves, alpha_2 + side * step) for side in (-1, 1))
+    before, after = (sampled_at(second, curves, alpha_2 + side * step) for side in (-1, 1))
     gradient = (after - before) / (2 * step)
     residual = first.values - (after + before) / 2
     usable = np.isfinite(gradient) & first.valid
@@ -62,7 +62,7 @@ def _photometric_variance(pair: Pair, curves: Curves, alpha_2: Array, window_px:
     return np.where(known, variance, np.nan)
 
 
-def _seen_at(panorama: Panorama, curves: Curves, alpha_2: Array) -> Array:
+def sampled_at(panorama: Panorama, curves: Curves, alpha_2: Array) -> Array:
     """What view 2 shows under an angle of each pixel's curve `[height, width]`; NaN outside the panorama."""
     grid = panorama.grid
     t_hat = curves.t / np.linalg.norm(curves.t)

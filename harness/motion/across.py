@@ -69,13 +69,22 @@ class Across(OneLine):
         return np.asarray(self.tiles[:, ::-1] + (SIDE_PX - 1) / 2, dtype=np.float64)
 
 
-def fit_across(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn: Turn, inverse_range: Array) -> Across:
+def fit_across(
+    images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn: Turn, inverse_range: Array
+) -> tuple[Across, int]:
     """Fit tiles along and across the epipolar curves, from inverse ranges that are accurate to about a pixel.
 
     Parameters
     ----------
     inverse_range
         `[height, width]` of view 1's image, 1/|t|; NaN where unknown.
+
+    Returns
+    -------
+    across
+        The tiles that look alike in both views.
+    tried
+        How many were tried: those with texture and inverse ranges.
     """
     given = views(images, sensors)
     tiles, planes = _planes(given, lay_tiles(given), inverse_range)
@@ -99,7 +108,7 @@ def fit_across(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn
         delta = delta + np.clip(step[:, 0], -0.02, 0.02)
         planes = planes + step[:, 1:4]
         gain, offset = np.clip(gain + step[:, 4], 0.1, 10.0), offset + step[:, 5]
-    return _usable(sensors[1], turn, (tiles, x_c, planes, delta), (H, sums), n)
+    return _usable(sensors[1], turn, (tiles, x_c, planes, delta), (H, sums), n), count
 
 
 def _usable(

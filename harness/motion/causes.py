@@ -32,7 +32,7 @@ _ALIKE = 0.97
 """Causes that explain this share of what the best one explains are indistinguishable from it."""
 _ENOUGH = 0.9
 """Least share that a single likely cause explains."""
-_SECTORS = 8
+_SECTORS = 4
 """Sectors of azimuth that errors are tried on, each by those fitted to the others."""
 _SIGNIFICANT = 6.0
 """Least gain in log-likelihood of a significant error."""
@@ -220,11 +220,10 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
         root = np.sqrt(weight) / (factor * sigma)
         A, b = E * root[:, None], e * root
         theta, covariance, gain = _likeliest(A, b)
-        left = (e - E @ theta) / sigma
-        factor = max(1.0, float(1.4826 * np.median(np.abs(left)))) if len(e) else 1.0
-        weight = 1 / (1 + (left / (_CAUCHY * factor)) ** 2)
+        factor, weight = _weighed((e - E @ theta) / sigma)
     if min(gain, _gain_elsewhere(A, b, tiles.x_1)) <= _SIGNIFICANT:
         gain, theta, covariance = 0.0, np.zeros(len(size)), np.zeros((len(size), len(size)))
+        factor, weight = _weighed(e / sigma)
     return Causes(
         effects=effects,
         theta=theta * size,
@@ -256,18 +255,30 @@ def _likeliest(A: Array, b: Array) -> tuple[Array, Array, float]:
     return np.asarray(theta), np.asarray(covariance).reshape(k, k), float(gains[best])
 
 
+def _weighed(left: Array) -> tuple[float, Array]:
+    """Robust standard deviation of residuals, at least 1, and their weights."""
+    factor = max(1.0, float(1.4826 * np.median(np.abs(left)))) if left.size else 1.0
+    return factor, np.asarray(1 / (1 + (left / (_CAUCHY * factor)) ** 2))
+
+
 def _gain_elsewhere(A: Array, b: Array, x: Array) -> float:
     """What errors gain in sectors of azimuth that they were not fitted to, all sectors in turn.
 
-    Something that moved fills one sector, and looks like an error of the geometry there alone.
+    Something that moved fills one sector, and looks like an error of the geometry there alone. Lest it lies across the
+    border of two, the sectors are laid twice, and the smaller gain counts.
     """
-    sector = np.floor((np.arctan2(x[:, 1], x[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS)
-    gain = 0.0
-    for each in np.unique(sector):
-        here = sector == each
-        theta = _likeliest(A[~here], b[~here])[0]
-        gain += 0.5 * float(np.sum(b[here] ** 2) - np.sum((b[here] - A[here] @ theta) ** 2))
-    return gain
+    turns = np.arctan2(x[:, 1], x[:, 0]) / (2 * np.pi) * _SECTORS
+    gains = []
+    for sector in (np.floor(turns) % _SECTORS, np.floor(turns + 0.5) % _SECTORS):
+        parts = [sector == each for each in np.unique(sector)]
+        fitted = [_likeliest(A[~here], b[~here])[0] for here in parts]
+        gains.append(
+            sum(
+                0.5 * float(np.sum(b[here] ** 2) - np.sum((b[here] - A[here] @ theta) ** 2))
+                for here, theta in zip(parts, fitted, strict=True)
+            )
+        )
+    return min(gains)
 
 
 def _alone(effects: Effects, A: Array, b: Array, size: Array, most: float) -> tuple[Cause, ...]:

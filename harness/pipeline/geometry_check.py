@@ -27,6 +27,8 @@ from harness.motion.residuals import Turn
 
 LEAST_TILES = 16
 """Tiles that a verdict needs: as many as errors that are fitted, which their prior holds as well."""
+LEAST_ALIKE = 0.5
+"""Share of the windows with texture that look alike where they were matched, at least."""
 MOST_SHARE = 0.02
 """Range error, as a share of the range, above which a geometry is called wrong."""
 LEAST_COVERED = 0.5
@@ -74,6 +76,8 @@ class GeometryCheck(OneLine):
     covered: float
     """Share of the ranges that the matching's standard deviation alone should cover, by what was fitted; NaN where
     there are too few tiles."""
+    tried: int
+    """Windows with texture and ranges; those of `tiles` look alike in both views."""
 
     @property
     def across_px(self) -> Array:
@@ -120,8 +124,22 @@ class GeometryCheck(OneLine):
             each.name for each in others if not (best.name in parts and each.name == "the mirror or lens")
         )
 
+    @property
+    def contradicted(self) -> bool:
+        """Whether most matches contradict the geometry."""
+        return self.tried >= LEAST_TILES and len(self.tiles) < LEAST_ALIKE * self.tried
+
     def lines(self) -> list[str]:
         """The verdict in plain words, a sentence each."""
+        if not self.contradicted:
+            return self._verdict_lines()
+        text = (
+            f"most matches contradict the geometry: {self.tried - len(self.tiles)} of {self.tried} textured windows "
+            "do not look alike where they were matched"
+        )
+        return [*self._verdict_lines(), text]
+
+    def _verdict_lines(self) -> list[str]:
         if self.verdict == Verdict.UNKNOWN:
             text = (
                 f"geometry {self.verdict}: only {len(self.tiles)} windows look alike in both views, {LEAST_TILES} are "
@@ -166,6 +184,7 @@ class GeometryCheck(OneLine):
         return {
             "verdict": str(self.verdict),
             "tiles": len(self.tiles),
+            "tiles_tried": self.tried,
             "across_rms_px": _finite(self.rms_px),
             "noise_px": _finite(self.noise_px),
             "range_error_share": _finite(self.median_share),
@@ -192,12 +211,12 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
     """
     turn = Turn(np.asarray(pair.motion.R_v2_from_v1, np.float64), pair.t_v1 / pair.motion.baseline_m)
     first, second = pair.images
-    tiles = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
+    tiles, tried = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
     if len(tiles) < LEAST_TILES:
-        return GeometryCheck(Verdict.UNKNOWN, tiles, None, np.zeros(len(tiles)), math.nan)
+        return GeometryCheck(Verdict.UNKNOWN, tiles, None, np.zeros(len(tiles)), math.nan, tried)
     causes = fit_causes(tiles, pair.sensors, turn)
     if not causes.significant:
-        return GeometryCheck(Verdict.OK, tiles, causes, np.zeros(len(tiles)), 0.6827)
+        return GeometryCheck(Verdict.OK, tiles, causes, np.zeros(len(tiles)), 0.6827, tried)
     row, column = (np.rint(each).astype(np.intp) for each in pixel_of(pair.grid, tiles.x_1))
     row = np.clip(row, 0, pair.grid.height_px - 1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -206,7 +225,7 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
     verdict = Verdict.OK if covered >= LEAST_COVERED else Verdict.DOUBTFUL
     if np.median(share) > MOST_SHARE and covered < MOST_COVERED:
         verdict = Verdict.WRONG
-    return GeometryCheck(verdict, tiles, causes, share, covered)
+    return GeometryCheck(verdict, tiles, causes, share, covered, tried)
 
 
 def geometry_share(check: GeometryCheck, pair: Pair) -> Array:

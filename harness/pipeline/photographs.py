@@ -29,6 +29,7 @@ from harness.matching.pair import Pair
 from harness.matching.ranges import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.geometry_check import GeometryCheck, check_geometry, geometry_share
+from harness.pipeline.match_check import moved, without, without_unlike
 from harness.pipeline.sharpness import Sharpness, compare_sharpness, equalised, filled, half_size, has_few_matches
 from harness.pipeline.sight import check_sensor
 
@@ -186,13 +187,10 @@ def estimate(
     check_sensor(sensors[1], grid, key="sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
     sharpness = compare_sharpness((first.grey, second.grey), sensors, motion, grid)
     pair = Pair(equalised((first.grey, second.grey), sensors, sharpness), sensors, motion, grid)
-    matches = _matched(pair, matcher, sharpness)
-    a_1 = alpha_1(pair.grid, motion.t_v1)
-    range_m, reason = ranges_of(matches, a_1, motion.baseline_m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, motion.baseline_m))
-    matching_m = np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan)
-    geometry = check_geometry(pair, range_m, matching_m)
+    matches = without_unlike(pair, matcher, _matched(pair, matcher, sharpness))
+    geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
+    matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
+    range_m, reason, matching_m = _ranges(pair, matcher, matches)
     geometry_m = geometry_share(geometry, pair) * range_m
     motion_m = np.where(np.isfinite(range_m), 0.0, np.nan)
     if motion_error is not None:
@@ -212,6 +210,15 @@ def estimate(
         sharpness=sharpness,
         reason=reason,
     )
+
+
+def _ranges(pair: Pair, matcher: MatcherSettings, matches: Matches) -> tuple[Array, NDArray[np.uint8], Array]:
+    """Range, `Reason` and the matching's standard deviation of the range, each `[height, width]`."""
+    a_1, baseline_m = alpha_1(pair.grid, pair.t_v1), pair.motion.baseline_m
+    range_m, reason = ranges_of(matches, a_1, baseline_m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, baseline_m))
+    return range_m, reason, np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan)
 
 
 def _matched(pair: Pair, matcher: MatcherSettings, sharpness: Sharpness) -> Matches:

@@ -29,6 +29,7 @@ REASONS = {
     Reason.BEYOND_INFINITY: ("the rays do not meet", "#CC79A7"),
     Reason.NO_MATCH: ("no match found", "#F0E442"),
     Reason.INCONSISTENT: ("inconsistent with view 2", "#0072B2"),
+    Reason.OFF_CURVE: ("off its epipolar curve: it has moved", "#D55E00"),
 }
 """In words, and the colour on the map."""
 
