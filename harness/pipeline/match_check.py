@@ -19,7 +19,7 @@ from harness.motion.tiles import SIDE_PX
 from harness.pipeline.geometry_check import GeometryCheck
 
 LEAST_CORRELATION = 0.5
-"""Least correlation of grey levels over a window of both views. Below, a third of the room's matches are off by more than a tenth."""
+"""Least correlation of grey levels over a window of both views; a third of the room's matches below are wrong."""
 WINDOW_PX = 9
 LEAST_CONTRAST = 1.0
 """Standard deviation of a window's grey levels: below, rounding to 8 bits is most of it."""
