@@ -110,7 +110,7 @@ def main() -> None:
         matcher = WindowMatcher(kind="column", window_px=window, d_min_m=1.0, d_max_m=np.inf)
 
         def ours(matcher: WindowMatcher = matcher) -> None:
-            whole = match_whole_pixels(first, second, trial.motion.t_v1, matcher, threads=THREADS)
+            whole = match_whole_pixels(first, second, trial.true_motion.t_v1, matcher, threads=THREADS)
             refine(whole.costs, "parabola")
 
         print(f"{window:>16}" + compared(ours, opencv_matchers(window), pair, repetitions, share))

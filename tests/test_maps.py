@@ -45,7 +45,7 @@ def test_errors_are_those_that_the_trial_was_scored_by(outcome: Outcome, maps: T
 
 def test_sigma_of_the_range_is_that_of_a_shifted_angle(maps: TrialMaps) -> None:
     """d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1), moved by a hundredth of sigma to either side."""
-    baseline = maps.trial.motion.baseline_m
+    baseline = maps.trial.true_motion.baseline_m
     step = 0.01 * maps.sigma_alpha_2
 
     def ranged(alpha_2: np.ndarray) -> np.ndarray:

@@ -344,7 +344,7 @@ def test_what_is_masked_is_neither_seen_nor_scored(small):
     assert np.array_equal(one.truth.range_m[stays], free.truth.range_m[stays], equal_nan=True)
     assert np.array_equal(one.truth.unoccluded[stays], free.truth.unoccluded[stays])
     # View 2: where it sees the true point, by the projection of the point itself.
-    motion = one.trial.motion
+    motion = one.trial.true_motion
     points = np.nan_to_num(free.truth.range_m)[..., None] * x
     pixels, _ = project(free.trial.sensor, (points - motion.t_v1) @ motion.R_v2_from_v1.T)
     row, column = (np.clip(np.rint(pixels[..., i]).astype(int), 0, n - 1) for i, n in ((1, 120), (0, 160)))

@@ -50,7 +50,7 @@ def pair(interpolation="bilinear"):
     return Pair(
         images=(images[0], images[1]),
         sensors=(TINY, TINY),
-        motion=trial.motion,
+        motion=trial.true_motion,
         grid=GRID,
         interpolation=interpolation,
         threads=1,

@@ -97,7 +97,7 @@ for fit in sweep.law["images"]:
 ratios, errors = [], []
 for key in sweep.trials.index:
     maps = sweep.outcome(key)
-    baseline_m = maps.trial.motion.baseline_m
+    baseline_m = maps.trial.true_motion.baseline_m
     to_2 = baseline_m * np.sin(maps.alpha_1) / np.sin(maps.true_alpha_2 - maps.alpha_1)  # d_2
     law = to_2**2 / (baseline_m * np.sin(maps.alpha_1))
     above = (maps.grid.z > -0.3)[:, None]  # rows that show walls only

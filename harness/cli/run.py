@@ -101,7 +101,7 @@ def _dry_run(experiment: "Experiment") -> int:
     by_sensors = {each.trial.sensors: each.trial for each in reversed(experiment.planned)}
     for trial in list(by_sensors.values())[:_MOST_CHECKED]:
         try:
-            check_sight(trial, trial.motion)
+            check_sight(trial, trial.true_motion)
         except InputError as error:
             warnings.warn(f"{error}: this trial will fail", Notice, stacklevel=1)
     whole = plan(experiment.planned)

@@ -103,6 +103,11 @@ METRICS: dict[str, Metric] = _metrics(
     Metric("range_delta_1.05", "δ < 1.05", "", "%", 100, ".1f", "higher", lambda t: t.within[0] / t.matched),
     Metric("range_delta_1.1", "δ < 1.1", "", "%", 100, ".1f", "higher", lambda t: t.within[1] / t.matched),
     Metric("range_delta_1.25", "δ < 1.25", "", "%", 100, ".1f", "higher", lambda t: t.within[2] / t.matched),
+    Metric("motion_rotation_deg", "Rotation of the motion", "error", "°", 1, ".4f", "lower", geometric=True),
+    Metric("motion_direction_deg", "Direction of t", "error", "°", 1, ".4f", "lower", geometric=True),
+    Metric("motion_range_predicted", "Range by the motion", "predicted σ", "%", 100, ".3f", "lower", geometric=True),
+    Metric("motion_range_measured", "Range by the motion", "measured", "%", 100, ".3f", "lower", geometric=True),
+    Metric("motion_range_z", "Range by the motion", "error over σ", "", 1, ".2f", "near zero"),
     Metric("refined", "Refined", "", "%", 100, ".1f", "higher"),
 )
 """All metrics by name, in the order of the columns. An entry with `of` needs nothing else: rows have it, and all that

@@ -16,8 +16,8 @@ _LIBRARIES = ("numpy", "scipy", "numba", "embreex", "trimesh", "scikit-image", "
 """Libraries that the pipeline computes with."""
 
 
-_OPTIONAL = ("opencv-contrib-python-headless",)
-"""Libraries that only some matchers compute with."""
+_OPTIONAL = ("opencv-contrib-python-headless", "poselib")
+"""Libraries that only some matchers compute with, or the estimation of a motion."""
 
 
 def environment() -> dict[str, Any]:
@@ -47,7 +47,7 @@ def code_hash() -> str:
 
     Not of the report, the command line, or what runs trials and keeps their rows.
     """
-    rooms = ("geometry", "camera", "io", "simulation", "matching", "evaluation", "pipeline")
+    rooms = ("geometry", "camera", "io", "simulation", "motion", "matching", "evaluation", "pipeline")
     versions = [f"{name} {metadata.version(name)}" for name in _LIBRARIES]
     versions += [f"{name} {each}" for name in _OPTIONAL if (each := _version_if_there(name))]
     files = ("compiled.py", "spec.py", "images.py", "third_party.py", "source_files.py")

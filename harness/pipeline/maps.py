@@ -136,7 +136,7 @@ class TrialMaps(OneLine):
     def sigma_range_m(self) -> Array:
         """Predicted standard deviation of the range, metres, to first order."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            law = np.abs(sensitivity_to_alpha_2(self.alpha_1, self.alpha_2, self.trial.motion.baseline_m))
+            law = np.abs(sensitivity_to_alpha_2(self.alpha_1, self.alpha_2, self.trial.true_motion.baseline_m))
         return np.where(self.valid, law * self.sigma_alpha_2, np.nan)
 
     def to_xarray(self) -> Any:
@@ -242,7 +242,7 @@ def write_maps(maps: TrialMaps, folder: Path) -> None:
         **arrays,
         phi=maps.grid.phi,
         z=maps.grid.z,
-        baseline_m=maps.trial.motion.baseline_m,
+        baseline_m=maps.trial.true_motion.baseline_m,
         key=maps.key,
         settings=dump_toml(maps.trial),
         code=code_hash(),

@@ -14,8 +14,10 @@ from harness.evaluation.metrics import (
     measure_regions,
     share_of_estimates,
 )
+from harness.evaluation.motion_cost import motion_figures
 from harness.evaluation.regions import FLOOR, VISIBLE, WALL
 from harness.evaluation.tally import tally
+from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
 from harness.pipeline.trial import Outcome
@@ -30,7 +32,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
-        `remark`, the matcher's, if it has one.
+        `remark`, the matcher's, if it has one; `motion`, the status of an estimated one and why.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
@@ -41,6 +43,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
         "calibration": calibration_of(outcome),
         "remark": outcome.matches.remark or None,
+        "motion": _status(outcome),
     }
     return {
         "figures": {
@@ -51,6 +54,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(errors).items()},
             "refined": None if refined is None else share_of_estimates(errors, refined),
             **_of_confidence(optional),
+            **_of_motion(outcome),
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
@@ -76,6 +80,22 @@ def _of_confidence(optional: dict[str, Any]) -> dict[str, float | None]:
         within = optional["calibration"]["within"]
         figures |= {f"within_{k}_sigma": within[k - 1] for k in (1, 2, 3)}
     return figures
+
+
+def _of_motion(outcome: Outcome) -> dict[str, float | None]:
+    """Errors of an estimated motion, and what they cost; none where it was given."""
+    if outcome.estimated is None:
+        return {}
+    counted = outcome.reference.domain & outcome.valid
+    looking, range_m = directions(outcome.trial.panorama)[counted], outcome.reference.range_m[counted]
+    estimated = outcome.estimated
+    figures = motion_figures(outcome.trial.true_motion, estimated.motion, estimated.error, looking, range_m)
+    return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+
+def _status(outcome: Outcome) -> dict[str, Any] | None:
+    estimated = outcome.estimated
+    return None if estimated is None else {"status": estimated.status, "reasons": list(estimated.reasons)}
 
 
 def _figures(regions: list[dict[str, Any]], part: str) -> dict[str, float | None]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -112,6 +112,14 @@ class Filter(Spec):
     interpolation makes the sub-pixel error on walls a fifth larger than at 1.5."""
 
 
+class MotionGiven(Spec):
+    """The motion from view 1 to view 2 that the matcher is given."""
+
+    source: Literal["truth", "estimated"] = "truth"
+    """`truth`, or `estimated` from the two noisy images, with the true length of the baseline. Angles are then counted
+    from the estimated direction of the baseline, and their errors contain its error. Needs the extra `motion`."""
+
+
 class Scoring(Spec):
     """What is stored of a trial beyond its figures."""
 
@@ -161,6 +169,8 @@ class Trial(Spec):
     """How the mirror images become panoramas."""
     filter: Filter = Filter()
     """The filter before matching."""
+    motion: MotionGiven = MotionGiven()
+    """The motion that the matcher is given."""
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""
     scoring: Scoring = Scoring()
@@ -196,7 +206,7 @@ class Trial(Spec):
                 sensor.pop("misalignment", None)  # as before there was one
             if mask := sensor.pop("mask", None):
                 sensor["mask"] = mask["sha256"]
-        for name in ("optics", "optics_2", "chip"):
+        for name in ("optics", "optics_2", "chip", "motion"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as before there was one
         if self.optics_2 == self.optics:
@@ -246,6 +256,6 @@ class Trial(Spec):
         return self.noise.sigma_grey if self.chip.is_ideal else 1.0
 
     @property
-    def motion(self) -> Motion:
+    def true_motion(self) -> Motion:
         """From view 1 to view 2."""
         return relative_motion(*self.poses)

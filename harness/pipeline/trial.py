@@ -22,6 +22,7 @@ from harness.geometry.pose import Motion, Pose
 from harness.matching.interface import Matches, Support
 from harness.matching.pair import Pair
 from harness.matching.ranges import ranges_of
+from harness.pipeline.estimated_motion import MotionOfImages, motion_of_images
 from harness.pipeline.sight import check_sight
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
@@ -59,6 +60,8 @@ class Outcome(OneLine):
     reference: Reference
     layout: Layout
     errors: Errors
+    estimated: MotionOfImages | None
+    """The motion that the matcher was given, where it was estimated."""
     bound_px: Array | None
     """The Cramér-Rao bound of the matcher's own window, pixels of disparity, in units of `Trial.bound_noise_grey`; see
     `bound.cramer_rao`. None where it is not requested, or the matcher has no window of its own."""
@@ -196,12 +199,37 @@ TRUTH = Stage(
 """The ground truth along every direction of view 1's panorama."""
 
 
+def _estimate_motion(work: Work, _view: int) -> MotionOfImages | None:
+    if work.trial.motion.source == "truth":
+        return None
+    images, sensors = work.both(NOISE), work.setup.assumed.sensors
+    return motion_of_images(images, sensors, work.setup.motion.baseline_m, "trial.motion.source")
+
+
+MOTION = Stage(
+    "motion",
+    _estimate_motion,
+    lambda setup, _view: (setup.trial.motion, setup.assumed.sensors, setup.motion.baseline_m),
+    after=(NOISE,),
+)
+"""The motion estimated from the images; None where the matcher is given the true one."""
+
+
+def _given_motion(work: Work) -> Motion:
+    """The motion that the matcher is given."""
+    if work.trial.motion.source == "truth":  # no stage, and no time, for what is known
+        return work.setup.assumed.motion
+    estimated = work(MOTION)
+    assert estimated is not None
+    return estimated.motion
+
+
 def _pair(work: Work, _view: int) -> Pair:
     trial, assumed = work.trial, work.setup.assumed
     return Pair(
         images=work.both(NOISE),
         sensors=assumed.sensors,
-        motion=assumed.motion,
+        motion=_given_motion(work),
         grid=trial.panorama,
         interpolation=trial.unwrap.interpolation,
         log_sigma_px=trial.filter.log_sigma_px,
@@ -217,7 +245,7 @@ def _pair_settings(setup: Setup, _view: int) -> Hashable:
     return assumed.sensors, motion, trial.panorama, trial.unwrap, trial.filter
 
 
-PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE,), cached=False)
+PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE, MOTION), cached=False)
 """What the matcher is given: the images, and the sensor and motion that it assumes. Its parts are cached one by one."""
 
 MATCH = Stage(
@@ -231,7 +259,7 @@ MATCH = Stage(
 
 
 def _range(work: Work, _view: int) -> tuple[Array, NDArray[np.uint8]]:
-    matches, motion = work(MATCH), work.setup.assumed.motion
+    matches, motion = work(MATCH), _given_motion(work)
     return ranges_of(matches, _curves(work.trial, motion).alpha_1, motion.baseline_m)
 
 
@@ -310,7 +338,7 @@ def _bound_settings(setup: Setup, _view: int) -> Hashable:
 BOUND = Stage("bound", _bound, _bound_settings, after=(EXPOSURE, TRUTH))
 """The Cramér-Rao bound of the matcher's own window."""
 
-STAGES: tuple[Stage[Any], ...] = (RENDER, EXPOSURE, NOISE, TRUTH, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND)
+STAGES: tuple[Stage[Any], ...] = (RENDER, EXPOSURE, NOISE, TRUTH, MOTION, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND)
 """All of them, in the order of the pipeline."""
 
 _ORDERED_BY = (RENDER, TRUTH, NOISE, PAIR)
@@ -387,6 +415,7 @@ def _outcome_of(work: Work, answer: Matches | None) -> Outcome:
         reference=expected,
         layout=parts,
         errors=scored,
+        estimated=None if trial.motion.source == "truth" else work(MOTION),
         bound_px=None if _support(trial) is None else work(BOUND),
         seconds=work.clock.seconds,
     )

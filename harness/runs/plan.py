@@ -75,7 +75,7 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     """A guess at a trial's time, given the stages that it does not share with the one before: one thread of 2024."""
     image = sum(each.camera.width_px * each.camera.height_px for each in trial.sensors) / 1e6
     panorama = trial.panorama.width_px * trial.panorama.height_px / 1e6
-    samples_a_curve = trial.panorama.width_px / 720 / trial.matching.sampled(trial.motion.t_v1)[1]
+    samples_a_curve = trial.panorama.width_px / 720 / trial.matching.sampled(trial.true_motion.t_v1)[1]
     stages = {
         "render": image * (0.08 + 0.006 * trial.render.samples) + panorama * 0.75,
         "noise": image * 0.02,
