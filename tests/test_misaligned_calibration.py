@@ -14,6 +14,9 @@ from harness.camera.models import Unified
 from harness.camera.reflection import project_points
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
+from harness.geometry.pose import Pose
+from harness.simulation.scene import load_scene
+from harness.simulation.targets import visible_boards as boards_of
 
 TRUE = Sensor(misalignment=Misalignment(x_mm=0.6, y_mm=-0.8, z_mm=0.5, rotation_x_deg=0.3, rotation_y_deg=-0.4))
 """1 mm beside the axis and half a degree askew."""
@@ -132,6 +135,19 @@ def test_only_a_mirror_is_misaligned():
     sensor = Sensor(model=Unified(xi=1), camera=TRUE.camera.model_copy(update={"focal_px": 300.0}))
     with pytest.raises(InputError, match=r"free: a unified \(Mei\) camera has no mirror to be misaligned with"):
         choose_keys(sensor, free=["misalignment"])
+
+
+def test_boards_of_a_scene_are_seen_in_a_misaligned_mirror():
+    room = {"kind": "box", "size_m": [6, 6, 3], "inward": True, "texture": {"kind": "grey", "value": 90}}
+    board = {"kind": "chessboard", "position_m": [0.2, 0.1, 0.9], "pitch_deg": 70}
+    scene, pose = load_scene({"name": "target", "objects": [room, board]}), Pose(position_m=(0, 0, 1), yaw_deg=20)
+    (exact,) = boards_of(scene, TRUE, pose)
+    (aligned,) = boards_of(scene, TRUE.aligned, pose)
+    assert exact.visible.all()
+    in_frame = (exact.points_world_m - pose.position_m) @ pose.R_world_from_view
+    np.testing.assert_allclose(exact.pixels, project_points(TRUE, in_frame)[0], atol=1e-9)
+    # 0.5 degrees of tilt are some 5 px, 1 mm at 64 mm from the mirror some 10 px.
+    assert 1 < np.linalg.norm(exact.pixels - aligned.pixels, axis=-1).mean() < 15
 
 
 @pytest.mark.slow

@@ -75,6 +75,16 @@ def test_rms_and_rays_are_those_of_opencv(corners, most_px):
     assert difference_at_corners(calibration.sensor, other, calibration.corners).max() < 0.1
 
 
+@pytest.mark.parametrize(("corners", "most_px"), [(mirror_corners, 0.087), (desk_corners, 0.334)])
+def test_misalignment_of_real_mirrors(corners, most_px):
+    """The first is aligned to a few hundredths of a millimetre; the second is not, and fits better than any central."""
+    calibration = calibrate_sensor(corners(), "hyperboloid", free=["misalignment"])
+    assert calibration.rms_px < most_px
+    assert calibration.rms_px <= calibration.central.rms_px
+    aligned = any("no significant misalignment" in note for note in calibration.notes)
+    assert aligned == (corners is mirror_corners)
+
+
 def test_mistaken_corners_are_the_ones_left_out():
     calibration = calibrate_sensor(mirror_corners(), "unified")
     assert len(calibration.left_out.image) == 2

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor, project
+from harness.camera.reflection import project_points
+from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -31,7 +32,11 @@ class SeenBoard(OneLine):
 
 
 def visible_boards(scene: Scene, sensor: Sensor, pose: Pose) -> tuple[SeenBoard, ...]:
-    """The corners of the chessboards of a scene in a view, in the scene's order."""
+    """The corners of the chessboards of a scene in a view, in the scene's order.
+
+    Also in a misaligned mirror; whether something occludes a corner is then judged from the mirror's inner
+    focus, some millimetres from where its ray leaves the mirror.
+    """
     boards = [(i, each) for i, each in enumerate(scene.objects) if isinstance(each, Chessboard)]
     if not boards:
         return ()
@@ -49,7 +54,7 @@ def _visible_board(
     world = (turned + board.position_m) * scale
     # Relative to the viewpoint, in this order, so that no digits are lost far from the world's origin.
     in_frame = turned * scale + (np.multiply(board.position_m, scale) - pose.position_m)
-    pixels, valid = project(sensor, in_frame @ pose.R_world_from_view)
+    pixels, valid = project_points(sensor, in_frame @ pose.R_world_from_view)
     distance = np.linalg.norm(in_frame, axis=-1)
     visible = valid & (distance > 0)
     viewpoint = np.subtract(pose.position_m, geometry.centre)
