@@ -28,6 +28,11 @@ def add(commands: Commands) -> None:
     command.add_argument(
         "--samples", type=int, default=16, metavar="N", help="least number of rays per pixel, a square number (16)"
     )
+    command.add_argument(
+        "--pov",
+        action="store_true",
+        help="write a scene for POV-Ray too, with the physical mirror; hyperboloid mirrors without lens terms only",
+    )
     add_out(command, required=True)
 
 
@@ -44,5 +49,5 @@ def run(options: Namespace) -> None:
         roll_deg=options.roll_deg,
         samples=options.samples,
     )
-    view.write(options.out)
+    view.write(options.out, pov=options.pov)
     print(f"{view.scene.name} seen from {tuple(options.at)} m: {options.out}")

@@ -18,6 +18,8 @@ from harness.geometry.pose import Pose
 from harness.io.view_folder import CAMERA, FILES, PANORAMA, npy, view_files
 from harness.pipeline.sight import check_sensor
 from harness.simulation.export import write_glb
+from harness.simulation.pov import README as POV_README
+from harness.simulation.pov import check_pov, write_pov
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import truth
@@ -53,19 +55,23 @@ class RenderedView(OneLine):
     pose: Pose
     grid: Grid
 
-    def write(self, folder: str | Path) -> None:
+    def write(self, folder: str | Path, *, pov: bool = False) -> None:
         """Write the view into a folder that can be used without this program: see its README.txt.
 
         Parameters
         ----------
         folder
             Made if it is not there.
+        pov
+            Write the view as a scene of POV-Ray too, with its physical mirror: `scene.pov`, `scene.ini`, textures.
 
         Raises
         ------
         InputError
-            When the folder cannot be written to.
+            When the folder cannot be written to, or POV-Ray has no camera like the sensor's.
         """
+        if pov:
+            check_pov(self.sensor)
         folder = Path(folder)
         make_folder(folder)
         panorama = Panorama(self.grid, self.panorama, np.isfinite(self.panorama))
@@ -74,7 +80,11 @@ class RenderedView(OneLine):
         write(folder / "range.npy", npy(self.range_m))
         write(folder / "panorama_range.npy", npy(self.panorama_range_m))
         write_glb(self.scene, folder / "scene.glb")
-        write(folder / "README.txt", README.format(scene=self.scene.name))
+        readme = README.format(scene=self.scene.name)
+        if pov:
+            write_pov(self.scene, self.sensor, self.pose, folder)
+            readme += POV_README
+        write(folder / "README.txt", readme)
 
     def _repr_html_(self) -> str:
         """The mirror image and the panorama as one sees it from inside: azimuth descends to the right."""
