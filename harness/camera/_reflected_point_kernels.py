@@ -15,7 +15,7 @@ import math
 from harness.camera._lens_kernels import bend, move_bent
 from harness.camera._pixel_kernels import moved_pixel, to_pixel
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
-from harness.camera._reflection_kernels import ReflectingCamera, is_seen, to_mirror
+from harness.camera._reflection_kernels import ReflectingCamera, is_clear, to_mirror
 from harness.compiled import kernel
 
 _LEAST = 1e-13
@@ -161,7 +161,7 @@ def project_reflected(points, camera, pixels, valid):
             u, v, inside = _pixel(p_x, p_y, p_z, camera)
         pixels[i, 0], pixels[i, 1] = (u, v) if inside else (math.nan, math.nan)
         r_x, r_y, r_z = X_x - p_x, X_y - p_y, X_z - p_z
-        valid[i] = inside and is_seen(p_x, p_y, p_z, r_x, r_y, r_z, camera)
+        valid[i] = inside and is_clear(p_x, p_y, p_z, r_x, r_y, r_z, camera)
 
 
 @kernel

@@ -84,7 +84,7 @@ def to_mirror(x, y, z, camera):
     )
 
 
-@kernel
+@kernel(inline=True)
 def meet_mirror(x, y, camera):
     """Where the camera's ray through (x, y) of the undistorted normalised image meets the mirror, and where it goes.
 
@@ -93,42 +93,39 @@ def meet_mirror(x, y, camera):
     d_x = camera.r_xx * x + camera.r_xy * y + camera.r_xz
     d_y = camera.r_yx * x + camera.r_yy * y + camera.r_yz
     d_z = camera.r_zx * x + camera.r_zy * y + camera.r_zz
-    norm = math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
-    d_x, d_y, d_z = d_x / norm, d_y / norm, d_z / norm
     across, along = 1.0 / (camera.b * camera.b), 1.0 / (camera.a * camera.a)
     c_x, c_y, c_z = camera.c_x, camera.c_y, camera.c_z + camera.e
     A = d_z * d_z * along - (d_x * d_x + d_y * d_y) * across
     B = c_z * d_z * along - (c_x * d_x + c_y * d_y) * across
     G = c_z * c_z * along - (c_x * c_x + c_y * c_y) * across - 1.0
     root = math.sqrt(B * B - A * G)
-    # The same root twice, so that numbers of one sign are added.
-    s = (root - B) / A if B <= 0.0 else -G / (B + root)
+    # The same root in two forms, of which one adds numbers of one sign.
+    upwards = B <= 0.0
+    s = (root - B if upwards else -G) / (A if upwards else B + root)
     p_x, p_y, p_z = c_x + s * d_x, c_y + s * d_y, c_z + s * d_z
-    hits = s > 0.0 and p_z > 0.0 and s < math.inf
+    hits = (s > 0.0) & (p_z > 0.0) & (s < math.inf)
     n_x, n_y, n_z = -p_x * across, -p_y * across, p_z * along
     twice = 2.0 * (d_x * n_x + d_y * n_y + d_z * n_z) / (n_x * n_x + n_y * n_y + n_z * n_z)
-    r_x, r_y, r_z = d_x - twice * n_x, d_y - twice * n_y, d_z - twice * n_z
+    scale = 1.0 / math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
+    r_x, r_y, r_z = scale * (d_x - twice * n_x), scale * (d_y - twice * n_y), scale * (d_z - twice * n_z)
     return p_x, p_y, p_z - camera.e, r_x, r_y, r_z, hits
 
 
 @kernel(inline=True)
-def is_seen(p_x, p_y, p_z, r_x, r_y, r_z, camera):
+def is_clear(p_x, p_y, p_z, r_x, r_y, r_z, camera):
     """Whether the mirror reaches to p, and the ray that leaves in direction r clears the camera's body."""
     x, y, z = to_sensor(p_x, p_y, p_z, camera)
     field = camera.field
     norm = math.sqrt(x * x + y * y + z * z)
-    sine = along_up(x, y, z, field) / norm
-    clear = field.lowest <= sine <= field.highest and along_axis(x, y, z, field) >= field.nearest * norm
-    if clear and camera.body > 0.0:
-        # Where the ray meets the plane across the optical axis.
-        g_x, g_y, g_z = p_x - camera.c_x, p_y - camera.c_y, p_z - camera.c_z
-        height = camera.r_xz * g_x + camera.r_yz * g_y + camera.r_zz * g_z
-        fall = -(camera.r_xz * r_x + camera.r_yz * r_y + camera.r_zz * r_z)
-        if fall > 0.0:
-            t = height / fall
-            g_x, g_y, g_z = g_x + t * r_x, g_y + t * r_y, g_z + t * r_z
-            clear = g_x * g_x + g_y * g_y + g_z * g_z >= camera.body * camera.body
-    return clear
+    up, ahead = along_up(x, y, z, field), along_axis(x, y, z, field)
+    reaches = (up >= field.lowest * norm) & (up <= field.highest * norm) & (ahead >= field.nearest * norm)
+    # The ray meets the plane across the optical axis at `p + (height/fall) r`.
+    g_x, g_y, g_z = p_x - camera.c_x, p_y - camera.c_y, p_z - camera.c_z
+    height = camera.r_xz * g_x + camera.r_yz * g_y + camera.r_zz * g_z
+    fall = -(camera.r_xz * r_x + camera.r_yz * r_y + camera.r_zz * r_z)
+    t_x, t_y, t_z = fall * g_x + height * r_x, fall * g_y + height * r_y, fall * g_z + height * r_z
+    body = camera.body * fall
+    return reaches & ((fall <= 0.0) | (t_x * t_x + t_y * t_y + t_z * t_z >= body * body))
 
 
 @kernel
@@ -138,18 +135,22 @@ def reflect_pixels(u, v, camera, origins, directions, valid):
     `[3, n]` in the sensor's frame; NaN where there is no mirror, however far its surface is continued.
     """
     k1, k2, p1, p2, k3, fold = camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, camera.fold
-    bends = k1 != 0.0 or k2 != 0.0 or k3 != 0.0 or p1 != 0.0 or p2 != 0.0
+    x_out, y_out, z_out = origins[0], origins[1], origins[2]
+    rx_out, ry_out, rz_out = directions[0], directions[1], directions[2]
     for i in range(u.size):
-        x, y = from_pixel(u[i], v[i], camera)
-        if bends:
-            x, y = unbend(x, y, k1, k2, p1, p2, k3, fold)
-        p_x, p_y, p_z, r_x, r_y, r_z, hits = meet_mirror(x, y, camera)
-        if hits:
-            valid[i] = is_seen(p_x, p_y, p_z, r_x, r_y, r_z, camera)
-            origins[0, i], origins[1, i], origins[2, i] = to_sensor(p_x, p_y, p_z, camera)
-            directions[0, i], directions[1, i], directions[2, i] = to_sensor(r_x, r_y, r_z, camera)
-        else:
-            valid[i] = False
-            for k in range(3):
-                origins[k, i] = math.nan
-                directions[k, i] = math.nan
+        x_out[i], y_out[i] = from_pixel(u[i], v[i], camera)
+    if k1 != 0.0 or k2 != 0.0 or k3 != 0.0 or p1 != 0.0 or p2 != 0.0:
+        for i in range(u.size):
+            x_out[i], y_out[i] = unbend(x_out[i], y_out[i], k1, k2, p1, p2, k3, fold)
+    # Without a branch, so that several pixels are computed at once.
+    for i in range(u.size):
+        p_x, p_y, p_z, r_x, r_y, r_z, hits = meet_mirror(x_out[i], y_out[i], camera)
+        valid[i] = hits & is_clear(p_x, p_y, p_z, r_x, r_y, r_z, camera)
+        p_x, p_y, p_z = to_sensor(p_x, p_y, p_z, camera)
+        r_x, r_y, r_z = to_sensor(r_x, r_y, r_z, camera)
+        x_out[i] = p_x if hits else math.nan
+        y_out[i] = p_y if hits else math.nan
+        z_out[i] = p_z if hits else math.nan
+        rx_out[i] = r_x if hits else math.nan
+        ry_out[i] = r_y if hits else math.nan
+        rz_out[i] = r_z if hits else math.nan
