@@ -38,7 +38,7 @@ class PairRange(OneLine):
     folder: str
     """Where its files are, in the sequence's folder."""
     status: str
-    """Of the motion: `given`, or what `estimate_motion` says of it."""
+    """Status of the motion: `given`, or what `estimate_motion` says of it."""
     reasons: tuple[str, ...]
     """Why the motion is not reliable, or why there is no range."""
     verdict: str
@@ -125,14 +125,8 @@ def estimate_sequence(
         )
     loaded, out = load_sensor(sensor), Path(folder)
     make_folder(out)
-    settings = {
-        "program": __version__,
-        "sensor": as_table(loaded),
-        "matcher": as_table(matcher) if isinstance(matcher, MatcherSettings) else matcher,
-        "grid": None if grid is None else as_table(grid),
-        "bits": bits,
-        "baseline_m": baseline_m,
-    }
+    table = as_table(matcher) if isinstance(matcher, MatcherSettings) else matcher
+    settings = [__version__, as_table(loaded), table, None if grid is None else as_table(grid), bits, baseline_m]
     names, done = _names([Path(each) for each in images]), []
     for i, (left, right) in enumerate(pairwise(images)):
         given = None if motions is None else motions[i]
@@ -156,7 +150,7 @@ def _names(images: list[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [f"{each.parent.name}/{each.name}" for each in images]
 
 
-def _key(settings: dict[str, Any], images: tuple[Path, Path], motion: Motion | None) -> str:
+def _key(settings: list[Any], images: tuple[Path, Path], motion: Motion | None) -> str:
     contents = [hashlib.sha256(read_regular(each, LIMIT_BYTES, "image")).hexdigest() for each in images]
     moved = None if motion is None else [motion.R_v2_from_v1.tolist(), motion.t_v1.tolist()]
     text = json.dumps([settings, contents, moved], sort_keys=True, default=str)

@@ -93,6 +93,10 @@ def show(summary: dict[str, Any], folder: Path) -> None:
     console = Console()
     if summary["comparison"]:
         console.print(methods_table(summary))
+    if summary.get("conclusions"):
+        console.print()
+    for each in summary.get("conclusions", ()):
+        console.print(f"- {each}", soft_wrap=False, highlight=False, markup=False)
     console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False, markup=False)
 
 

@@ -25,6 +25,7 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.runs import executors
 from harness.runs.analysis import cell_table, law_of, limit_of
+from harness.runs.conclusions import conclusions
 from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
@@ -216,6 +217,9 @@ def result_from(
     law = law_of(cells)
     if law is not None:
         summary["law"] = law
+    said = conclusions(done, law)
+    if said:
+        summary["conclusions"] = said
     made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
     if store and store.other_code:
         made["trials_made_by"] = f"other code or libraries than these, {store.other_code}"

@@ -1,0 +1,88 @@
+"""Sentences about a sweep: they name what differs, by how much, and nothing that the seeds do not show."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from harness.runs.conclusions import conclusions
+
+SEEDS = range(12)
+
+
+def rows(error_m, *, methods=(("column", "parabola"),), axes=None, seeds=SEEDS):
+    """Trials over all of it; `error_m(method, settings, seed)` is their median range error on walls."""
+    axes = axes or {"noise.sigma_grey": [0.0, 4.0]}
+    combinations = [{}]
+    for key, values in axes.items():
+        combinations = [each | {key: value} for each in combinations for value in values]
+    made = []
+    for seed in seeds:
+        for method in methods:
+            for settings in combinations:
+                error = error_m(method, settings, seed)
+                figures = {"wall_range_median_abs_m": error, "range_median_abs_m": error}
+                planned = SimpleNamespace(method=method, trial=SimpleNamespace(seed=seed))
+                coordinates = settings | {"seed": seed, "matching.kind": method[0]}
+                made.append(SimpleNamespace(planned=planned, coordinates=coordinates, payload={"figures": figures}))
+    return made
+
+
+def luck(seed, *words):
+    return float(np.exp(0.1 * np.random.default_rng([seed, *words]).standard_normal()))
+
+
+def test_an_axis_that_matters_is_named_with_its_ratio():
+    """Twice the error at every seed, whatever the seed's own luck: pairs tell it exactly."""
+    done = rows(lambda _m, s, seed: 0.01 * luck(seed) * (2 if s["noise.sigma_grey"] else 1))
+    (sentence,) = conclusions(done, None)
+    assert sentence.startswith("noise.sigma_grey: the median range error (column (parabola), on walls) is ")
+    assert "at 0, and 2 [2, 2] times that" in sentence
+    assert sentence.endswith("at 4.")
+
+
+def test_an_axis_that_does_not_matter_is_said_not_to():
+    done = rows(lambda _m, s, seed: 0.01 * luck(seed, int(s["noise.sigma_grey"])))
+    (sentence,) = conclusions(done, None)
+    assert sentence.startswith(
+        "noise.sigma_grey makes no difference that these seeds show (column (parabola), on walls"
+    )
+
+
+def test_methods_are_compared_on_alike_trials():
+    factors = {"column": 1.5, "slanted": 1.0, "sgm": 1.2}
+    methods = (("column", "none"), ("slanted", "own"), ("sgm", "own"))
+    done = rows(lambda m, _s, seed: 0.01 * luck(seed) * factors[m[0]], methods=methods)
+    first, *_ = conclusions(done, None)
+    assert first.startswith("slanted has the smallest median range error, ")
+    assert "0.833 [0.833, 0.833] times that of sgm, the next." in first
+    alike = rows(lambda m, _s, seed: 0.01 * luck(seed, len(m[0])), methods=methods[1:])
+    assert "have the smallest median range errors" in conclusions(alike, None)[0]
+
+
+def test_few_seeds_are_said():
+    done = rows(lambda _m, s, _seed: 0.01 * (1 + s["noise.sigma_grey"]), seeds=[1, 2, 3])
+    assert conclusions(done, None)[-1] == "Intervals are over 3 seeds, and come out too short."
+
+
+def test_nothing_varies_nothing_is_said():
+    assert conclusions(rows(lambda *_: 0.01, axes={"noise.sigma_grey": [0.0]}), None) == []
+    assert conclusions([], None) == []
+
+
+def test_from_one_seed_nothing_is_concluded():
+    assert conclusions(rows(lambda _m, s, _seed: 0.01 * (1 + s["noise.sigma_grey"]), seeds=[1]), None) == []
+
+
+@pytest.mark.parametrize(
+    ("r2", "said"),
+    [
+        (0.9, "the error grows as its power 0.94 [0.92, 0.96], R² 0.90; 1 is the law."),
+        (0.02, "none to be seen (slope 0.94 [0.92, 0.96], R² 0.02)."),
+    ],
+)
+def test_a_slope_without_a_fit_is_no_law(r2, said):
+    fit = {"law": "exact", "surface": "wall", "slope": 0.94, "slope_ci95": [0.92, 0.96], "r2": r2}
+    law = {"images": [fit | {"matcher": "column", "subpixel": "none"}, fit | {"surface": "floor"}]}
+    done = rows(lambda *_: 0.01)
+    assert conclusions(done, law)[-1] == f"The law, column (whole pixels) on walls: {said}"
