@@ -40,7 +40,8 @@ def add(commands: Commands) -> None:
         type=Path,
         metavar="FILE",
         help="8-bit grey image, white where pixels of both images are used, instead of the sensor's own mask; of the "
-        "left image alone if view 2 has a sensor or a mask of its own",
+        "left image alone if view 2 has a sensor or a mask of its own. auto: what moves with the camera, such as "
+        "the robot itself, is left out, and mask.png is written",
     )
     command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")
     where = command.add_mutually_exclusive_group()
@@ -102,7 +103,8 @@ def run(options: Namespace) -> int:
 
     sensor = first_sensor(options, central=True)
     assert sensor is not None
-    sensor = _masked(sensor, options.mask, "--mask")
+    automatic = options.mask == Path("auto")
+    sensor = _masked(sensor, None if automatic else options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     settings = own_settings(options.matcher, options.set)
     if options.more:
@@ -120,6 +122,8 @@ def run(options: Namespace) -> int:
         if not motion.baseline_m > 0:
             source = "--baseline" if options.pose is None else options.pose
             raise InputError("must not be zero: two views from one point determine no range", file=source)
+    if automatic:
+        sensor = sensor_2 = _without_body(options, (sensor, sensor_2), motion, settings)
     estimate = harness.estimate_range(
         options.left,
         options.right,
@@ -147,6 +151,8 @@ def _sequence(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> 
     import harness
     from harness.errors import InputError
 
+    if options.mask == Path("auto"):
+        raise InputError("is for two images; write the mask of a pair, and give that", file="--mask auto")
     for option in ("sensor_2", "mask_2", "views", "camera_height"):
         if getattr(options, option) is not None:
             name = f"--{option.replace('_', '-')}"
@@ -257,6 +263,34 @@ def _given(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
     yaw, pitch, roll = options.rotation_deg or (0.0, 0.0, 0.0)
     table = {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
     return harness.relative_motion(harness.Pose(), parse(harness.Pose, table, file="--baseline"))
+
+
+def _without_body(
+    options: Namespace,
+    sensors: "tuple[Sensor, Sensor]",
+    motion: "Motion | MotionEstimate",
+    settings: "OwnSettings",
+) -> "Sensor":
+    """The sensor with a mask of what moves with it, which is written into the folder."""
+    from harness.api.masks import find_mask, write_mask
+    from harness.errors import InputError
+    from harness.files import make_folder
+    from harness.geometry.pose import Motion
+
+    if sensors[0] != sensors[1]:
+        raise InputError(
+            "takes one sensor for both images; give a mask of each with --mask and --mask-2", file="--mask"
+        )
+    limits = {"d_min_m": settings.matching.d_min_m, "d_max_m": settings.matching.d_max_m}
+    if not isinstance(motion, Motion):
+        if motion.baseline_m is None:
+            limits = {"d_min_m": 1.0, "d_max_m": 20.0}  # baselines
+        motion = motion.motion
+    mask = find_mask(options.left, options.right, sensors[0], motion, bits=options.bits, **limits)
+    make_folder(options.out)
+    write_mask(mask, options.out / "mask.png")
+    print(f"{1 - mask.mean():.1%} of the image is masked; {options.out / 'mask.png'}")
+    return sensors[0].with_mask(options.out / "mask.png")
 
 
 def _masked(sensor: "Sensor", mask: Path | None, option: str) -> "Sensor":
