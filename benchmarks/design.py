@@ -6,8 +6,9 @@ import numpy as np
 
 from harness.camera.sensor import Sensor
 from harness.design.answers import resized
-from harness.design.rig import RigDesign, Uncertainty
+from harness.design.rig import RigDesign
 from harness.design.verify import verify
+from harness.evaluation.rig_uncertainty import Uncertainty
 from harness.simulation.texture import BundledTexture, NoiseTexture
 
 TEXTURES = (

@@ -9,15 +9,8 @@ from harness.camera.sensor import in_field, jacobian
 from harness.design.gradients import aliased_grey, gradient_grey
 from harness.design.rig import RigDesign
 from harness.display import OneLine
-from harness.evaluation.propagation import (
-    MISALIGNMENT,
-    MOTION,
-    Parameter,
-    calibration_parameters,
-    diagonal,
-    propagated,
-    sensitivities,
-)
+from harness.evaluation.propagation import propagated, sensitivities
+from harness.evaluation.rig_uncertainty import covariances
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
 from harness.simulation.chip import grey_variance
@@ -69,41 +62,12 @@ def budget(rig: RigDesign, points_m: Array, normals: Array | None = None) -> Bud
     visible = in_field(rig.sensor, points_m) & in_field(rig.sensor, believed.motion.apply(points_m))
     noise, fixed = _matching(rig, points_m, normals)
     sigma = {"noise": noise, "matching": fixed}
-    for cause, parameters, covariance in covariances(rig):
+    for cause, parameters, covariance in covariances(rig.sensor, rig.uncertainty):
         if covariance.any():
             sigma[cause] = propagated(sensitivities(points_m, believed, parameters, normals), covariance)
         else:
             sigma[cause] = np.zeros(points_m.shape[:-1])
     return Budget(points_m, {name: np.where(visible & np.isfinite(each), each, np.inf) for name, each in sigma.items()})
-
-
-def covariances(rig: RigDesign) -> list[tuple[str, tuple[Parameter, ...], Array]]:
-    """What is uncertain of a rig: causes, with their parameters and the covariance of these."""
-    known = rig.uncertainty
-    calibration = calibration_parameters(rig.sensor)
-    of_calibration = {
-        each.key: known.focal
-        if each.key == "camera.focal_px"
-        else known.centre_px
-        if each.key.startswith("camera.")
-        else known.shape
-        if each.key.startswith("model.")
-        else 0.0
-        for each in calibration
-    }
-    aligned = MISALIGNMENT[:5]  # a turn about the mirror's axis is the believed rotation's
-    of_alignment = {each.key: known.alignment_deg if "rotation" in each.key else known.alignment_mm for each in aligned}
-    return [
-        ("rotation", MOTION[:3], diagonal(MOTION[:3], dict.fromkeys((p.key for p in MOTION[:3]), known.rotation_deg))),
-        (
-            "t direction",
-            MOTION[3:5],
-            diagonal(MOTION[3:5], dict.fromkeys((p.key for p in MOTION[3:5]), known.t_direction_deg)),
-        ),
-        ("t length", MOTION[5:], diagonal(MOTION[5:], {"t_length": known.t_length})),
-        ("calibration", calibration, diagonal(calibration, of_calibration)),
-        ("alignment", aligned if rig.has_mirror else (), diagonal(aligned if rig.has_mirror else (), of_alignment)),
-    ]
 
 
 def _matching(rig: RigDesign, points_m: Array, normals: Array | None) -> tuple[Array, Array]:

@@ -8,37 +8,13 @@ from pydantic import Field, model_validator
 
 from harness.camera.sensor import Sensor
 from harness.evaluation.propagation import Rig
+from harness.evaluation.rig_uncertainty import Uncertainty
 from harness.geometry.pose import Motion
 from harness.runs.named_files import read_in
 from harness.simulation.chip import Chip
 from harness.simulation.texture import BundledTexture, Texture
 from harness.spec import Finite, Positive, Spec, parse
 from harness.toml import read_toml
-
-Deviation = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
-
-
-class Uncertainty(Spec):
-    """Standard deviations of what is believed of the rig; zero for what is exact."""
-
-    rotation_deg: Deviation = 0.0
-    """Standard deviation of view 2's rotation about each axis, degrees."""
-    t_direction_deg: Deviation = 0.0
-    """Standard deviation of the baseline's direction, sideways and upwards each, degrees."""
-    t_length: Deviation = 0.0
-    """Standard deviation of the baseline's length, as a share of it: 0.01 is 1 %."""
-    focal: Deviation = 0.0
-    """Standard deviation of the focal length, as a share of it."""
-    centre_px: Deviation = 0.0
-    """Standard deviation of each coordinate of the principal point, pixels."""
-    shape: Deviation = 0.0
-    """Standard deviation of each number of the camera model: as a share of it for the lengths of a hyperboloid mirror,
-    absolute for other models."""
-    alignment_mm: Deviation = 0.0
-    """Standard deviation of each coordinate of the camera beside its mirror's focus, millimetres; for hyperboloid
-    mirrors."""
-    alignment_deg: Deviation = 0.0
-    """Standard deviation of the camera's tilt against its mirror about each axis, degrees."""
 
 
 class RigDesign(Spec):

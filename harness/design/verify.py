@@ -6,10 +6,11 @@ import numpy as np
 
 from harness.camera.coverage import coverage
 from harness.camera.sensor import in_use
-from harness.design.budget import FAR_FROM_T, SHARE, budget, central_68, covariances
+from harness.design.budget import FAR_FROM_T, SHARE, budget, central_68
 from harness.design.rig import RigDesign
 from harness.display import OneLine
-from harness.evaluation.propagation import Parameter, Rig
+from harness.evaluation.propagation import Rig
+from harness.evaluation.rig_uncertainty import uncertain
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion, Pose
@@ -104,25 +105,17 @@ def drawn(rig: RigDesign, draws: int, random: np.random.Generator) -> list[Rig]:
     Where there are more draws than numbers, the draws are made to have exactly the covariance that they are drawn from:
     a few then tell as much of the range's as many would.
     """
-    uncertain = [(parameter, sigma) for parameter, sigma in _uncertain(rig) if sigma]
-    units = random.standard_normal((draws, len(uncertain)))
-    if draws > len(uncertain) > 0:
-        units = np.linalg.qr(units)[0] * np.sqrt(draws) * random.choice([-1.0, 1.0], len(uncertain))
+    parameters = uncertain(rig.sensor, rig.uncertainty)
+    units = random.standard_normal((draws, len(parameters)))
+    if draws > len(parameters) > 0:
+        units = np.linalg.qr(units)[0] * np.sqrt(draws) * random.choice([-1.0, 1.0], len(parameters))
     rigs = []
     for row in units:
         true = rig.believed
-        for (parameter, sigma), unit in zip(uncertain, row, strict=True):
+        for (parameter, sigma), unit in zip(parameters, row, strict=True):
             true = parameter.changed(true, sigma * unit)
         rigs.append(true)
     return rigs
-
-
-def _uncertain(rig: RigDesign) -> list[tuple[Parameter, float]]:
-    return [
-        (parameter, float(np.sqrt(variance)))
-        for _, parameters, covariance in covariances(rig)
-        for parameter, variance in zip(parameters, np.diag(covariance), strict=True)
-    ]
 
 
 def _grid(rig: RigDesign) -> Grid:
