@@ -95,6 +95,17 @@ def test_a_sensor_that_is_aligned_is_said_to_be():
     assert np.abs(scores(calibration, TRUE.aligned)).max() < 3.5
 
 
+def test_exact_corners_of_three_boards_lead_to_a_gross_misalignment():
+    misalignment = Misalignment(x_mm=4, y_mm=3, z_mm=-3, rotation_x_deg=2, rotation_y_deg=-3)
+    askew = Sensor(misalignment=misalignment)
+    calibration = calibrate_sensor(visible_boards(askew, 3, 30)[0], "hyperboloid", free=["misalignment"])
+    # Rounding of 1e-13 of the image, times the condition: 0.1 px of noise would be some millimetres.
+    assert calibration.rms_px < 1e-8
+    for name, value in dict(misalignment).items():
+        assert getattr(calibration.sensor.misalignment, name) == pytest.approx(value, abs=1e-5)
+    assert calibration.central.rms_px > 1
+
+
 def test_a_misalignment_that_is_given_is_held():
     corners = visible_boards(TRUE, 6, 33)[0]
     calibration = calibrate_sensor(corners, "hyperboloid", start=TRUE)
