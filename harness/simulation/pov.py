@@ -98,7 +98,7 @@ def write_pov(scene: Scene, sensor: Sensor, pose: Pose, folder: Path) -> None:
 
 _INI = f"""\
 Input_File_Name=scene.pov
-Output_File_Name=pov.png
+Output_File_Name=pov
 Output_File_Type=N
 Bits_Per_Color=16
 File_Gamma=1.0
