@@ -22,6 +22,7 @@ from harness.matching.registry import BUILT_IN
 from harness.pipeline.specification import Exposure, Trial
 from harness.pipeline.trial import run_trial
 from harness.simulation import render as rendering
+from harness.simulation import shading
 from harness.simulation.scene import load_scene
 from harness.simulation.texture import NoiseTexture
 from harness.spec import parse
@@ -195,7 +196,7 @@ def test_noise_without_a_frequency_is_refused():
 def test_an_image_that_is_not_finite_is_refused_by_name(monkeypatch):
     scene = load_scene("box")
     trial = Trial(scene=scene, sensor=TINY, panorama=GRID)
-    monkeypatch.setattr(rendering, "shade", lambda *arguments: arguments[-1].fill(np.nan))
+    monkeypatch.setattr(shading, "shade", lambda *arguments: arguments[-1].fill(np.nan))
     with pytest.raises(InputError, match=r"box.*from \(0, 0, 1\) m.*not a finite number"):
         run_trial(trial)
 

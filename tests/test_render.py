@@ -14,6 +14,7 @@ from harness.simulation import render as rendering
 from harness.simulation._rendering_kernels import INVALID, TRACE, mark_edges
 from harness.simulation.render import render, render_every_sample, render_with_range
 from harness.simulation.scene import Box, Plane, Scene, load_scene
+from harness.simulation.shading import view_from
 from harness.simulation.texture import GreyTexture, NoiseTexture, lookup, texels_of
 from harness.simulation.truth import ranges
 
@@ -99,7 +100,7 @@ def test_shortcut_equals_every_sample_in_random_scenes(seed):
 @pytest.mark.slow
 def test_without_the_edges_the_thin_pole_would_be_lost():
     scene, pose = load_scene("room"), POSES[0]
-    view = rendering._view(scene, pose)
+    view = view_from(scene, pose)
     careless = rendering._face_of_pixels(view, DEFAULT, None, with_edges=False)
     difference = np.abs(
         rendering._shaded(view, DEFAULT, careless, 16, None) - render_every_sample(scene, DEFAULT, pose)
@@ -115,7 +116,7 @@ def test_without_the_edges_the_thin_pole_would_be_lost():
 def test_few_pixels_are_traced():
     _, valid = pixel_directions(DEFAULT)
     for name, share in (("box", 0.03), ("room", 0.1)):
-        view = rendering._view(load_scene(name), POSES[0])
+        view = view_from(load_scene(name), POSES[0])
         faces = rendering._face_of_pixels(view, DEFAULT, None)
         assert np.count_nonzero(faces == TRACE) < share * valid.sum()
 
@@ -237,7 +238,7 @@ def test_threads_change_no_bit():
 def test_sixteen_samples_leave_little_aliasing(name):
     # Against 1,024 samples, which are off by 0.01 themselves (their error falls with the cube of the samples along a
     # side). Sixteen samples everywhere would leave 0.33, 0.75 and 0.44; a camera of 8 bits rounds by 0.29.
-    view = rendering._view(load_scene(name), POSES[0])
+    view = view_from(load_scene(name), POSES[0])
     faces = rendering._face_of_pixels(view, DEFAULT, None)
     # Pixels of a grid of its own: one in nine of each row, with 20,000 in all.
     some = np.where(np.arange(faces.size).reshape(faces.shape) % 9 == 0, faces, INVALID)

@@ -23,6 +23,7 @@ from harness.camera.sensor import (
     not_masked,
     on_image,
     parameters_of,
+    pixel_directions,
     project,
     unproject,
 )
@@ -63,6 +64,22 @@ def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray
     with np.errstate(invalid="ignore"):
         valid = valid.reshape(shape) & on_image(sensor, pixels) & not_masked(sensor, pixels)
     return origins.T.reshape(*shape, 3), directions.T.reshape(*shape, 3), valid
+
+
+@lru_cache(maxsize=8)
+def reflected_pixels(sensor: Sensor) -> tuple[Array, Array, np.ndarray]:
+    """What `reflect` says of every pixel's centre, `[height, width, 3]` twice and `[height, width]`; read-only."""
+    camera = sensor.camera
+    u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
+    arrays = reflect(sensor, np.stack([u, v], axis=-1))
+    for array in arrays:
+        array.flags.writeable = False
+    return arrays
+
+
+def seeing_pixels(sensor: Sensor) -> np.ndarray:
+    """`[height, width]`, bool: pixels whose centre sees something, by a sensor that may be misaligned; read-only."""
+    return pixel_directions(sensor)[1] if sensor.is_central else reflected_pixels(sensor)[2]
 
 
 def reflected_rays(sensor: Sensor, u: Array, v: Array) -> tuple[Array, Array, np.ndarray]:

@@ -50,11 +50,13 @@ def view_files(
     ----------
     image
         `[sensor height, sensor width]`, grey levels.
+    sensor
+        The rays are those of the aligned sensor, should its mirror be misaligned.
     R_world_from_view
         `[3, 3]`, where it is known better than to the rounding of the pose's angles.
     """
     rotation = pose.R_world_from_view if R_world_from_view is None else R_world_from_view
-    rays, valid = pixel_directions(sensor)
+    rays, valid = pixel_directions(sensor.aligned)
     placed = dump_toml(pose) + tomli_w.dumps({"R_world_from_view": rotation.tolist()})
     return {
         "omni.png": png(image),

@@ -20,6 +20,7 @@ from harness.pipeline.sight import check_sensor
 from harness.simulation.export import write_glb
 from harness.simulation.pov import README as POV_README
 from harness.simulation.pov import check_pov, write_pov
+from harness.simulation.reflected import points_seen
 from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import truth
@@ -35,6 +36,13 @@ scene.glb             the scene as glTF 2.0 with textures; glTF's y is our z, gl
 Range is the Euclidean distance from the effective viewpoint (the mirror's inner focus), not a depth along an axis.
 {CAMERA}
 {PANORAMA}"""
+
+MISALIGNED = """
+The camera is misaligned with its mirror: omni.* and range.npy are what it sees. points.npy has the point that the ray
+of each pixel's centre meets, float64 metres in the sensor's frame, [row = v, column = u, 3]; range.npy is its distance
+from the mirror's inner focus, and not along the ray, which begins on the mirror. rays.npy, panorama.* and
+panorama_range.npy are of the aligned sensor, as whoever does not know of the misalignment takes it to be.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,6 +62,10 @@ class RenderedView(OneLine):
     sensor: Sensor
     pose: Pose
     grid: Grid
+    points_m: Array | None = None
+    """`[sensor height, sensor width, 3]`, for a sensor whose mirror is misaligned: the point that the ray of each
+    pixel's centre meets, in the sensor's frame, metres. `range_m` is its distance from the mirror's inner focus. The
+    panorama and its ranges are those of the aligned sensor."""
 
     def write(self, folder: str | Path, *, pov: bool = False) -> None:
         """Write the view into a folder that can be used without this program: see its README.txt.
@@ -84,6 +96,9 @@ class RenderedView(OneLine):
         if pov:
             write_pov(self.scene, self.sensor, self.pose, folder)
             readme += POV_README
+        if self.points_m is not None:
+            write(folder / "points.npy", npy(self.points_m))
+            readme += MISALIGNED
         write(folder / "README.txt", readme)
 
     def _repr_html_(self) -> str:
@@ -108,21 +123,28 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
         When the view cannot see the scene, or the sensor sees nothing.
     """
     try:
-        grid = with_rows(grid or Grid(), (sensor,))
+        grid = with_rows(grid or Grid(), (sensor.aligned,))
     except ValueError as error:
         raise InputError(str(error), key="panorama") from error
-    check_sensor(sensor, grid)
+    assumed, points_m = sensor.aligned, None
+    check_sensor(assumed, grid)
     image = render(scene, sensor, pose, samples)
-    rays, inside = pixel_directions(sensor)
     around = directions(grid)
-    unwrapped = unwrap(image, sensor, grid)
+    unwrapped = unwrap(image, assumed, grid)
+    if sensor.is_central:
+        rays, inside = pixel_directions(sensor)
+        range_m = truth(scene, pose, rays, inside, wrap_columns=False).range_m
+    else:
+        points = points_seen(scene, sensor, pose)
+        points_m, range_m = points.point_m, points.range_m
     return RenderedView(
         image=image,
-        range_m=truth(scene, pose, rays, inside, wrap_columns=False).range_m,
+        range_m=range_m,
         panorama=np.where(unwrapped.valid, unwrapped.values, np.float32(np.nan)),
-        panorama_range_m=truth(scene, pose, around, in_use(sensor, around)).range_m,
+        panorama_range_m=truth(scene, pose, around, in_use(assumed, around)).range_m,
         scene=scene,
         sensor=sensor,
         pose=pose,
         grid=grid,
+        points_m=points_m,
     )

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from harness.camera.lens import Lens
+from harness.camera.reflection import seeing_pixels
 from harness.camera.sensor import Sensor, field_of, in_field, pixel_directions, project
 from harness.errors import InputError, Notice
 from harness.geometry.angles import Array
@@ -37,7 +38,13 @@ def check_sight(trial: Trial, motion: Motion) -> None:
         When no pixel of a sensor sees anything, no pixel of the panorama is seen, or the matcher's samples cannot
         follow the epipolar curves. `error.key` is the key that helps.
     """
-    sensor, grid = trial.sensor, trial.panorama
+    (sensor, second), grid = trial.assumed_sensors, trial.panorama
+    for each, key in zip(trial.sensors, ("trial.sensor", "trial.sensor_2"), strict=True):
+        if not each.is_central and not seeing_pixels(each).any():
+            raise InputError(
+                "no pixel of the image sees the mirror: the camera is too far off or looks past it; use smaller values",
+                key=f"{key}.misalignment",
+            )
     on_sensor, on_panorama = _shares(sensor, grid)
     if on_sensor == 0 or (on_panorama == 0 and _share_in_field(sensor, grid)):
         raise _blind(sensor, grid, "trial.sensor")
@@ -54,8 +61,8 @@ def check_sight(trial: Trial, motion: Motion) -> None:
             key="trial.matching.sampling",
         )
     _say_little(sensor, grid, "trial.sensor")
-    if trial.sensors[1] != sensor:
-        check_sensor(trial.sensors[1], grid, key="trial.sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
+    if second != sensor:
+        check_sensor(second, grid, key="trial.sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
 
 
 def check_sensor(

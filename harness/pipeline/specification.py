@@ -183,7 +183,7 @@ class Trial(Spec):
         if is_open(self.panorama):
             motion = relative_motion(self.view_1, self.view_2.pose(self.view_1))
             try:
-                self.__dict__["panorama"] = with_rows(self.panorama, self.sensors, motion.R_v2_from_v1)
+                self.__dict__["panorama"] = with_rows(self.panorama, self.assumed_sensors, motion.R_v2_from_v1)
             except ValueError as error:
                 raise ValueError(f"panorama: {error}") from error
         return self
@@ -235,7 +235,7 @@ class Trial(Spec):
 
     @property
     def sensors(self) -> tuple[Sensor, Sensor]:
-        """The sensor of each view."""
+        """The sensor of each view, as it truly is."""
         return self.sensor, self.sensor if self.sensor_2 is None else self.sensor_2
 
     @property
@@ -254,6 +254,15 @@ class Trial(Spec):
         which differs from pixel to pixel and is in the bound already.
         """
         return self.noise.sigma_grey if self.chip.is_ideal else 1.0
+
+    @property
+    def assumed_sensors(self) -> tuple[Sensor, Sensor]:
+        """The sensor of each view as whoever uses its images takes it to be: central, its camera and mirror aligned.
+
+        Panoramas, matches, ranges and the truth that they are compared with are those of this sensor.
+        """
+        first, second = self.sensors
+        return first.aligned, second.aligned
 
     @property
     def true_motion(self) -> Motion:

@@ -46,10 +46,10 @@ class Setup:
 
 
 def setup_of(trial: Trial) -> Setup:
-    """The setup of a trial. The matcher assumes the true calibration and the true motion."""
+    """The setup of a trial. The matcher assumes the true calibration, but for a misalignment, and the true motion."""
     poses = trial.poses
     motion = relative_motion(*poses)
-    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(trial.sensors, motion))
+    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(trial.assumed_sensors, motion))
 
 
 def _none(_setup: Setup, _view: int) -> Hashable:

@@ -158,8 +158,9 @@ EXPOSURE = Stage(
 def _add_noise(work: Work, view: int) -> Image:
     trial, setup = work.trial, work.setup
     sensor = trial.sensors[view]
+    # Named by the aligned sensor: trials that differ in the misalignment alone have the same draws.
     white, shot = (
-        generator(trial.seed, purpose, setup.scene, words_of(sensor), f"view {view + 1}")
+        generator(trial.seed, purpose, setup.scene, words_of(sensor.aligned), f"view {view + 1}")
         for purpose in ("noise", "shot noise")
     )
     light, sigma_grey = work(EXPOSURE, view), trial.noise.sigma_grey
@@ -180,13 +181,14 @@ NOISE = Stage("noise", _add_noise, _noise_settings, after=(EXPOSURE,), per_view=
 def _truth(work: Work, _view: int) -> Truth:
     trial, setup = work.trial, work.setup
     looking = directions(trial.panorama)
+    first, second = trial.assumed_sensors
     result = truth(
         trial.scene,
         setup.poses[0],
         looking,
-        in_use(trial.sensor, looking),
+        in_use(first, looking),
         pose_2=setup.poses[1],
-        sensor_2=trial.sensors[1],
+        sensor_2=second,
         threads=work.threads,
     )
     _refuse_changed_scene(work)
@@ -194,9 +196,10 @@ def _truth(work: Work, _view: int) -> Truth:
 
 
 TRUTH = Stage(
-    "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.sensors, setup.poses, setup.trial.panorama)
+    "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.assumed_sensors, setup.poses, setup.trial.panorama)
 )
-"""The ground truth along every direction of view 1's panorama."""
+"""The ground truth along every direction of view 1's panorama: what the instrument should say, whatever a misaligned
+sensor has seen there."""
 
 
 def _estimate_motion(work: Work, _view: int) -> MotionOfImages | None:
@@ -307,7 +310,7 @@ def _bound(work: Work, _view: int) -> Array | None:
         noise = first, second
     return cramer_rao(
         (expected_grey(light[0], trial.chip), expected_grey(light[1], trial.chip)),
-        trial.sensors,
+        trial.assumed_sensors,
         setup.motion,
         trial.panorama,
         work(TRUTH),

@@ -100,7 +100,8 @@ def images_of(sensors: tuple[Sensor, Sensor]) -> str:
     """The sizes of both views' images, one where they are equal, and whether the views differ in more."""
     sizes = " and ".join(dict.fromkeys(f"{each.camera.width_px} × {each.camera.height_px}" for each in sensors))
     own = what_differs(sensors)
-    return f"{sizes} pixels{f', each with {own}' if own else ''}"
+    misaligned = ", whose mirrors are misaligned," if not all(each.is_central for each in sensors) else ""
+    return f"{sizes} pixels{f', each with {own}' if own else ''}{misaligned}"
 
 
 def what_differs(sensors: tuple[Sensor, Sensor]) -> str:

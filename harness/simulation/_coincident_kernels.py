@@ -97,7 +97,7 @@ def _overlap(a, b, normal, tolerance):
 
 @kernel
 def settle_hits(
-    starts, rivals, first_triangle, order, corners, face_of_triangle, normals, offsets, tolerance, origin, directions,
+    starts, rivals, first_triangle, order, corners, face_of_triangle, normals, offsets, tolerance, origins, directions,
     triangle,
 ):  # fmt: skip
     """Write the visible triangle of every hit on a face with rivals: the nearest, or at equal range that of the latest
@@ -105,9 +105,10 @@ def settle_hits(
 
     starts, rivals : the rivals of face f are `rivals[starts[f] : starts[f + 1]]`, ascending.
     first_triangle, order : the triangles of face f are `order[first_triangle[f] : first_triangle[f + 1]]`.
+    origins : `[n, 3]`, or `[1, 3]` if all rays begin in one point.
     """
-    cx, cy, cz = origin
     for i in range(triangle.size):
+        cx, cy, cz = origins[i if origins.shape[0] > 1 else 0]
         if triangle[i] < 0:
             continue
         hit = face_of_triangle[triangle[i]]

@@ -22,16 +22,18 @@ WIDE = 8.0
 
 
 @kernel
-def verify_hits(corners, normals, offsets, face_of_triangle, origin, directions, search_misses, triangle, range_m):
+def verify_hits(corners, normals, offsets, face_of_triangle, origins, directions, search_misses, triangle, range_m):
     """Verify Embree's float32 hits in float64, and correct them; write the range along each direction, NaN for none.
 
     A ray is inside a triangle when the three products `d · (v_i x v_j)` have the same sign. For a side that two
     triangles share, the product is exactly opposite in the other one, so that in float64 no ray passes between them.
     Rays that miss their triangle are tested against all triangles, if necessary with a small tolerance for sides that
     coincide but do not share their end points.
+
+    `origins [n, 3]`, or `[1, 3]` if all rays begin in one point.
     """
-    cx, cy, cz = origin
     for i in range(triangle.size):
+        cx, cy, cz = origins[i if origins.shape[0] > 1 else 0]
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         guess = triangle[i]
         best, best_range = -1, math.inf

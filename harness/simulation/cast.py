@@ -1,4 +1,4 @@
-"""Exact ray casting from one viewpoint.
+"""Exact ray casting, from one viewpoint or from a point for each ray.
 
 Embree finds the triangle in float32; the point is then computed, and the triangle verified, in float64. Only for a ray
 within about 1e-7 of an occluder's outline does float32 still decide which surface it hits.
@@ -31,12 +31,12 @@ class Hits:
 
 
 def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, threads: int | None = None) -> Hits:
-    """The first surface along each ray from a viewpoint.
+    """The first surface along each ray.
 
     Parameters
     ----------
     viewpoint
-        `[3]`, metres, from the geometry's centre.
+        `[3]`, metres, from the geometry's centre; or `[..., 3]`, where each ray begins.
     directions
         `[..., 3]`, unit length, in the world.
     threads
@@ -53,13 +53,14 @@ def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, thr
     flat = np.ascontiguousarray(directions.reshape(-1, 3))
     if not np.allclose(np.einsum("ij,ij->i", flat, flat), 1.0, rtol=0, atol=1e-9):
         raise ValueError("directions must be of unit length: a range is measured along them")
-    origin = np.asarray(viewpoint, dtype=np.float64)
+    origins = np.ascontiguousarray(np.asarray(viewpoint, dtype=np.float64).reshape(-1, 3))
     triangle = np.empty(len(flat), dtype=np.int32)
     range_m = np.empty(len(flat))
 
     def work(start: int) -> None:
         part = slice(start, start + _CHUNK)
-        triangle[part] = nearest_triangles(geometry, origin, flat[part].astype(np.float32))
+        begin = origins if len(origins) == 1 else origins[part]
+        triangle[part] = nearest_triangles(geometry, begin, flat[part].astype(np.float32))
         # In a closed scene a miss is Embree's slip through a crack; many misses are a hole, not worth a search.
         few_misses = np.count_nonzero(triangle[part] < 0) <= 100
         verify_hits(
@@ -67,23 +68,26 @@ def cast(geometry: Geometry, viewpoint: ArrayLike, directions: ArrayLike, *, thr
             geometry.normals,
             geometry.offsets,
             geometry.face_of_triangle,
-            origin,
+            begin,
             flat[part],
             geometry.closed and few_misses,
             triangle[part],
             range_m[part],
         )
-        settled = _settled(geometry, origin, flat[part], triangle[part])
+        settled = _settled(geometry, begin, flat[part], triangle[part])
         changed = np.flatnonzero(settled != triangle[part])
         if changed.size:
             face = geometry.face_of_triangle[settled[changed]]
-            distance = geometry.offsets[face] - geometry.normals[face] @ origin
+            if len(begin) == 1:
+                distance = geometry.offsets[face] - geometry.normals[face] @ begin[0]
+            else:
+                distance = geometry.offsets[face] - np.einsum("ij,ij->i", geometry.normals[face], begin[changed])
             towards = np.einsum("ij,ij->i", geometry.normals[face], flat[part][changed])
             range_m[part][changed] = distance / towards
             triangle[part] = settled
 
     in_threads(work, range(0, len(flat), _CHUNK), threads)
-    refuse_escapes(geometry, origin, flat, triangle)
+    refuse_escapes(geometry, origins, flat, triangle)
     return Hits(triangle.reshape(directions.shape[:-1]), range_m.reshape(directions.shape[:-1]))
 
 
@@ -95,19 +99,24 @@ def rotated(directions: Array, rotation: Array) -> Array:
     return np.asarray(np.einsum("ij,kj->ik", directions, rotation))
 
 
-def nearest_triangles(geometry: Geometry, origin: Array, directions: NDArray[np.float32]) -> Ints:
-    """Triangles `[n]` hit in directions `[n, 3]` of any length, with the rule for coincident faces; -1 for a miss."""
-    origins = np.broadcast_to(origin.astype(np.float32), directions.shape)
-    triangle = np.asarray(geometry.embree.run(origins, directions), dtype=np.int32)
-    return _settled(geometry, origin, directions, triangle)
+def nearest_triangles(geometry: Geometry, origins: NDArray[np.floating], directions: NDArray[np.float32]) -> Ints:
+    """Triangles `[n]` hit in directions `[n, 3]` of any length, with the rule for coincident faces; -1 for a miss.
+
+    `origins` are `[n, 3]`, or `[3]` or `[1, 3]` if all rays begin in one point.
+    """
+    begin = np.broadcast_to(origins.astype(np.float32, copy=False), directions.shape)
+    triangle = np.asarray(geometry.embree.run(begin, directions), dtype=np.int32)
+    return _settled(geometry, origins.reshape(-1, 3), directions, triangle)
 
 
-def _settled(geometry: Geometry, origin: Array, directions: NDArray[Any], triangle: Ints) -> Ints:
+def _settled(geometry: Geometry, origins: NDArray[np.floating], directions: NDArray[Any], triangle: Ints) -> Ints:
     """The visible triangles where faces coincide; see `coincident`."""
     rivals = geometry.rivals
     if not len(rivals.pairs):
         return triangle
-    pairs = visible_pairs(rivals, geometry.normals, geometry.offsets, origin)
+    # Rays that begin apart do so on one mirror, and see the same sides of a scene's faces.
+    first = np.asarray(origins[0], dtype=np.float64)
+    pairs = visible_pairs(rivals, geometry.normals, geometry.offsets, first)
     if not len(pairs):
         return triangle
     settled = triangle.copy()
@@ -118,19 +127,19 @@ def _settled(geometry: Geometry, origin: Array, directions: NDArray[Any], triang
         geometry.normals,
         geometry.offsets,
         rivals.tolerance_m,
-        origin,
+        np.asarray(origins, dtype=np.float64),
         directions,
         settled,
     )
     return settled
 
 
-def refuse_escapes(geometry: Geometry, origin: Array, directions: ArrayLike, triangle: Ints) -> None:
+def refuse_escapes(geometry: Geometry, origins: Array, directions: ArrayLike, triangle: Ints) -> None:
     """Raise InputError when the scene is closed and any ray has no triangle."""
     escaped = np.flatnonzero(triangle < 0)
     if geometry.closed and escaped.size:
         d = np.asarray(directions)[escaped[0]]
-        x, y, z = origin + geometry.centre
+        x, y, z = origins[escaped[0] if len(origins) > 1 else 0] + geometry.centre
         raise InputError(
             f"{escaped.size} rays or more escape, one from ({x:.10g}, {y:.10g}, {z:.10g}) m "
             f"in direction ({d[0]:.4f}, {d[1]:.4f}, {d[2]:.4f}): close the scene or set closed = false",

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 from pydantic import Field, model_validator
 
-from harness.camera.sensor import Sensor, pixel_directions
+from harness.camera.reflection import seeing_pixels
+from harness.camera.sensor import Sensor
 from harness.geometry.angles import Array
 from harness.spec import Spec
 
@@ -86,7 +87,7 @@ def captured(
     sigma = np.hypot(sigma_grey, _dark_noise_grey(chip))
     if sigma:
         light = light + sigma * white.standard_normal(image.shape, dtype=np.float32)
-    known = pixel_directions(sensor)[1]
+    known = seeing_pixels(sensor)
     grey = np.where(known, _rounded(_encoded(light, chip), chip), image)
     if chip.jpeg_quality:
         grey = np.where(known, _compressed(grey, chip.jpeg_quality), image)

@@ -137,7 +137,7 @@ def settle(
     normals: Array,
     offsets: Array,
     tolerance_m: float,
-    origin: Array,
+    origins: Array,
     directions: NDArray[np.floating],
     triangle: Ints,
 ) -> None:
@@ -149,6 +149,8 @@ def settle(
         From `visible_pairs`.
     face_of_triangle
         `[triangles]` or more.
+    origins
+        `[n, 3]`, or `[1, 3]` if all rays begin in one point.
     directions
         `[n, 3]`, of any length.
     triangle
@@ -170,7 +172,7 @@ def settle(
         normals,
         offsets,
         tolerance_m,
-        origin,
+        origins,
         directions,
         triangle,
     )

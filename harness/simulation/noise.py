@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from pydantic_core import to_json
 
 from harness.camera.models import Mirror
-from harness.camera.sensor import Sensor, pixel_directions
+from harness.camera.reflection import seeing_pixels
+from harness.camera.sensor import Sensor
 from harness.spec import Spec
 
 
@@ -75,6 +76,6 @@ def with_noise(
     if sigma_grey == 0:
         return image
     unit = draws.standard_normal(image.shape, dtype=np.float32)
-    noisy = np.where(pixel_directions(sensor)[1], image + np.float32(sigma_grey) * unit, image)
+    noisy = np.where(seeing_pixels(sensor), image + np.float32(sigma_grey) * unit, image)
     noisy.flags.writeable = False
     return noisy

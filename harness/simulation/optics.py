@@ -10,7 +10,8 @@ from pydantic import Field
 from scipy import fft, ndimage
 
 from harness.camera.fill import across_seam, nearest_known
-from harness.camera.sensor import Sensor, pixel_directions, seam_px
+from harness.camera.reflection import seeing_pixels
+from harness.camera.sensor import Sensor, seam_px
 from harness.geometry.angles import Array
 from harness.spec import Finite, Spec
 
@@ -57,7 +58,7 @@ def with_optics(image: Image, sensor: Sensor, optics: Optics) -> Image:
     """
     if optics.is_ideal:
         return image
-    known = pixel_directions(sensor)[1]
+    known = seeing_pixels(sensor)
     values = image[nearest_known(known)].astype(np.float64)
     reach = math.ceil(_REACH * max(optics.defocus_px, optics.defocus_edge_px or 0.0) + optics.motion_px)
     seam = min(seam_px(sensor) + reach, sensor.camera.width_px) if seam_px(sensor) else 0
@@ -79,7 +80,7 @@ def _squared_radius(sensor: Sensor) -> Array:
     camera = sensor.camera
     u, v = np.arange(camera.width_px) - camera.cx_px, np.arange(camera.height_px) - camera.cy_px
     radius_2 = u[None, :] ** 2 + v[:, None] ** 2
-    farthest = radius_2[pixel_directions(sensor)[1]].max(initial=0.0)
+    farthest = radius_2[seeing_pixels(sensor)].max(initial=0.0)
     return np.asarray(np.minimum(radius_2 / farthest, 1.0) if farthest else np.zeros_like(radius_2))
 
 

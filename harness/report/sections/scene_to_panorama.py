@@ -50,7 +50,7 @@ def section(context: Context) -> Iterator[Block]:
     yield Figure(
         "figure-environment",
         [environment(outcome), mirror_image(outcome)],
-        html(_ENVIRONMENT, trial=trial, masked=mask_words(outcome.trial.sensor)),
+        html(_ENVIRONMENT, trial=trial, masked=mask_words(outcome.trial.assumed_sensors[0])),
         data=Data(
             "viewpoints",
             ["view", "x_m", "y_m", "z_m"],
@@ -60,7 +60,7 @@ def section(context: Context) -> Iterator[Block]:
     if outcome.trial.sensors[0] != outcome.trial.sensors[1]:
         first, second = outcome.trial.sensors
         own = what_differs((first, second))
-        caption = html(_SECOND_VIEW, sensor=second, own=own, masked=mask_words(second))
+        caption = html(_SECOND_VIEW, sensor=second, own=own, masked=mask_words(second.aligned))
         yield Figure("figure-second-view", [mirror_image(outcome, 1)], caption)
     fields: Fields = {
         "grey_mean": (outcome.panoramas[0].values, outcome.panoramas[0].valid, np.mean),
@@ -123,7 +123,7 @@ def environment(outcome: Outcome) -> Picture:
 @theme.panel
 def mirror_image(outcome: Outcome, view: int = 0) -> Picture:
     """The mirror image of view 0 or 1 as its camera takes it."""
-    image, sensor = outcome.images[view], outcome.trial.sensors[view]
+    image, sensor = outcome.images[view], outcome.trial.assumed_sensors[view]
     rows, columns = image.shape
     fig, ax, extent = image_axes(rows, columns)
     ax.imshow(image, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
