@@ -71,7 +71,7 @@ class Across(OneLine):
 
 def fit_across(
     images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn: Turn, inverse_range: Array
-) -> tuple[Across, int]:
+) -> tuple[Across, int, int]:
     """Fit tiles along and across the epipolar curves, from inverse ranges that are accurate to about a pixel.
 
     Parameters
@@ -85,9 +85,12 @@ def fit_across(
         The tiles that look alike in both views.
     tried
         How many were tried: those with texture and inverse ranges.
+    textured
+        How many of view 1 have texture.
     """
     given = views(images, sensors)
-    tiles, planes = _planes(given, lay_tiles(given), inverse_range)
+    laid = lay_tiles(given)
+    tiles, planes = _planes(given, laid, inverse_range)
     count = len(tiles)
     x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
     n = normalise(np.cross(turn.t, x_c))
@@ -108,7 +111,7 @@ def fit_across(
         delta = delta + np.clip(step[:, 0], -0.02, 0.02)
         planes = planes + step[:, 1:4]
         gain, offset = np.clip(gain + step[:, 4], 0.1, 10.0), offset + step[:, 5]
-    return _usable(sensors[1], turn, (tiles, x_c, planes, delta), (H, sums), n), count
+    return _usable(sensors[1], turn, (tiles, x_c, planes, delta), (H, sums), n), count, len(laid)
 
 
 def _usable(

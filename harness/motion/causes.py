@@ -32,6 +32,8 @@ _ALIKE = 0.97
 """Causes that explain this share of what the best one explains are indistinguishable from it."""
 _ENOUGH = 0.9
 """Least share that a single likely cause explains."""
+_CLEAR = 0.35
+"""What an error leaves of the median distance, where that alone is enough: it then holds for most tiles."""
 _SECTORS = 4
 """Sectors of azimuth that errors are tried on, each by those fitted to the others."""
 _SIGNIFICANT = 6.0
@@ -221,7 +223,8 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
         A, b = E * root[:, None], e * root
         theta, covariance, gain = _likeliest(A, b)
         factor, weight = _weighed((e - E @ theta) / sigma)
-    if min(gain, _gain_elsewhere(A, b, tiles.x_1)) <= _SIGNIFICANT:
+    left = float(np.median(np.abs(e - E @ theta)) / max(np.median(np.abs(e)), 1e-300)) if len(e) else 1.0
+    if gain <= _SIGNIFICANT or (left > _CLEAR and _gain_elsewhere(A, b, tiles.x_1) <= _SIGNIFICANT):
         gain, theta, covariance = 0.0, np.zeros(len(size)), np.zeros((len(size), len(size)))
         factor, weight = _weighed(e / sigma)
     return Causes(

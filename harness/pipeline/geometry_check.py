@@ -27,6 +27,8 @@ from harness.motion.residuals import Turn
 
 LEAST_TILES = 16
 """Tiles that a verdict needs: as many as errors that are fitted, which their prior holds as well."""
+LEAST_MATCHED = 0.15
+"""Share of view 1's textured windows that look alike in both views, at least, for a geometry to be called ok."""
 LEAST_ALIKE = 0.5
 """Share of the windows with texture that look alike where they were matched, at least."""
 MOST_SHARE = 0.02
@@ -78,6 +80,8 @@ class GeometryCheck(OneLine):
     there are too few tiles."""
     tried: int
     """Windows with texture and ranges; those of `tiles` look alike in both views."""
+    textured: int
+    """Windows of view 1 with texture."""
 
     @property
     def across_px(self) -> Array:
@@ -125,6 +129,11 @@ class GeometryCheck(OneLine):
         )
 
     @property
+    def least(self) -> int:
+        """How many windows a verdict needs."""
+        return max(LEAST_TILES, math.ceil(LEAST_MATCHED * self.textured))
+
+    @property
     def contradicted(self) -> bool:
         """Whether most matches contradict the geometry."""
         return self.tried >= LEAST_TILES and len(self.tiles) < LEAST_ALIKE * self.tried
@@ -142,8 +151,8 @@ class GeometryCheck(OneLine):
     def _verdict_lines(self) -> list[str]:
         if self.verdict == Verdict.UNKNOWN:
             text = (
-                f"geometry {self.verdict}: only {len(self.tiles)} windows look alike in both views, {LEAST_TILES} are "
-                "needed; there is no texture, or motion or calibration are far off"
+                f"geometry {self.verdict}: only {len(self.tiles)} of {self.textured} textured windows match, "
+                f"{self.least} are needed; motion or calibration may be far off, or there is no texture"
             )
             return [text]
         text = (
@@ -185,6 +194,7 @@ class GeometryCheck(OneLine):
             "verdict": str(self.verdict),
             "tiles": len(self.tiles),
             "tiles_tried": self.tried,
+            "tiles_textured": self.textured,
             "across_rms_px": _finite(self.rms_px),
             "noise_px": _finite(self.noise_px),
             "range_error_share": _finite(self.median_share),
@@ -211,12 +221,15 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
     """
     turn = Turn(np.asarray(pair.motion.R_v2_from_v1, np.float64), pair.t_v1 / pair.motion.baseline_m)
     first, second = pair.images
-    tiles, tried = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
+    tiles, tried, textured = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
+    none = np.zeros(len(tiles))
     if len(tiles) < LEAST_TILES:
-        return GeometryCheck(Verdict.UNKNOWN, tiles, None, np.zeros(len(tiles)), math.nan, tried)
+        return GeometryCheck(Verdict.UNKNOWN, tiles, None, none, math.nan, tried, textured)
     causes = fit_causes(tiles, pair.sensors, turn)
     if not causes.significant:
-        return GeometryCheck(Verdict.OK, tiles, causes, np.zeros(len(tiles)), 0.6827, tried)
+        few = len(tiles) < LEAST_MATCHED * textured
+        verdict, covered = (Verdict.UNKNOWN, math.nan) if few else (Verdict.OK, 0.6827)
+        return GeometryCheck(verdict, tiles, causes, none, covered, tried, textured)
     row, column = (np.rint(each).astype(np.intp) for each in pixel_of(pair.grid, tiles.x_1))
     row = np.clip(row, 0, pair.grid.height_px - 1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -225,7 +238,7 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
     verdict = Verdict.OK if covered >= LEAST_COVERED else Verdict.DOUBTFUL
     if np.median(share) > MOST_SHARE and covered < MOST_COVERED:
         verdict = Verdict.WRONG
-    return GeometryCheck(verdict, tiles, causes, share, covered, tried)
+    return GeometryCheck(verdict, tiles, causes, share, covered, tried, textured)
 
 
 def geometry_share(check: GeometryCheck, pair: Pair) -> Array:
