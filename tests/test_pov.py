@@ -14,8 +14,10 @@ from harness.cli import main
 from harness.errors import InputError
 from harness.geometry.pose import Pose
 from harness.simulation.pov import write_pov
+from harness.simulation.reflected import points_seen
 from harness.simulation.render import render
 from harness.simulation.scene import load_scene
+from harness.simulation.scene_geometry import geometry_near
 from harness.simulation.truth import ranges
 
 SMALL = {"width_px": 320, "height_px": 240, "focal_px": 307.06, "cx_px": "centre", "cy_px": "centre"}
@@ -138,7 +140,7 @@ PLACES = {"box": (Pose(position_m=(0, 0, 1)), 1000), "room": (POSE, 10)}
 From the middle of the cube four of its edges lie on diagonals of pixels, and on samples: 90 pixels of 8 samples each.
 POV-Ray 3.7.0.10 loses 201 of them, and none or one of the others.
 """
-MISALIGNMENTS = {"default": {}}
+MISALIGNMENTS = {"default": {}, "shifted": {"x_mm": 1.0}, "tilted": {"rotation_x_deg": 0.5}}
 
 
 @pytest.mark.slow
@@ -160,21 +162,27 @@ def test_image_and_ranges_are_those_of_the_physical_mirror(name: str, misaligned
     assert np.abs(shift_px(image, traced, pixels)).max() < 1e-3
 
     points, shown = positions(tmp_path)
-    directions, valid = pixel_directions(sensor)
+    truth = points_seen(scene, sensor, pose)
     # The rim and the camera's body are where the field of view says, to the pixel.
-    np.testing.assert_array_equal(shown, valid)
-    known = np.isfinite(points[..., 0])
-    assert np.count_nonzero(valid & ~known) <= most_lost
-    range_m = np.linalg.norm(points - pose.position_m, axis=-1)[known]
+    np.testing.assert_array_equal(shown, np.isfinite(truth.range_m))
+    hit = np.isfinite(points[..., 0])
+    assert np.count_nonzero(shown & ~hit) <= most_lost
     # POV-Ray's triangles are single precision, 2e-7 m at 4 m, and more along a grazing ray.
-    np.testing.assert_allclose(range_m, ranges(scene, pose, directions, valid)[known], rtol=0, atol=1e-5)
+    own = (points - pose.position_m) @ pose.R_world_from_view
+    np.testing.assert_allclose(own[hit], truth.point_m[hit], rtol=0, atol=1e-5)
+    range_m = np.linalg.norm(own, axis=-1)[hit]
+    np.testing.assert_allclose(range_m, truth.range_m[hit], rtol=0, atol=1e-5)
+    if sensor.is_central:
+        directions, valid = pixel_directions(sensor)
+        np.testing.assert_allclose(range_m, ranges(scene, pose, directions, valid)[hit], rtol=0, atol=1e-5)
 
 
 @pytest.mark.slow
-def test_with_the_same_samples_the_image_is_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("misalignment", [{}, MISALIGNED], ids=["aligned", "misaligned"])
+def test_with_the_same_samples_the_image_is_the_same(misalignment: dict, tmp_path: Path) -> None:
     """1,024 samples a pixel are the most that the renderer takes, and it takes them everywhere."""
     camera = {"width_px": 40, "height_px": 30, "focal_px": 38.0, "cx_px": 19.0, "cy_px": 14.2}
-    sensor, scene = Sensor.model_validate({"camera": camera}), load_scene("room")
+    sensor, scene = Sensor.model_validate({"camera": camera, "misalignment": misalignment}), load_scene("room")
     write_pov(scene, sensor, POSE, tmp_path)
     traced, lost = averaged(tmp_path, 40, 30, 32)
     assert lost.sum() <= 10
@@ -200,3 +208,28 @@ def test_any_camera_matrix_mount_and_misalignment_see_along_their_rays(tmp_path:
     across = np.linalg.norm(np.cross(own - begins[both], directions[both]), axis=1)
     # Positions are known in 16 bits of 7 mm, 1e-7 m.
     assert across.max() < 1e-6
+
+
+@pytest.mark.slow
+def test_an_open_scene_far_away_shows_its_background(tmp_path: Path) -> None:
+    """5,000 km off, where single precision has a step of half a metre; positions count from a point near by."""
+    noise = {"kind": "noise", "seed": 1, "tile_m": 2, "shortest_m": 0.1, "longest_m": 1}
+    crate = {"kind": "box", "size_m": [1, 1, 2], "position_m": [5000002, 1000, 0], "texture": noise}
+    scene = load_scene({"name": "field", "closed": False, "background_grey": 77, "objects": [crate]})
+    camera = {"width_px": 160, "height_px": 120, "focal_px": 153.53, "cx_px": "centre", "cy_px": "centre"}
+    sensor, pose = Sensor.model_validate({"camera": camera}), Pose(position_m=(5000000.3, 1000.2, 1))
+    write_pov(scene, sensor, pose, tmp_path)
+    traced, lost = averaged(tmp_path, 160, 120, 4)
+    assert not lost.any()
+    pixels = whole(sensor)
+    difference = (traced - render(scene, sensor, pose, samples=16))[pixels]
+    # Nearly all is background, of one grey in 16 bits. Outlines have 4 times as many samples, as above.
+    assert np.median(np.abs(difference)) < 255 / 65535
+    assert np.sqrt(np.mean(difference**2)) < 0.2
+    points, _ = positions(tmp_path)
+    directions, valid = pixel_directions(sensor)
+    range_m = ranges(scene, pose, directions, valid)
+    np.testing.assert_array_equal(np.isfinite(points[..., 0]), np.isfinite(range_m))
+    from_centre = np.subtract(pose.position_m, geometry_near(scene, pose.position_m).centre)
+    # A step of a float64 at 5,000 km is 9e-10 m; that of POV-Ray's triangles at 16 m from the centre, 1e-6.
+    np.testing.assert_allclose(np.linalg.norm(points - from_centre, axis=-1), range_m, rtol=0, atol=1e-5)

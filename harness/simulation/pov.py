@@ -123,15 +123,14 @@ def _png16(texels: Texels) -> bytes:
 
 
 def _head(geometry: Geometry) -> str:
-    missed = "rgb <1, 0, 1>" if geometry.closed else f"rgb {geometry.background_grey / 255!r}"
-    why = "which no ray should see: the scene is closed" if geometry.closed else "what an open scene shows"
+    background = "" if geometry.closed else f"#if (Shown = 0) rgb {geometry.background_grey / 255!r} #else "
     return f"""\
 // {_comment(geometry.name)}. Metres, z up, right-handed, from {_vector(geometry.centre)} in the world.
 #version 3.7;
 #ifndef (Shown) #declare Shown = 0; #end // 0: grey levels; 1: positions, coarse; 2: positions, fine
 global_settings {{ assumed_gamma 1 max_trace_level 4 adc_bailout 0 }}
 #default {{ finish {{ ambient 0 diffuse 0 emission 1 }} }}
-background {{ {missed} }} // {why}
+background {{ {background}rgb <1, 0, 1>{" #end" if background else ""} }} // where no surface is hit
 """
 
 
