@@ -112,8 +112,8 @@ UNIFIED = {"model": {"kind": "unified", "xi": 0.9}, "mount": {"looks": "down"}, 
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (UNIFIED, "model.kind: a unified (Mei) camera cannot be written for POV-Ray"),
-        ({"lens": {"k1": 0.01}}, "lens.k1: 0.01 cannot be written for POV-Ray, whose camera has no lens terms; use 0"),
+        (UNIFIED, "model.kind: POV-Ray has no unified (Mei) camera; a view for it needs"),
+        ({"lens": {"k1": 0.01}}, "lens.k1: POV-Ray's camera has no lens terms; a view for it needs 0"),
     ],
 )
 def test_a_camera_that_povray_lacks_is_refused(table: dict, words: str, tmp_path: Path) -> None:

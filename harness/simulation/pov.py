@@ -63,13 +63,13 @@ def check_pov(sensor: Sensor) -> None:
     """
     if not isinstance(sensor.model, Mirror):
         raise InputError(
-            f"a {sensor.model.title} cannot be written for POV-Ray, which has no such camera; use a hyperboloid mirror",
+            f"POV-Ray has no {sensor.model.title}; a view for it needs a hyperboloid mirror",
             key="model.kind",
         )
     bent = [name for name in type(sensor.lens).model_fields if getattr(sensor.lens, name)]
     if bent:
         raise InputError(
-            f"{getattr(sensor.lens, bent[0]):g} cannot be written for POV-Ray, whose camera has no lens terms; use 0",
+            f"POV-Ray's camera has no lens terms; a view for it needs 0 in place of {getattr(sensor.lens, bent[0]):g}",
             key=f"lens.{bent[0]}",
         )
 
