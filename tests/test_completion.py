@@ -53,7 +53,7 @@ def test_names_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     (tmp_path / "folder" / "deep.toml").touch()
     assert set(offered("omnirange run ", monkeypatch)) >= {*shipped.names("experiments"), "mine.toml", "folder/"}
     assert offered("omnirange run pap", monkeypatch) == ["paper"]
-    assert offered("omnirange run mi", monkeypatch) == ["mine.toml"]
+    assert offered("omnirange run mine", monkeypatch) == ["mine.toml"]
     assert offered("omnirange run folder/", monkeypatch) == ["folder/deep.toml"]
     assert offered("omnirange render corr", monkeypatch) == ["corridor"]
     assert offered("omnirange report ", monkeypatch)[-1:] == ["folder/"]

@@ -60,6 +60,15 @@ def test_methods_are_compared_on_alike_trials():
     assert "have the smallest median range errors" in conclusions(alike, None)[0]
 
 
+def test_settings_that_change_together_are_no_axes():
+    done = rows(
+        lambda _m, s, seed: 0.01 * luck(seed) * (1 + s["noise.sigma_grey"]), axes={"noise.sigma_grey": [0.0, 4.0]}
+    )
+    for row in done:
+        row.coordinates["chip.bits"] = 8 if row.coordinates["noise.sigma_grey"] else 12
+    assert conclusions(done, None) == []
+
+
 def test_few_seeds_are_said():
     done = rows(lambda _m, s, _seed: 0.01 * (1 + s["noise.sigma_grey"]), seeds=[1, 2, 3])
     assert conclusions(done, None)[-1] == "Intervals are over 3 seeds, and come out too short."

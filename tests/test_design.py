@@ -8,13 +8,14 @@ from harness.camera.sensor import Sensor
 from harness.cli import main
 from harness.design.answers import Cost, answers, candidates, height_m, mirror_diameter_m, resized
 from harness.design.answers import _variants as variants
-from harness.design.budget import CAUSES, budget, central_68, directions_of
+from harness.design.budget import CAUSES, budget, directions_of
 from harness.design.gradients import aliased_grey, gradient_grey
 from harness.design.rig import RigDesign
 from harness.design.verify import drawn, verify
 from harness.errors import InputError
 from harness.evaluation.propagation import range_errors
 from harness.evaluation.rig_uncertainty import Uncertainty
+from harness.evaluation.statistics import central_68
 from harness.geometry.angles import angle_between, normalise
 from harness.simulation.texture import BundledTexture, NoiseTexture, texels_of
 

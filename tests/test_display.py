@@ -41,7 +41,8 @@ def test_no_repr_prints_an_array_or_a_second_line(outcome: Outcome) -> None:
 
 def test_completion_shows_keys_and_no_pydantic_machinery(outcome: Outcome) -> None:
     shown = {name for name in dir(outcome.trial) if not name.startswith("_")}
-    added = {"key", "poses", "true_motion", "sensors", "assumed_sensors", "lenses", "is_noisy", "bound_noise_grey"}
+    added = {"key", "poses", "true_motion", "sensors", "assumed_sensors", "lenses", "is_noisy"}
+    added |= {"bound_noise_grey", "belief_draws"}
     assert shown == {*Trial.model_fields, *added}
     of_sensor = {name for name in dir(Sensor) if not name.startswith("_")}
     assert of_sensor == {*Sensor.model_fields, "looks", "mirrored", "with_mask", "is_central", "aligned"}

@@ -96,6 +96,6 @@ def test_a_placement_is_drawn_by_the_seed_alone(paper):
     # The baseline keeps its length and its direction in the world; both views turn alike.
     moved = np.subtract(one.poses[1].position_m, one.poses[0].position_m)
     np.testing.assert_allclose(moved, [0.5, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(one.motion.R_v2_from_v1, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(one.true_motion.R_v2_from_v1, np.eye(3), atol=1e-15)
     longer = trial(seed=1, view_2__baseline_m=1.0)
     assert longer.poses[0] == one.poses[0]

@@ -9,9 +9,10 @@ import numpy as np
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.models.ocam import OCam
 from harness.camera.sensor import Sensor
-from harness.design.budget import CAUSES, budget, central_68, directions_of
+from harness.design.budget import CAUSES, budget, directions_of
 from harness.design.rig import RigDesign
 from harness.display import OneLine
+from harness.evaluation.statistics import central_68
 
 
 @dataclass(frozen=True, repr=False)

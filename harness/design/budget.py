@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from harness.camera.sensor import in_field, jacobian
 from harness.design.gradients import aliased_grey, gradient_grey
@@ -117,8 +116,6 @@ def _along_epipolar(rig: RigDesign, points_m: Array, t: Array) -> Array:
 
 # --- What a rig is asked ------------------------------------------------------------------------------------------
 
-SHARE = 0.682689492
-"""Share of a normal distribution within one standard deviation."""
 FAR_FROM_T = 0.5
 """The least sine of the angle to t of directions that count: the paper leaves out 30 degrees around the baseline."""
 
@@ -131,16 +128,3 @@ def directions_of(rig: RigDesign, elevations_deg: tuple[float, ...] = (-20.0, -1
     ).reshape(-1, 3)
     sine = np.linalg.norm(np.cross(x, normalise(rig.believed.motion.t_v1)), axis=-1)
     return x[in_field(rig.sensor, x) & (sine >= FAR_FROM_T)]
-
-
-def central_68(sigma_m: Array) -> float:
-    """The error that 68.3 % of the points stay within: of a mixture of normal distributions, one a point."""
-    known = sigma_m[np.isfinite(sigma_m)]
-    if not known.size or known.size < SHARE * sigma_m.size:
-        return float("inf")
-    share, scale = SHARE * sigma_m.size / known.size, 1 / (np.sqrt(2) * np.maximum(known, 1e-300))
-    low, high = 0.0, 5 * float(known.max())  # 5 sigma hold all but 6e-7
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (middle, high) if erf(middle * scale).mean() < share else (low, middle)
-    return high

@@ -6,11 +6,12 @@ import numpy as np
 
 from harness.camera.coverage import coverage
 from harness.camera.sensor import in_use
-from harness.design.budget import FAR_FROM_T, SHARE, budget, central_68
+from harness.design.budget import FAR_FROM_T, budget
 from harness.design.rig import RigDesign
 from harness.display import OneLine
 from harness.evaluation.propagation import Rig
 from harness.evaluation.rig_uncertainty import uncertain
+from harness.evaluation.statistics import SHARE, central_68
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion, Pose

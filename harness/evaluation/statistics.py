@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from harness.geometry.angles import Array
 
@@ -17,6 +18,8 @@ DRAWS = 1000
 FEW_SEEDS = 8
 """Intervals from fewer seeds than these come out too short; the report says so."""
 _ENDS = (0.025, 0.975)
+SHARE = 0.682689492
+"""Share of a normal distribution within one standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,19 @@ def weighted_median(values: Array, weights: Array) -> float:
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(reached, 0.5 * reached[-1])]])
+
+
+def central_68(sigma_m: Array) -> float:
+    """The error that 68.3 % of the points stay within: of a mixture of normal distributions, one a point."""
+    known = sigma_m[np.isfinite(sigma_m)]
+    if not known.size or known.size < SHARE * sigma_m.size:
+        return float("inf")
+    share, scale = SHARE * sigma_m.size / known.size, 1 / (np.sqrt(2) * np.maximum(known, 1e-300))
+    low, high = 0.0, 5 * float(known.max())  # 5 sigma hold all but 6e-7
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if erf(middle * scale).mean() < share else (low, middle)
+    return high
 
 
 def balanced(values: pd.DataFrame) -> pd.DataFrame:

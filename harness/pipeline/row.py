@@ -19,6 +19,7 @@ from harness.evaluation.regions import FLOOR, VISIBLE, WALL
 from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
+from harness.pipeline.error_budget import error_budget
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
 from harness.pipeline.trial import Outcome
 
@@ -42,6 +43,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "noise_grey": noise_grey(outcome) if trial.scoring.sample_px else None,
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
         "calibration": calibration_of(outcome),
+        "budget": error_budget(outcome) if trial.scoring.budget else None,
         "remark": outcome.matches.remark or None,
         "motion": _status(outcome),
     }

@@ -14,6 +14,7 @@ from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
 from harness.matching.window.settings import WindowMatcher
+from harness.pipeline.believed import Believed, draws_of, misaligned
 from harness.simulation.chip import Chip
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.noise import generator
@@ -129,6 +130,9 @@ class Scoring(Spec):
     bound: bool = False
     """Whether the Cramér-Rao bound of the matcher's own window is computed for every cell of surface, direction and
     range."""
+    budget: bool = False
+    """Whether to predict the range's errors by cause (`believed.sigma`, and the matcher's own prediction), and to count
+    the errors in units of that."""
     confidence: bool = False
     """Whether to measure how well the matcher's confidence ranks its errors, which takes as long as all other
     figures."""
@@ -171,6 +175,8 @@ class Trial(Spec):
     """The filter before matching."""
     motion: MotionGiven = MotionGiven()
     """The motion that the matcher is given."""
+    believed: Believed = Believed()
+    """What the matcher is given less what is true: errors of the motion and the calibration."""
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""
     scoring: Scoring = Scoring()
@@ -206,11 +212,13 @@ class Trial(Spec):
                 sensor.pop("misalignment", None)  # as before there was one
             if mask := sensor.pop("mask", None):
                 sensor["mask"] = mask["sha256"]
-        for name in ("optics", "optics_2", "chip", "motion"):
+        for name in ("optics", "optics_2", "chip", "motion", "believed"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as before there was one
         if self.optics_2 == self.optics:
             settings.pop("optics_2", None)
+        if not self.scoring.budget:
+            del settings["scoring"]["budget"]
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
         if any(models := [sensor.model.identity() for sensor in self.sensors]):
@@ -236,7 +244,17 @@ class Trial(Spec):
     @property
     def sensors(self) -> tuple[Sensor, Sensor]:
         """The sensor of each view, as it truly is."""
-        return self.sensor, self.sensor if self.sensor_2 is None else self.sensor_2
+        second = self.sensor if self.sensor_2 is None else self.sensor_2
+        sigma = self.believed.sigma
+        if not sigma.alignment_mm and not sigma.alignment_deg:
+            return self.sensor, second
+        draws = self.belief_draws
+        return misaligned(self.sensor, draws), misaligned(second, draws)
+
+    @property
+    def belief_draws(self) -> dict[str, float]:
+        """The errors of what is believed that the seed draws, by parameter."""
+        return draws_of(self.sensor, self.believed.sigma, self.seed)
 
     @property
     def lenses(self) -> tuple[Optics, Optics]:

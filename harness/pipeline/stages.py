@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, cast
 
 from harness.camera.sensor import Sensor
+from harness.evaluation.propagation import Rig
 from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.pipeline.believed import believed_rig
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.simulation.fingerprint import fingerprint
@@ -46,10 +48,11 @@ class Setup:
 
 
 def setup_of(trial: Trial) -> Setup:
-    """The setup of a trial. The matcher assumes the true calibration, but for a misalignment, and the true motion."""
+    """The setup of a trial. What the matcher assumes is true but for a misalignment and `trial.believed`."""
     poses = trial.poses
     motion = relative_motion(*poses)
-    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(trial.assumed_sensors, motion))
+    believed = believed_rig(Rig(trial.assumed_sensors, motion), trial.believed, trial.belief_draws)
+    return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(believed.sensors, believed.motion))
 
 
 def _none(_setup: Setup, _view: int) -> Hashable:

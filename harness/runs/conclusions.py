@@ -121,6 +121,8 @@ def _about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figur
     curve = mean_over_seeds(pivot, logarithmic=True)
     least, most = int(np.argmin(curve.mean)), int(np.argmax(curve.mean))
     ratio = _ratio(pivot, curve.x[most], curve.x[least])
+    if not math.isfinite(ratio[0]):  # settings that change together: no two trials differ in this one alone
+        return
     values = [axes[key][int(i)] for i in curve.x]  # type: ignore[call-overload]
     if not _differs(ratio):
         yield f"{key} makes no difference that these seeds show ({who}: at most {_times(ratio)})."

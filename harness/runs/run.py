@@ -25,6 +25,7 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.runs import executors
 from harness.runs.analysis import cell_table, law_of, limit_of
+from harness.runs.budgets import budget_of
 from harness.runs.conclusions import conclusions
 from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
@@ -214,6 +215,9 @@ def result_from(
     limit = limit_of((row.planned, row.payload) for row in done)
     if limit:
         summary["limit"] = limit
+    budget = budget_of((row.planned, row.payload) for row in done)
+    if budget:
+        summary["budget"] = budget
     law = law_of(cells)
     if law is not None:
         summary["law"] = law

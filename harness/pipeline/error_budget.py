@@ -1,0 +1,85 @@
+"""The error budget of a trial: by range, what each cause is predicted to do, and how the errors compare with that."""
+
+from typing import Any
+
+import numpy as np
+
+from harness.evaluation.propagation import Rig, propagated, sensitivities
+from harness.evaluation.regions import RANGE_RATIO
+from harness.evaluation.rig_uncertainty import covariances
+from harness.evaluation.statistics import central_68
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import alpha_1
+from harness.geometry.panorama import directions
+from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.pipeline.stages import setup_of
+from harness.pipeline.trial import Outcome
+from harness.simulation.noise import generator
+
+Z_EDGES = np.arange(0.0, 6.0001, 0.05)
+"""Bins of |error| over its predicted standard deviation; what lies beyond is in the last one."""
+_EVERY = 3
+"""Rows and columns between the pixels that count."""
+_LEAST_SINE = 0.5
+"""Directions within 30 degrees of the baseline are left out, as in the paper."""
+_LEAST_PIXELS = 30
+
+
+def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
+    """Predicted errors by cause and range, and a histogram of the errors in units of the prediction.
+
+    The matcher's own part is what it predicts itself; None where it predicts nothing.
+
+    Returns
+    -------
+    list of dict
+        One for each range bin (`range_bin`, see `regions`) with enough pixels: `pixels`; `predicted_m`, the error
+        that 68 % stay within, by cause; `total_m`, of all; `z`, counts of |error|/sigma in the bins of `Z_EDGES`;
+        `z_drawn`, the same of the errors that follow from what the seed has drawn, with the matcher's as predicted.
+    """
+    sigma_alpha = outcome.matches.sigma_alpha_2
+    if sigma_alpha is None:
+        return None
+    trial, assumed = outcome.trial, setup_of(outcome.trial).assumed
+    looking, range_m = directions(trial.panorama), outcome.reference.range_m
+    towards = alpha_1(trial.panorama, assumed.motion.t_v1)
+    some = np.zeros(range_m.shape, dtype=bool)
+    some[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY] = True
+    some &= outcome.reference.domain & outcome.valid & (np.sin(towards) >= _LEAST_SINE) & np.isfinite(sigma_alpha)
+    points = looking[some] * range_m[some][:, None]
+    normals = outcome.truth.normal[some] @ trial.poses[0].R_world_from_view
+    law = np.abs(sensitivity_to_alpha_2(towards[some], outcome.matches.alpha_2[some], assumed.motion.baseline_m))
+    sigma: dict[str, Array] = {"matching": law * sigma_alpha[some]}
+    rig, draws = Rig(assumed.sensors, assumed.motion), trial.belief_draws
+    noise = generator(trial.seed, "error budget").standard_normal(len(points))
+    follows = sigma["matching"] * noise
+    for cause, parameters, covariance in covariances(assumed.sensors[0], trial.believed.sigma):
+        if covariance.any():
+            sensitivity = sensitivities(points, rig, parameters, normals)
+            sigma[cause] = propagated(sensitivity, covariance)
+            # What is believed is off what is true; of the alignment, what is true is off what is believed.
+            side = 1 if cause == "alignment" else -1
+            follows = follows + side * sensitivity @ [draws.get(each.key, 0.0) for each in parameters]
+    total = np.sqrt(sum(each**2 for each in sigma.values()))
+    known = np.isfinite(total) & (total > 0)
+    bins = np.floor(np.log(range_m[some]) / np.log(RANGE_RATIO)).astype(int)
+    errors = np.abs(outcome.errors.range_m[some])
+    rows = []
+    for index in np.unique(bins[known]).tolist():
+        part = known & (bins == index)
+        if part.sum() >= _LEAST_PIXELS:
+            z, z_drawn = (
+                np.histogram(np.minimum(each[part] / total[part], Z_EDGES[-1] - 1e-9), Z_EDGES)[0].tolist()
+                for each in (errors, np.abs(follows))
+            )
+            rows.append(
+                {
+                    "range_bin": index,
+                    "pixels": int(part.sum()),
+                    "predicted_m": {name: central_68(each[part]) for name, each in sigma.items()},
+                    "total_m": central_68(total[part]),
+                    "z": z,
+                    "z_drawn": z_drawn,
+                }
+            )
+    return rows

@@ -1,0 +1,208 @@
+"""What limits the range: the error of each cause, predicted and measured, alone and together."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from harness.report import theme
+from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.report.markup import html
+from harness.report.section import About, Block, Context, Figure, Paragraph, TableBlock, section_of
+from harness.report.theme import FAINT, HALF, INK, SPARE, Picture
+
+Entry = dict[str, Any]
+
+_WORDS = """
+<p>Images come from the true rig, and are matched with one that is believed: off by errors that each seed draws. What
+each cause does to the range follows from its standard deviation by propagation through both views (predicted), and
+shows in the errors themselves (measured).{% if worst %} Errors over those that follow from the draws, where
+they are more than 10 % off and the interval leaves out 1: {{ worst }}. What is left over there is the matcher’s own,
+which it does not predict (edges, grazing walls).{% endif %}</p>
+"""
+_CAPTION = """
+Errors of the range that 68 % of the pixels of all seeds stay within, against the range, 30° or more off the baseline:
+(a) each cause alone, on top of the matcher’s own part; (b) all together. Lines: predicted; marks with 95 % intervals
+over seeds: measured{% if alone %}; crosses: the root of the sum of squares of what each cause did alone{% endif %}.
+"""
+_TABLE = """
+The same in figures. Measured over predicted is 1 where the propagation is right and the seeds are many: {{ seeds }}
+draws of one number tell its standard deviation to {{ "%.0f" | format(100 / (2 * seeds) ** 0.5) }} %. Measured over
+drawn is 1 where it is right, however few they are: what was measured over what follows from these very draws.
+"""
+_COLOURS = {
+    "rotation": theme.PIXEL,
+    "t direction": SPARE[3],
+    "t length": SPARE[1],
+    "calibration": SPARE[0],
+    "alignment": theme.SUBPIXEL,
+}
+_MARKS = {"rotation": "o", "t direction": "s", "t length": "^", "calibration": "D", "alignment": "v"}
+
+
+@section_of(About.ALL_TRIALS, "budget", "What limits the range")
+def section(context: Context) -> Iterator[Block]:
+    """Figures and a table; nothing where no trial has a budget."""
+    entries: list[Entry] = context.summary.get("budget") or []
+    if not entries:
+        return
+    first = (entries[0]["matcher"], entries[0]["subpixel"])
+    mine = [each for each in entries if (each["matcher"], each["subpixel"]) == first]
+    seeds = max(each["seeds"] for each in mine)
+    yield Paragraph(html(_WORDS, worst=_worst(mine)))
+    alone = any(each["alone_m"] for each in mine)
+    pictures = [_alone([each for each in mine if len(each["causes"]) < 2]), _together(mine)]
+    yield Figure("figure-budget", pictures, html(_CAPTION, alone=alone))
+    yield TableBlock("table-budget", _table(mine), html(_TABLE, seeds=seeds))
+
+
+def _worst(entries: list[Entry]) -> str:
+    """Where errors are more than 10 % off what follows from the draws, beyond doubt, with the ratio."""
+    said: dict[str, list[float]] = {}
+    for each in entries:
+        ratio, ends = each["over_drawn"], each["over_drawn_ci95"]
+        if ends and abs(ratio - 1) > 0.1 and not ends[0] <= 1 <= ends[1]:
+            said.setdefault(f"{_named(each)} at {each['range_m']:.2g} m", []).append(ratio)
+    return "; ".join(f"{name} {_between(ratios)}" for name, ratios in said.items())
+
+
+def _between(values: list[float]) -> str:
+    low, high = f"{min(values):.2f}", f"{max(values):.2f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _named(entry: Entry) -> str:
+    causes = entry["causes"]
+    return "the matcher alone" if not causes else causes[0] if len(causes) == 1 else "all together"
+
+
+def _axes(entries: list[Entry]) -> tuple[Any, Any]:
+    fig = theme.figure(HALF, 360)
+    ax = theme.axes(fig, 64, 62, HALF - 80, 248)
+    ax.set_xscale("log")
+    ax.set_xlabel("range (m)")
+    ax.set_ylabel("range error, 68 % within (mm)")
+    ax.grid(color="#E8E8E8", linewidth=0.5)
+    ax.set_axisbelow(True)
+    ranges = sorted({each["range_m"] for each in entries})
+    ticks = [tick for tick in (0.25, 0.5, 1, 2, 4, 8, 16, 32) if ranges[0] / 1.3 <= tick <= 1.3 * ranges[-1]]
+    ax.set_xticks(ticks)
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    values = [1000 * v for e in entries for v in (e["total_m"], e["measured_m"]) if v > 0]
+    theme.logarithmic(ax, "y", 0.7 * min(values), 1.5 * max(values))
+    return fig, ax
+
+
+def _draw(ax: Any, entries: list[Entry], colour: str, mark: str, label: str) -> None:
+    entries = sorted(entries, key=lambda each: each["range_m"])
+    x = [each["range_m"] for each in entries]
+    ax.plot(x, [1000 * each["total_m"] for each in entries], color=colour, linewidth=1.2)
+    measured = np.array([1000 * each["measured_m"] for each in entries])
+    ends = np.array([each["measured_ci95_m"] or [np.nan, np.nan] for each in entries]) * 1000
+    ax.vlines(x, ends[:, 0], ends[:, 1], color=colour, linewidth=0.9, alpha=0.7)
+    ax.plot(x, measured, mark, color=colour, markersize=5, label=label)
+
+
+@theme.panel
+def _alone(entries: list[Entry]) -> Picture:
+    fig, ax = _axes(entries)
+    names = list(dict.fromkeys(_named(each) for each in entries))
+    for name in names:
+        part = [each for each in entries if _named(each) == name]
+        _draw(ax, part, _COLOURS.get(name, FAINT), _MARKS.get(name, "o"), name)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
+    ends = "; ".join(f"{name} {_last(entries, name):.1f} mm" for name in names)
+    return theme.picture(
+        fig, f"Range errors by cause against range; at the longest range {ends}.", "(a) each cause alone"
+    )
+
+
+def _last(entries: list[Entry], name: str) -> float:
+    return 1000 * float(max((e for e in entries if _named(e) == name), key=lambda e: e["range_m"])["measured_m"])
+
+
+@theme.panel
+def _together(entries: list[Entry]) -> Picture:
+    joint = [each for each in entries if len(each["causes"]) > 1] or entries
+    fig, ax = _axes(joint)
+    _draw(ax, joint, INK, "o", "all together")
+    known = sorted((each for each in joint if each["alone_m"]), key=lambda each: each["range_m"])
+    if known:
+        x, y = [each["range_m"] for each in known], [1000 * each["alone_m"] for each in known]
+        ax.plot(x, y, "x", color=theme.PIXEL, markersize=6, label="from each alone")
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
+    last = max(joint, key=lambda each: each["range_m"])
+    alt = (
+        f"Range errors of all causes together: {1000 * last['measured_m']:.1f} mm measured at {last['range_m']:.1f} m."
+    )
+    return theme.picture(fig, alt, "(b) all together")
+
+
+def _table(entries: list[Entry]) -> Table:
+    rows: list[list[Cell]] = []
+    plain: list[list[Any]] = []
+    for each in sorted(entries, key=lambda e: (len(e["causes"]), e["causes"], e["range_m"])):
+        low, high = each["measured_ci95_m"] or (None, None)
+        ratio, of_draws = each["measured_m"] / each["total_m"], each["over_drawn"]
+        below, above = each["over_drawn_ci95"] or (None, None)
+        own = each["predicted_m"][each["causes"][0]] if len(each["causes"]) == 1 else None
+        figures = [
+            each["range_m"],
+            own,
+            each["total_m"],
+            each["measured_m"],
+            low,
+            high,
+            ratio,
+            of_draws,
+            below,
+            above,
+            each["alone_m"],
+        ]
+        rows.append(
+            [
+                words(_named(each)),
+                number(each["range_m"], ".2f"),
+                number(own, ".2f", 1000),
+                number(each["total_m"], ".2f", 1000),
+                number(each["measured_m"], ".2f", 1000),
+                number(low, ".2f", 1000),
+                number(high, ".2f", 1000),
+                number(ratio, ".2f"),
+                number(of_draws, ".2f"),
+                number(below, ".2f"),
+                number(above, ".2f"),
+                number(each["alone_m"], ".2f", 1000),
+                count(each["seeds"]),
+            ]
+        )
+        plain.append([_named(each), each["condition"], *figures, each["seeds"]])
+    head = [
+        Heading("Cause", text=True),
+        Heading("Range", "m"),
+        Heading("Cause, predicted", "mm"),
+        Heading("All, predicted", "mm"),
+        Heading("Measured", "mm"),
+        Heading("from", "mm"),
+        Heading("to", "mm"),
+        Heading("Measured / predicted"),
+        Heading("Measured / drawn"),
+        Heading("from"),
+        Heading("to"),
+        Heading("From each alone", "mm"),
+        Heading("Seeds"),
+    ]
+    names = [
+        "range_m",
+        "cause_m",
+        "predicted_m",
+        "measured_m",
+        "low_m",
+        "high_m",
+        "ratio",
+        "from_each_alone_m",
+        "seeds",
+    ]
+    return Table(head, rows, Data("budget", ["cause", "condition", *names], plain))

@@ -1,0 +1,89 @@
+"""The error budgets of a run's trials, over seeds: predicted beside measured, causes alone and together."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from harness.evaluation.regions import middle_of_range
+from harness.evaluation.statistics import SHARE, between, resampled
+from harness.geometry.angles import Array
+from harness.pipeline.error_budget import Z_EDGES
+from harness.runs.experiment import Planned
+from harness.runs.methods import METHOD_KEYS
+from harness.runs.values import shown
+
+OWN = "matching"
+"""The cause that no trial is without: the matcher, with the images' noise."""
+
+
+def budget_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The `budget` of `summary.json`: for each method, condition and range, predicted and measured errors.
+
+    Parameters
+    ----------
+    done
+        Trials and what `row.row_of` made of them; those without a budget are left out.
+
+    Returns
+    -------
+    list of dict
+        `matcher`, `subpixel`, `condition`, `causes` (those beside the matcher's own), `seeds`, `range_m` (the middle of
+        a bin), `predicted_m` by cause, `total_m`, `measured_m` with `measured_ci95_m` (bootstrap over seeds), all
+        errors that 68.3 % of the pixels stay within; `over_drawn`, what was measured over what follows from the very
+        draws of these seeds, with its interval: 1 where the propagation is right, however few the seeds; and where
+        there are trials with each of the causes alone `alone_m`, the root of the sum of their squares.
+    """
+    groups: dict[tuple[str, str, str, int], list[dict[str, Any]]] = {}
+    for planned, payload in done:
+        settings = {key: v for key, v in planned.coordinates.items() if key not in ("seed", *METHOD_KEYS)}
+        for entry in payload.get("budget") or ():
+            groups.setdefault((*planned.method, shown(settings), entry["range_bin"]), []).append(entry)
+    entries = [_entry(*key, parts) for key, parts in groups.items()]
+    for each in entries:
+        each["alone_m"] = _of_causes_alone(each, entries)
+    return sorted(entries, key=lambda each: (each["matcher"], each["subpixel"], each["condition"], each["range_m"]))
+
+
+def _entry(matcher: str, subpixel: str, condition: str, range_bin: int, parts: list[dict[str, Any]]) -> dict[str, Any]:
+    names = list(parts[0]["predicted_m"])
+    total = float(np.median([each["total_m"] for each in parts]))
+    counts = np.array([each["z"] for each in parts], dtype=np.float64)
+    drawn = np.array([each["z_drawn"] for each in parts], dtype=np.float64)
+    weights = resampled(len(parts))
+    ratios = _quantiles(weights @ counts)
+    of_draws = ratios / _quantiles(weights @ drawn)
+    ends = between(of_draws[1:, None], len(parts))
+    low, high = between(ratios[1:, None], len(parts))
+    return {
+        "matcher": matcher,
+        "subpixel": subpixel,
+        "condition": condition,
+        "causes": [name for name in names if name != OWN],
+        "seeds": len(parts),
+        "range_m": middle_of_range(range_bin),
+        "predicted_m": {name: float(np.median([each["predicted_m"][name] for each in parts])) for name in names},
+        "total_m": total,
+        "measured_m": total * float(ratios[0]),
+        "measured_ci95_m": [total * float(low[0]), total * float(high[0])] if len(parts) > 1 else None,
+        "over_drawn": float(of_draws[0]),
+        "over_drawn_ci95": [float(end[0]) for end in ends] if len(parts) > 1 else None,
+    }
+
+
+def _quantiles(counts: Array) -> Array:
+    """The |z| that `SHARE` of the counts of each row stay within, `[rows]`."""
+    share = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
+    return np.array([np.interp(SHARE, np.concatenate([[0.0], row]), Z_EDGES) for row in share])
+
+
+def _of_causes_alone(entry: dict[str, Any], entries: list[dict[str, Any]]) -> float | None:
+    """The root of the sum of squares of what each cause of an entry does alone, the matcher's own part counted once."""
+    if len(entry["causes"]) < 2:
+        return None
+    same = [e for e in entries if all(e[key] == entry[key] for key in ("matcher", "subpixel", "range_m"))]
+    own = next((each["measured_m"] ** 2 for each in same if not each["causes"]), None)
+    alone = {each["causes"][0]: each["measured_m"] ** 2 for each in same if len(each["causes"]) == 1}
+    if own is None or not set(entry["causes"]) <= alone.keys():
+        return None
+    return float(np.sqrt(own + sum(max(alone[name] - own, 0.0) for name in entry["causes"])))

@@ -1,0 +1,143 @@
+"""Wrong beliefs of a rig: what they do to the range is what propagation says, and the budget's figures add up."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from harness.camera.sensor import Sensor
+from harness.evaluation.propagation import MOTION, Rig
+from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
+from harness.geometry.panorama import directions
+from harness.geometry.pose import Motion
+from harness.geometry.triangulation import points
+from harness.pipeline.believed import Believed, believed_rig, draws_of, misaligned
+from harness.pipeline.error_budget import Z_EDGES
+from harness.pipeline.row import row_of
+from harness.pipeline.trial import run_trial
+from harness.runs.budgets import budget_of
+from harness.runs.load import load_experiment
+
+SMALL = [
+    "scene=box",
+    "sensor.camera.width_px=320",
+    "sensor.camera.height_px=240",
+    "sensor.camera.focal_px=307.06",
+    "sensor.camera.cx_px=159.5",
+    "sensor.camera.cy_px=119.5",
+    "panorama.width_px=360",
+    "panorama.height_px=90",
+    "matching.kind=slanted",
+]
+
+
+def trial(*sets):
+    experiment = load_experiment("noise", sets=[])
+    base = experiment.trial.model_dump() | {"matching": {"kind": "slanted"}}
+    return load_experiment({"name": "believed", "trial": base}, sets=[*SMALL, *sets]).trial
+
+
+def test_true_beliefs_change_nothing():
+    rig = Rig((Sensor(), Sensor()), Motion(np.eye(3), np.array([0.5, 0, 0])))
+    assert believed_rig(rig, Believed(), {}) is rig
+    assert Believed().is_true
+    assert trial("believed.t_length=0").key == trial().key
+    assert trial("believed.t_length=0.01").key != trial().key
+
+
+def test_fixed_errors_are_added_to_what_is_true():
+    sensor = Sensor()
+    rig = Rig((sensor, sensor), Motion(np.eye(3), np.array([0.5, 0, 0])))
+    wrong = believed_rig(rig, Believed(t_length=0.02, focal=0.01, cx_px=2.0, shape=-0.1, rotation_z_deg=3.0), {})
+    assert wrong.motion.baseline_m == pytest.approx(0.51)
+    first = wrong.sensors[0]
+    assert first == wrong.sensors[1]
+    assert first.camera.focal_px == pytest.approx(1.01 * sensor.camera.focal_px)
+    assert first.camera.cx_px - sensor.camera.cx_px == pytest.approx(2)
+    assert first.model.a_m == pytest.approx(0.9 * sensor.model.a_m)
+    assert first.model.b_m == sensor.model.b_m
+    # View 2 is believed to be turned by 3 degrees, so that what it sees is turned back in its frame.
+    assert wrong.motion.R_v2_from_v1 @ [1, 0, 0] == pytest.approx([np.cos(np.radians(3)), -np.sin(np.radians(3)), 0])
+
+
+def test_draws_have_their_standard_deviations_and_are_the_seeds():
+    sigma = Uncertainty(rotation_deg=0.5, centre_px=2.0, alignment_mm=0.3)
+    sensor = Sensor()
+    drawn = [draws_of(sensor, sigma, seed) for seed in range(400)]
+    assert draws_of(sensor, sigma, 7) == drawn[7]
+    assert drawn[7] != drawn[8]
+    assert set(drawn[0]) == {parameter.key for parameter, _ in uncertain(sensor, sigma)}
+    for key, expected in (("rotation_x_deg", 0.5), ("camera.cx_px", 2.0), ("misalignment.z_mm", 0.3)):
+        # 400 draws tell a standard deviation to 3.5 %.
+        assert np.std([each[key] for each in drawn]) == pytest.approx(expected, rel=0.12)
+    off = misaligned(sensor, drawn[3])
+    assert off.misalignment.x_mm == drawn[3]["misalignment.x_mm"]
+    assert off.misalignment.rotation_z_deg == 0
+    assert off.aligned == sensor
+    # A larger standard deviation scales the same draw.
+    assert draws_of(sensor, Uncertainty(rotation_deg=1.0), 3)["rotation_y_deg"] == 2 * drawn[3]["rotation_y_deg"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("key", "value", "size"),
+    [
+        ("t_length", 0.02, lambda d, _d2: 0.02 * d),
+        ("rotation_z_deg", 0.2, None),
+    ],
+)
+def test_a_wrong_belief_shifts_ranges_as_the_closed_form_says(key, value, size):
+    right, wrong = run_trial(trial()), run_trial(trial(f"believed.{key}={value}"))
+    both = right.valid & wrong.valid & right.reference.domain & right.reference.wall
+    shift = (wrong.range_m - right.range_m)[both]
+    d = right.reference.range_m[both]
+    if size is not None:
+        assert np.median(shift / size(d, None)) == pytest.approx(1, abs=0.05)
+        return
+    # Level walls around a level baseline: d_2²/(|t| sin alpha_1) times the part of the turn along the plane's normal.
+    x = directions(right.trial.panorama)[both]
+    p, t = points(x, d), right.pair.motion.t_v1
+    plane = np.cross(t, x)
+    sine = np.linalg.norm(plane, axis=1) / np.linalg.norm(t)
+    n_z = plane[:, 2] / np.linalg.norm(plane, axis=1)
+    d_2 = np.linalg.norm(p - t, axis=1)
+    expected = -(d_2**2) / (np.linalg.norm(t) * sine) * np.radians(value) * n_z
+    clear = np.abs(expected) > 0.02
+    assert np.median((shift / expected)[clear]) == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_budget_predicts_what_is_measured():
+    """Errors are those that follow from the very numbers that the seeds have drawn."""
+    experiment = load_experiment(
+        {
+            "name": "b",
+            "trial": trial("scoring.budget=true", "believed.sigma.t_length=0.01").model_dump(mode="json"),
+            "axes": {"seed": list(range(12))},
+        }
+    )
+    done = [(planned, row_of(run_trial(planned.trial))) for planned in experiment.planned]
+    entries = budget_of(done)
+    assert {tuple(each["causes"]) for each in entries} == {("t length",)}
+    for each in entries:
+        assert each["seeds"] >= 10  # a bin counts where a view has enough of it
+        assert each["predicted_m"]["t length"] == pytest.approx(0.01 * each["range_m"], rel=0.25)
+        assert each["measured_ci95_m"][0] < each["measured_m"] < each["measured_ci95_m"][1]
+    # The matcher's own part, which is not all predicted, is small beside 1 % of the range where walls are near.
+    ratios = [each["over_drawn"] for each in entries if 1.5 < each["range_m"] < 4]
+    assert np.median(ratios) == pytest.approx(1, abs=0.1)
+
+
+def test_a_pooled_histogram_gives_its_share():
+    rng = np.random.default_rng(4)
+    counts = [np.histogram(np.abs(1.3 * rng.standard_normal(20_000)), Z_EDGES)[0].tolist() for _ in range(9)]
+
+    unit = np.histogram(np.abs(rng.standard_normal(200_000)), Z_EDGES)[0].tolist()
+    planned = SimpleNamespace(method=("slanted", "own"), coordinates={"seed": 0})
+    entry = {"range_bin": 2, "pixels": 20_000, "predicted_m": {"matching": 0.01}, "total_m": 0.01}
+    (result,) = budget_of((planned, {"budget": [entry | {"z": each, "z_drawn": unit}]}) for each in counts)
+    assert result["measured_m"] == pytest.approx(0.013, rel=0.01)
+    assert result["over_drawn"] == pytest.approx(1.3, rel=0.01)
+    assert result["over_drawn_ci95"][0] < 1.3 < result["over_drawn_ci95"][1] * 1.01
+    assert result["alone_m"] is None
+    assert [parameter.key for parameter in MOTION][-1] == "t_length"
