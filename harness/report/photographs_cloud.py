@@ -82,7 +82,7 @@ def _in_space(estimate: Estimate) -> Picture:
 
 def _frame(points: Array, t: Array) -> tuple[Array, float]:
     """Middle `[2]` and half the width of a square that holds nearly all points from above, and both viewpoints."""
-    low, high = np.percentile(points[:, :2], [1, 99], axis=0)
+    low, high = np.percentile(points[:, :2], [3, 97], axis=0)
     low, high = np.minimum(low, np.minimum(0, t[:2])), np.maximum(high, np.maximum(0, t[:2]))
     return np.asarray((low + high) / 2), float(max(high - low) / 2 * 1.08 + 1e-3)
 

@@ -32,6 +32,8 @@ REASONS = {
     Reason.OFF_CURVE: ("off its epipolar curve: it has moved", "#D55E00"),
 }
 """In words, and the colour on the map."""
+_A_LINE = 4
+"""As many fit side by side in a legend."""
 
 
 _ERRORS = """
@@ -132,7 +134,7 @@ def reasons_picture(why: NDArray[np.uint8], grid: Grid, method: Method | None = 
     for index, reason in enumerate(present):
         number[why == reason] = index
     names, colours = zip(*(REASONS[reason] for reason in present), strict=True)
-    fig, ax, _ = panorama_axes(grid, top=28, bar=False)
+    fig, ax, _ = panorama_axes(grid, top=28 if len(present) <= _A_LINE else 46, bar=False)
     ax.imshow(
         unmirrored(number),
         cmap=ListedColormap(list(colours)),
@@ -158,7 +160,7 @@ def outline_domain(ax: Axes, method: Method) -> None:
 
 
 def _legend(ax: Axes, handles: list[Patch], labels: list[str]) -> None:
-    theme.legend_above(ax, handles, labels, gap=0.3)
+    theme.legend_above(ax, handles, labels, gap=0.3, most=_A_LINE)
 
 
 def _diverging() -> ListedColormap:
