@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -205,6 +205,17 @@ class Trial(Spec):
             When such a matcher cannot be found, or the source of one of these has changed since it was loaded.
         """
         settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
+        self._without_what_is_new(settings)
+        if matcher := self.matching.identity():
+            settings["matcher"] = matcher
+        if any(models := [sensor.model.identity() for sensor in self.sensors]):
+            settings["camera_models"] = models
+        return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+    def _without_what_is_new(self, settings: dict[str, Any]) -> None:
+        """Take out of a key's settings what trials have had for less long, where it is at its default: a trial that
+        could be described before keeps its key.
+        """
         if self.sensors[0] == self.sensors[1]:
             del settings["sensor_2"]  # the same trial, whether or not it is given
         for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
@@ -219,11 +230,6 @@ class Trial(Spec):
             settings.pop("optics_2", None)
         if not self.scoring.budget:
             del settings["scoring"]["budget"]
-        if matcher := self.matching.identity():
-            settings["matcher"] = matcher
-        if any(models := [sensor.model.identity() for sensor in self.sensors]):
-            settings["camera_models"] = models
-        return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def poses(self) -> tuple[Pose, Pose]:
