@@ -129,6 +129,7 @@ class MotionEstimate(EstimatedMotion):
             "baseline_m": self.baseline_m,
             "baseline_sigma_m": self.baseline_sigma_m,
             "calibration_px": self.calibration_px,
+            "misfit_px": self.direct.misfit_px if self.direct is not None else None,
             "calibration_effects": None if self.calibration_effects is None else self.calibration_effects.tolist(),
             "covariance": None if self.covariance is None else [[_finite(x) for x in row] for row in self.covariance],
             "pairs": len(self.pairs),
@@ -172,7 +173,10 @@ class MotionEstimate(EstimatedMotion):
         if self.calibration_effects is not None:
             rotation, direction = (math.degrees(each) for each in moved_by(self.calibration_effects))
             exact = "assume an exact calibration"
+            misfit = 0.0 if self.direct is None else self.direct.misfit_px
             counted = f"include a calibration error of {self.calibration_px:g} px" if self.calibration_px else exact
+            if misfit > self.calibration_px:
+                counted = f"include a calibration error of {misfit:.2g} px, by which tiles miss their epipolar curves"
             parts.append(
                 f"Sigmas {counted}. An error of {REPORTED_PX:g} px would shift the rotation by {rotation:.2g}, the "
                 f"direction by {direction:.2g} degrees, with hardly any residual."

@@ -65,6 +65,8 @@ class DirectFit(OneLine):
     """Share of noise in the squared gradients."""
     blur_px: float
     """Standard deviation, pixels, of the Gaussian with which both images were smoothed; 0 for none."""
+    misfit_px: float = 0.0
+    """How far tiles lie off their epipolar curves beyond their noise, pixels; see `harness.motion.misfit`."""
 
     @property
     def sigma_rotation(self) -> float:

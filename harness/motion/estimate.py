@@ -1,7 +1,7 @@
 """From two images to a motion: keypoints, robust estimation, least squares, and a verdict."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from harness.geometry.angles import Array
 from harness.motion.calibration_error import calibration_effects
 from harness.motion.direct import DirectFit, fit_direct
 from harness.motion.features import Correspondences, find_features, is_mirrored, match_features
+from harness.motion.misfit import misfit_px
 from harness.motion.robust import agree
 from harness.motion.sparse import Fit, Freedom, fit, fit_rotation
 from harness.motion.tiles import SIDE_PX, inverse_ranges
@@ -88,7 +89,7 @@ def estimate(
         freedom=freedom,
         calibration_px=calibration_px,
         seed=seed,
-        refine=(lambda views: fit_direct(images, sensors, views, pairs, freedom)) if direct else None,
+        refine=(lambda start: _refined(images, sensors, start, pairs, freedom)) if direct else None,
     )
 
 
@@ -131,7 +132,9 @@ def estimate_from_pairs(
     rival = rival_of(pairs, consensus, fitted, freedom)
     best = direct or fitted
     effects = calibration_effects(pairs, sensors, fitted, best.turn, freedom)
-    covariance = best.covariance + calibration_px**2 * effects @ effects.T
+    # The calibration is as wrong as was said, or as the images show.
+    off_px = max(calibration_px, 0.0 if direct is None else direct.misfit_px)
+    covariance = best.covariance + off_px**2 * effects @ effects.T
     reasons = why_weak(fitted, rival, direct, covariance, direct_wanted=refine is not None)
     return EstimatedMotion(
         status=Status.WEAK if reasons else Status.OK,
@@ -146,6 +149,13 @@ def estimate_from_pairs(
         rotation_px=rotation_px,
         iterations=consensus.iterations,
     )
+
+
+def _refined(
+    images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], start: Fit, pairs: Correspondences, freedom: Freedom
+) -> DirectFit | None:
+    direct = fit_direct(images, sensors, start, pairs, freedom)
+    return None if direct is None else replace(direct, misfit_px=misfit_px(images, sensors, direct))
 
 
 def scene_points(estimated: EstimatedMotion, sensor: Sensor) -> tuple[Array, Array]:

@@ -1,0 +1,36 @@
+"""How far matches lie off the epipolar curves of a motion that was fitted to them, beyond their noise.
+
+A wrong calibration is mostly absorbed by the motion; what is left lies across the curves and is larger than the noise
+of the tiles. It is a lower limit of what was absorbed, and counts as the calibration's standard deviation.
+"""
+
+import numpy as np
+
+from harness.camera.sensor import Sensor, pixel_directions
+from harness.motion.across import fit_across
+from harness.motion.direct import DirectFit
+from harness.motion.tiles import SIDE_PX, Image
+
+_LEAST_TILES = 30
+_BEYOND = 4.0
+"""Scatter over the tiles' own noise, at least. With an exact calibration and a noise of 10 grey levels it is up to 3.2
+on rendered pairs, as noise in the gradients makes a tile's own too small."""
+_LEAST_PX = 0.1
+"""Below it, interpolation is as large."""
+
+
+def misfit_px(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], direct: DirectFit) -> float:
+    """Robust standard deviation of the tiles' offsets across their curves, less the noise, pixels of view 2; 0 where
+    the noise explains them or too few tiles match.
+    """
+    x = pixel_directions(sensors[0])[0]
+    w = np.full(x.shape[:2], np.nan)
+    for (row, column), plane in zip(direct.tiles.tolist(), direct.planes, strict=True):
+        tile = slice(row, row + SIDE_PX), slice(column, column + SIDE_PX)
+        w[tile] = x[tile] @ plane
+    across = fit_across(images, sensors, direct.turn, w)[0]
+    if len(across) < _LEAST_TILES:
+        return 0.0
+    scatter = 1.4826 * float(np.median(np.abs(across.delta * across.px_per_rad)))
+    noise = float(np.median(across.sigma * across.px_per_rad))
+    return float(np.sqrt(scatter**2 - noise**2)) if scatter > max(_BEYOND * noise, _LEAST_PX) else 0.0
