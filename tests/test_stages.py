@@ -1,12 +1,17 @@
 """Stages of a trial: what is shared, what is not, and one from outside."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from harness.matching.program import Program
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Stage, StageKeys, Work, setup_of
 from harness.pipeline.trial import BOUND, MATCH, NOISE, PAIR, RENDER, STAGES, TRUTH, run_trial, sharing_keys
+from harness.runs.load import load_experiment
+from harness.runs.plan import Plan, plan
 from harness.simulation.scene import load_scene
 from harness.spec import parse
 
@@ -92,3 +97,23 @@ def test_the_matcher_is_told_the_truth():
     assert setup.assumed.sensors == (setup.trial.sensor, setup.trial.sensor)
     assert np.array_equal(setup.assumed.motion.R_v2_from_v1, setup.motion.R_v2_from_v1)
     assert np.array_equal(setup.assumed.motion.t_v1, setup.motion.t_v1)
+
+
+def test_the_guess_of_the_time_knows_the_matcher_and_what_is_scored():
+    """Orders of magnitude that a dry run must not miss: slanted windows, estimated motions, misaligned mirrors."""
+
+    def guess(*sets):
+        base = load_experiment("noise").trial.model_dump(mode="json") | {"matching": {"kind": "column"}}
+        return plan(load_experiment({"name": "guess", "trial": base}, sets=list(sets)).planned).total_s
+
+    usual = guess()
+    assert guess("matching.kind=slanted") > 2 * usual
+    assert guess("motion.source=estimated") > usual + 3
+    assert guess("sensor.misalignment.x_mm=1") > 1.3 * usual
+    assert guess("panorama.width_px=1440", "panorama.height_px=400") > 3 * usual
+
+
+def test_the_time_of_others_matchers_is_not_guessed():
+    assert Plan((), (), ()).is_known
+    mine = SimpleNamespace(trial=SimpleNamespace(matching=Program(kind="program", command=["true"])))
+    assert not Plan((mine,), (0.0,), (True,)).is_known

@@ -17,6 +17,8 @@ from harness.errors import InputError, Notice
 if TYPE_CHECKING:
     from harness.runs.experiment import Experiment
 
+_START_S = 1.5
+"""Seconds until the first trial runs: libraries and compiled code are loaded."""
 _MOST_CHECKED = 8
 """Most different sensors that a dry run checks."""
 
@@ -105,9 +107,10 @@ def _dry_run(experiment: "Experiment") -> int:
         except InputError as error:
             warnings.warn(f"{error}: this trial will fail", Notice, stacklevel=1)
     whole = plan(experiment.planned)
-    seconds = whole.total_s / available_cpus()
+    seconds = _START_S + whole.total_s / available_cpus()
+    guess = "a guess from the sizes of images and the matchers" if whole.is_known else "without the matchers of others"
     print(
         f"{experiment.name}: {len(whole.trials)} trials, {whole.renders} distinct renders, "
-        f"about {duration(seconds)} on {available_cpus()} CPUs (a guess from the sizes of images)"
+        f"about {duration(seconds)} on {available_cpus()} CPUs ({guess})"
     )
     return OK

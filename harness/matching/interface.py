@@ -119,6 +119,18 @@ class MatcherSettings(Spec, ABC):
         """Side of the square whose residuals give a match's uncertainty, panorama pixels; see `uncertainty`."""
         return 11
 
+    def match_seconds(self, image_mp: float, curve_mp: float) -> float | None:  # noqa: ARG002 - others go by images
+        """About how long a match takes on one thread, seconds, within a factor of two; None where that is not known.
+
+        Parameters
+        ----------
+        image_mp
+            Megapixels of one image.
+        curve_mp
+            Megapixels of the panorama, times the samples of a curve in units of half a degree.
+        """
+        return 0.6 * curve_mp
+
     @property
     def search(self) -> Spec:
         """The settings that the costly part of matching depends on: trials with equal ones can share it."""

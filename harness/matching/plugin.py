@@ -51,6 +51,9 @@ class Plugin(Parametrised):
         """What the function returned, unchecked."""
         return answer(pair, self)
 
+    def match_seconds(self, image_mp: float, curve_mp: float) -> None:
+        """None: what runs there is not this program's."""
+
     def check(self) -> None:
         """Check that the function exists, and takes its parameters."""
         plugins.check(self.kind, self.parameters)

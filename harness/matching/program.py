@@ -126,6 +126,9 @@ class Program(Parametrised):
         """What the program wrote, unchecked."""
         return answer(pair, self)
 
+    def match_seconds(self, image_mp: float, curve_mp: float) -> None:
+        """None: what runs there is not this program's."""
+
     def check(self) -> None:
         """Check that the command exists."""
         check(self)

@@ -18,7 +18,8 @@ class Plan:
 
     trials: tuple[Planned, ...]
     seconds: tuple[float, ...]
-    """Seconds of each trial after the one before it, on one thread; a rough guess, from the sizes of images."""
+    """Seconds of each trial after the one before it, on one thread; a rough guess, from the sizes of images and the
+    matcher. A matcher whose time is not known counts for nothing."""
     new_geometry: tuple[bool, ...]
     """Whether a trial has other renders than the one before it."""
 
@@ -26,6 +27,11 @@ class Plan:
     def total_s(self) -> float:
         """All of them, on one thread."""
         return sum(self.seconds)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the time of every matcher is known."""
+        return all(each.trial.matching.match_seconds(1.0, 1.0) is not None for each in self.trials)
 
     @property
     def renders(self) -> int:
@@ -73,16 +79,24 @@ def plan(trials: Sequence[Planned]) -> Plan:
 
 def _seconds(trial: Trial, new: Iterable[str]) -> float:
     """A guess at a trial's time, given the stages that it does not share with the one before: one thread of 2024."""
-    image = sum(each.camera.width_px * each.camera.height_px for each in trial.sensors) / 1e6
-    panorama = trial.panorama.width_px * trial.panorama.height_px / 1e6
+    images = [each.camera.width_px * each.camera.height_px / 1e6 for each in trial.sensors]
+    image, panorama = sum(images), trial.panorama.width_px * trial.panorama.height_px / 1e6
     samples_a_curve = trial.panorama.width_px / 720 / trial.matching.sampled(trial.true_motion.t_v1)[1]
+    traced = 1 if all(each.is_central for each in trial.sensors) else 6  # every sample of a misaligned mirror
     stages = {
-        "render": image * (0.08 + 0.006 * trial.render.samples) + panorama * 0.75,
+        "render": image * (0.08 + 0.006 * trial.render.samples * traced) + panorama * 0.75,
         "noise": image * 0.02,
-        "pair": panorama * 0.3,
-        "match": panorama * samples_a_curve * 1.0,
+        "pair": panorama * 0.3 + (_MOTION_S if trial.motion.source == "estimated" else 0.0),
+        "match": trial.matching.match_seconds(images[0], panorama * samples_a_curve) or 0.0,
     }
-    return 0.6 * panorama + sum(stages.get(stage, 0.0) for stage in new)
+    scoring = trial.scoring
+    scored = 0.6 * panorama * (1 + scoring.confidence)
+    scored += panorama * (2.0 * scoring.budget + 2.0 * bool(scoring.bound or scoring.sample_px))
+    return scored + sum(stages.get(stage, 0.0) for stage in new)
+
+
+_MOTION_S = 6.0
+"""Seconds that it takes to estimate a motion from two images."""
 
 
 def _render_keys(trial: Trial) -> list[Hashable]:

@@ -45,6 +45,10 @@ class Slanted(MatcherSettings):
 
         return match_slanted(pair, self)
 
+    def match_seconds(self, image_mp: float, curve_mp: float) -> float:
+        """See `MatcherSettings.match_seconds`: a coarse search on the panorama, and windows on the image."""
+        return 3.0 * image_mp * (self.window_px / 17) ** 2 + 0.5 * curve_mp
+
     def support(self, log_sigma_px: float) -> Support:  # noqa: ARG002 - the mirror images themselves are matched
         """The window; the start, and planes taken from beside it, are not counted."""
         return Support(self.window_px, "slanted", "mirror")
