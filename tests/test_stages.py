@@ -115,5 +115,5 @@ def test_the_guess_of_the_time_knows_the_matcher_and_what_is_scored():
 
 def test_the_time_of_others_matchers_is_not_guessed():
     assert Plan((), (), ()).is_known
-    mine = SimpleNamespace(trial=SimpleNamespace(matching=Program(kind="program", command=["true"])))
+    mine = SimpleNamespace(trial=SimpleNamespace(matching=Program.model_construct(kind="program")))
     assert not Plan((mine,), (0.0,), (True,)).is_known
