@@ -14,6 +14,7 @@ from harness.pipeline.row import row_of
 from harness.pipeline.specification import Trial
 from harness.pipeline.stages import StageKeys, setup_of
 from harness.pipeline.trial import MATCH, MOTION, NOISE, PAIR, run_trial
+from harness.report.sections.motion_cost import AUC_DEG, area_under_recall
 from harness.simulation.scene import load_scene
 from harness.spec import parse
 
@@ -164,3 +165,16 @@ def test_the_report_says_what_it_costs(tmp_path):
     values = {row.split(",")[columns.index("motion.source")]: row.split(",") for row in table[1:]}
     assert values["truth"][columns.index("motion_rotation_deg")] == ""
     assert 0 < float(values["estimated"][columns.index("motion_rotation_deg")]) < 0.05
+
+
+def test_area_under_the_recall_is_its_definition():
+    """By counting: the share of motions within an angle, averaged over angles up to the limit."""
+    draws = np.random.default_rng(2)
+    rotation, direction = draws.exponential(0.2, 300), draws.exponential(0.5, 300)
+    angles = (np.arange(20_000) + 0.5) / 20_000 * AUC_DEG
+    larger = np.sort(np.maximum(rotation, direction))
+    recall = np.searchsorted(larger, angles, side="right") / larger.size
+    # The counted share is a staircase of 20,000 steps.
+    assert area_under_recall(rotation, direction) == pytest.approx(recall.mean(), abs=1e-4)
+    assert area_under_recall([0.0], [0.0]) == 1
+    assert area_under_recall([0.1], [2.0]) == 0

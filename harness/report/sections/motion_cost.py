@@ -1,6 +1,6 @@
 """What it costs to estimate the motion: its errors, and the range's with it and with the true motion."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from harness.report.section import About, Block, Context, Paragraph, TableBlock,
 from harness.report.sweep import Axis, Sweep
 
 _SOURCE = "motion.source"
+AUC_DEG = 1.0
+"""The largest error that counts in the area under the recall, degrees."""
 
 _WORDS = """
 <p>In {{ estimated }} trial{{ "s" if estimated != 1 }} the matcher was given a motion that was estimated from the
@@ -21,10 +23,12 @@ true motion, the geometric mean over the {{ pairs ~ " pairs" if pairs != 1 else 
 nothing else.{% endif %}</p>
 """
 _CAPTION = """
-Errors of the estimated motion, medians over seeds, and what they cost. Predicted: the motion's covariance propagated
-to the range, the median over pixels as a share of the range; measured: 1.4826 times the median of what the errors of
-the motion do to exact matches. Error over σ: the root of the mean square, 1 where the covariance is right and trials
-are many. Ratio: median |range error| with the estimated motion over that with the true one, trial by trial.
+Errors of the estimated motion, medians over seeds, and what they cost. AUC: the area under the share of motions whose
+rotation and direction are both within an angle, up to one degree; 100 % where all are exact. Predicted: the motion's
+covariance propagated to the range, the median over pixels as a share of the range; measured: 1.4826 times the median of
+what the errors of the motion do to exact matches. Error over σ: the root of the mean square, 1 where the covariance is
+right and trials are many. Ratio: median |range error| with the estimated motion over that with the true one, trial by
+trial.
 """
 
 
@@ -56,6 +60,12 @@ def _estimated(sweep: Sweep) -> pd.DataFrame | None:
     return joined.assign(ratio=joined["range_median_abs_m"] / joined["range_median_abs_m_true"])
 
 
+def area_under_recall(rotation_deg: Iterable[float], direction_deg: Iterable[float]) -> float:
+    """The area under the share of motions whose larger error is within an angle, from 0 to `AUC_DEG`, as a share."""
+    larger = np.maximum(np.asarray(rotation_deg, dtype=np.float64), np.asarray(direction_deg, dtype=np.float64))
+    return float(np.mean(np.clip(1 - larger / AUC_DEG, 0, 1)))
+
+
 def _others(sweep: Sweep) -> list[Axis]:
     return [axis for axis in sweep.axes if axis.key != _SOURCE]
 
@@ -74,12 +84,15 @@ def _table(sweep: Sweep, trials: pd.DataFrame) -> Table:
             values = [
                 float(part["motion_rotation_deg"].median()),
                 float(part["motion_direction_deg"].median()),
+                area_under_recall(part["motion_rotation_deg"], part["motion_direction_deg"]),
                 float(part["motion_range_predicted"].median()),
                 float(part["motion_range_measured"].median()),
                 float(np.sqrt(np.mean(part["motion_range_z"] ** 2))),
                 float(np.exp(np.log(part["ratio"]).mean())),
             ]
-            shown = zip(values, (".4f", ".4f", ".3f", ".3f", ".2f", ".3f"), (1, 1, 100, 100, 1, 1), strict=True)
+            shown = zip(
+                values, (".4f", ".4f", ".1f", ".3f", ".3f", ".2f", ".3f"), (1, 1, 100, 100, 100, 1, 1), strict=True
+            )
             cells = [number(value, form, scale) for value, form, scale in shown]
             rows.append([words(method.label, method.colour), *map(words, texts), count(len(part)), *cells])
             plain.append([method.label, *texts, len(part), *values])
@@ -87,10 +100,11 @@ def _table(sweep: Sweep, trials: pd.DataFrame) -> Table:
     head += [
         Heading("Rotation", "°"),
         Heading("Direction of t", "°"),
+        Heading(f"AUC at {AUC_DEG:g}°", "%"),
         Heading("Range, predicted σ", "%"),
         Heading("Range, measured", "%"),
         Heading("Error over σ"),
         Heading("Range, ratio"),
     ]
-    names = ["rotation_deg", "direction_deg", "predicted_share", "measured_share", "error_over_sigma", "ratio"]
+    names = ["rotation_deg", "direction_deg", "auc", "predicted_share", "measured_share", "error_over_sigma", "ratio"]
     return Table(head, rows, Data("motion-cost", ["method", *keys, "seeds", *names], plain))
