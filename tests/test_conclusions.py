@@ -69,6 +69,41 @@ def test_settings_that_change_together_are_no_axes():
     assert conclusions(done, None) == []
 
 
+METHODS = (("column", "own"), ("slanted", "own"))
+
+
+@pytest.mark.parametrize("error_m", [None, np.nan, 0.0])
+def test_without_any_error_nothing_is_concluded(error_m):
+    """A matcher that matches nothing, or a perfect one: a sweep ends with its table all the same."""
+    assert conclusions(rows(lambda *_: error_m, methods=METHODS), None) == []
+
+
+def test_methods_that_never_had_the_same_settings_are_not_compared():
+    done = rows(lambda _m, _s, seed: 0.01 * luck(seed), methods=METHODS)
+    apart = [r for r in done if (r.planned.method[0] == "column") == (r.coordinates["noise.sigma_grey"] == 0)]
+    assert conclusions(apart, None) == ["No setting has a range error from every method: they are not compared."]
+
+
+def test_long_errors_are_in_metres():
+    done = rows(lambda _m, s, _seed: 0.8 if s["noise.sigma_grey"] else 1.6)
+    (sentence,) = conclusions(done, None)
+    assert "is 800 mm at 4, and 2 [2, 2] times that, 1.6 m at 0." in sentence
+
+
+def test_a_ratio_of_one_seed_is_no_conclusion():
+    done = rows(lambda _m, s, seed: 0.01 * luck(seed) * (1 + s["noise.sigma_grey"]))
+    assert (
+        conclusions([r for r in done if r.coordinates["noise.sigma_grey"] == 0 or r.planned.trial.seed == 3], None)
+        == []
+    )
+
+
+def test_a_small_difference_that_is_sure_is_called_small():
+    done = rows(lambda _m, s, seed: 0.01 * luck(seed) * (1.015 if s["noise.sigma_grey"] else 1))
+    (sentence,) = conclusions(done, None)
+    assert sentence.startswith("noise.sigma_grey changes the median range error by less than 2 % (column (parabola), ")
+
+
 def test_few_seeds_are_said():
     done = rows(lambda _m, s, _seed: 0.01 * (1 + s["noise.sigma_grey"]), seeds=[1, 2, 3])
     assert conclusions(done, None)[-1] == "Intervals are over 3 seeds, and come out too short."

@@ -36,11 +36,10 @@ def conclusions(rows: Sequence["Row"], law: dict[str, Any] | None) -> list[str]:
         The test of the law, if there is one.
     """
     table, axes = _table(rows)
-    if table.empty or table["seed"].nunique() < 2:  # without an interval there is nothing to conclude
+    measured = [(place, name) for place, name in _FIGURES if not table.empty and (table[name] > 0).any()]
+    if not measured or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
         return []
-    place, figure = next(
-        ((place, name) for place, name in _FIGURES if table[name].notna().any()), ("all", "range_median_abs_m")
-    )
+    place, figure = measured[0]
     where = "on walls" if place == "wall" else "over all pixels"
     best = _best_method(table, axes, figure)
     sentences = list(_about_methods(table, axes, figure, where))
@@ -83,7 +82,8 @@ def _pivot(table: pd.DataFrame, columns: str, axes: dict[str, list[Any]], figure
     """Groups of trials alike but for `columns`; seeds first, and only groups that have every value where any has."""
     others = [key for key in axes if key != columns] + (["method"] if columns != "method" else [])
     pivot = table.pivot_table(index=["seed", *others], columns=columns, values=figure, aggfunc="mean", dropna=False)
-    return balanced(pivot.dropna(how="all").dropna(axis=1, how="all"))
+    positive = pivot.where(pivot > 0)  # what has a logarithm
+    return balanced(positive.dropna(how="all").dropna(axis=1, how="all"))
 
 
 def _best_method(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str) -> str:
@@ -102,32 +102,41 @@ def _about_methods(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str,
     pivot = _pivot(table, "method", axes, figure)
     if pivot.shape[1] < 2:
         return
+    if pivot.isna().any(axis=None):
+        yield "No setting has a range error from every method: they are not compared."
+        return
     curve = mean_over_seeds(pivot, logarithmic=True)
     order = np.argsort(curve.mean)
     first, second = (curve.x[int(i)] for i in order[:2])
     ratio = _ratio(pivot, first, second)
-    error = f"{_millimetres(curve.mean[order[0]])} {where}"
+    if not _has_interval(ratio):
+        return
+    error = f"{_length(curve.mean[order[0]])} {where}" + (", averaged over settings" if axes else "")
     if _differs(ratio):
         yield f"{first} has the smallest median range error, {error}: {_times(ratio)} that of {second}, the next."
     else:
-        yield f"{first} and {second} have the smallest median range errors, {error} and alike ({_times(ratio)})."
+        yield f"{first} and {second} have the smallest median range errors, {error}, and alike ({_times(ratio)})."
 
 
 def _about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: str, who: str) -> Iterator[str]:
     """How the error changes along an axis: from its smallest to its largest mean."""
     pivot = _pivot(table, key, axes, figure)
-    if pivot.shape[1] < 2:
+    if pivot.shape[1] < 2 or pivot.isna().any(axis=None):  # settings that change together
         return
     curve = mean_over_seeds(pivot, logarithmic=True)
     least, most = int(np.argmin(curve.mean)), int(np.argmax(curve.mean))
     ratio = _ratio(pivot, curve.x[most], curve.x[least])
-    if not math.isfinite(ratio[0]):  # settings that change together: no two trials differ in this one alone
+    if not _has_interval(ratio):
         return
     values = [axes[key][int(i)] for i in curve.x]  # type: ignore[call-overload]
     if not _differs(ratio):
-        yield f"{key} makes no difference that these seeds show ({who}: at most {_times(ratio)})."
+        sure = ratio[1] > 1
+        says = (
+            "changes the median range error by less than 2 %" if sure else "makes no difference that these seeds show"
+        )
+        yield f"{key} {says} ({who}: at most {_times(ratio)})."
         return
-    low, high = (f"{_millimetres(curve.mean[i])} at {_value(values[i])}" for i in (least, most))
+    low, high = (f"{_length(curve.mean[i])} at {_value(values[i])}" for i in (least, most))
     yield f"{key}: the median range error ({who}) is {low}, and {_times(ratio)} that, {high}."
 
 
@@ -147,6 +156,11 @@ def _about_law(law: dict[str, Any] | None) -> Iterator[str]:
             yield f"The law, {method} on walls: {said}"
 
 
+def _has_interval(ratio: tuple[float, float, float]) -> bool:
+    """False where trials that are alike but for one thing are of one seed, or there are none."""
+    return all(math.isfinite(each) for each in ratio)
+
+
 def _differs(ratio: tuple[float, float, float]) -> bool:
     mean, low, high = ratio
     return bool((low > 1 or high < 1) and abs(math.log(mean)) > _LEAST)
@@ -157,8 +171,8 @@ def _times(ratio: tuple[float, float, float]) -> str:
     return f"{mean:.3g} [{low:.3g}, {high:.3g}] times"
 
 
-def _millimetres(metres: float) -> str:
-    return f"{1000 * metres:.3g} mm"
+def _length(metres: float) -> str:
+    return f"{metres:.3g} m" if metres >= 0.9995 else f"{1000 * metres:.3g} mm"
 
 
 def _value(value: Any) -> str:
