@@ -160,6 +160,49 @@ def test_what_is_wrong_is_named(table, message):
         harness.describe_rig(table)
 
 
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"width_px": 0}, "width_px: must be 8 to 16384; found 0"),
+        ({"most": 0}, "most: must be at least 1; found 0"),
+        ({"height_max_m": -1.0}, "height_max_m: must be above 0; found -1"),
+    ],
+)
+def test_what_cannot_be_searched_for_is_named(asked, message):
+    with pytest.raises(InputError, match=message):
+        harness.find_rigs(0.03, 4.0, **asked)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        (["--at", "0"], "argument --at: must be a number above 0; found '0'"),
+        (["--verify", "-1"], "argument --verify: must be a whole number of at least 1; found '-1'"),
+        (["--accuracy", "0.03@4", "--most", "0"], "argument --most: must be a whole number of at least 1"),
+        (["--accuracy", "0.03@4", "--width", "0"], "argument --width: must be a whole number of at least 1"),
+        (["--accuracy", "0.03@4", "--cost", "nan", "0", "0"], "argument --cost: must be a number from 0; found 'nan'"),
+    ],
+)
+def test_options_that_make_no_sense_are_named(option, message, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["design", *option])
+    assert message in capsys.readouterr().err
+
+
+def test_the_page_is_refused_before_anything_is_worked_out(capsys):
+    assert main(["design", "--out", "folder"]) == 2
+    captured = capsys.readouterr()
+    assert "folder: must end in .html" in captured.err
+    assert not captured.out
+
+
+def test_a_lens_has_no_mirror_in_the_table(tmp_path, capsys):
+    rig = tmp_path / "rig.toml"
+    rig.write_text('sensor = "fisheye"\n')
+    assert main(["design", str(rig), "--accuracy", "0.03@4", "--most", "1", "--width", "640"]) == 0
+    assert "mirror" not in capsys.readouterr().out
+
+
 def test_from_python():
     described = harness.describe_rig({"uncertainty": {"rotation_deg": 0.05}}, [2.0, 8.0])
     assert described.table.index.tolist() == [2.0, 8.0]

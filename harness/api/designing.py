@@ -153,9 +153,18 @@ def find_rigs(
     >>> best.rig.title, best.answer.leading
     ('640 x 480 px, 0.3 m', 'rotation')
     """
-    for name, value in (("accuracy_m", accuracy_m), ("range_m", range_m), ("baseline_max_m", baseline_max_m)):
+    for name, value in (
+        ("accuracy_m", accuracy_m),
+        ("range_m", range_m),
+        ("baseline_max_m", baseline_max_m),
+        ("height_max_m", height_max_m),
+    ):
         if not value > 0:
             raise InputError(f"must be above 0; found {value:g}", key=name)
+    if width_px is not None and not 8 <= width_px <= 16384:
+        raise InputError(f"must be 8 to 16384; found {width_px}", key="width_px")
+    if most < 1:
+        raise InputError(f"must be at least 1; found {most}", key="most")
     return candidates(
         loaded_rig(rig),
         accuracy_m,

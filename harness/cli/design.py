@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
-from harness.cli.options import Commands, add_out
+from harness.cli.options import Commands, add_out, whole_number
+from harness.errors import InputError
 
 if TYPE_CHECKING:
     from harness.api.designing import RigDescription
@@ -43,7 +44,7 @@ def add(commands: Commands) -> None:
     )
     completers.offer(rig, completers.files(".toml"))
     command.add_argument(
-        "--at", type=float, nargs="+", metavar="M", default=[1.0, 2.0, 4.0, 8.0], help="ranges, metres (1 2 4 8)"
+        "--at", type=_positive, nargs="+", metavar="M", default=[1.0, 2.0, 4.0, 8.0], help="ranges, metres (1 2 4 8)"
     )
     command.add_argument(
         "--accuracy", type=_accuracy, metavar="M@M", help="such as 0.03@4: 68 %% of estimates within 30 mm at 4 m"
@@ -56,29 +57,31 @@ def add(commands: Commands) -> None:
         metavar="M",
         help="from the camera's centre to the mirror's rim",
     )
-    command.add_argument("--width", type=int, metavar="PX", help="the image's width (default: several)")
+    command.add_argument("--width", type=whole_number, metavar="PX", help="the image's width (default: several)")
     command.add_argument(
         "--cost",
-        type=float,
+        type=_not_negative,
         nargs=3,
         metavar=("PIXELS", "MIRROR", "BASELINE"),
         help="of a megapixel, of a mirror of 60 mm, of a metre of baseline (1 1 1)",
     )
-    command.add_argument("--most", type=int, default=10, metavar="N", help="rigs that are listed (10)")
+    command.add_argument("--most", type=whole_number, default=10, metavar="N", help="rigs that are listed (10)")
     command.add_argument(
         "--verify",
-        type=int,
+        type=whole_number,
         nargs="?",
         const=1,
         default=0,
         metavar="N",
-        help="simulate the rig, or the first N rigs rigs (1), and print what was measured",
+        help="simulate the rig, or the first N rigs (1), and print what was measured",
     )
     add_out(command, "the page, default design.html", metavar="FILE")
 
 
 def run(options: Namespace) -> int:
     """Describe a rig, or find some."""
+    if options.out is not None and options.out.suffix.lower() not in (".html", ".htm"):
+        raise InputError("must end in .html", file=options.out)
     return _describe(options) if options.accuracy is None else _find(options)
 
 
@@ -133,7 +136,7 @@ def _find(options: Namespace) -> int:
         height_max_m=options.height_max,
         width_px=options.width,
         cost=Cost(*options.cost) if options.cost else None,
-        most=max(1, options.most),
+        most=options.most,
     )
     if not rigs:
         print(
@@ -157,14 +160,14 @@ def _print_found(rigs: "list[Candidate]", accuracy_m: float, range_m: float) -> 
     from harness.design.answers import height_m, mirror_diameter_m
 
     print(f"68 % within {1000 * accuracy_m:g} mm at {range_m:g} m: the cheapest rigs")
+    of_mirror = ["mirror\nmm", "height\nmm"] if rigs[0].rig.has_mirror else []
     table = plain_table(
-        ["image\npx", "baseline\nm", "mirror\nmm", "height\nmm", "\ncost", "error\nmm", "\nmargin", "limited\nby"],
+        ["image\npx", "baseline\nm", *of_mirror, "\ncost", "error\nmm", "\nmargin", "limited\nby"],
         [
             [
                 f"{each.rig.sensor.camera.width_px} x {each.rig.sensor.camera.height_px}",
                 f"{each.rig.baseline_m:g}",
-                f"{1000 * mirror_diameter_m(each.rig.sensor):.0f}",
-                f"{1000 * height_m(each.rig.sensor):.0f}",
+                *(f"{1000 * size(each.rig.sensor):.0f}" for size in (mirror_diameter_m, height_m) if of_mirror),
                 f"{each.cost:.2f}",
                 _mm(each.answer.error_m),
                 f"{each.margin:.2f}",
@@ -211,4 +214,14 @@ def _positive(text: str) -> float:
         value = math.nan
     if not value > 0:
         raise argparse.ArgumentTypeError(f"must be a number above 0; found '{text}'")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a number from 0; found '{text}'")
     return value
