@@ -16,7 +16,8 @@ XI = st.one_of(st.floats(0, 1), st.floats(1, 4), st.sampled_from([0.0, 1.0]))
 def seen(directions, xi):
     """The unified projection, written out once more."""
     d = normalise(directions)
-    return d[..., :2] / (d[..., 2:] + xi), d[..., 2] + xi > 0.05
+    with np.errstate(divide="ignore", invalid="ignore"):  # along the horizon of a pinhole: not there
+        return d[..., :2] / (d[..., 2:] + xi), d[..., 2] + xi > 0.05
 
 
 def plane_points(normal, n=200):

@@ -114,11 +114,11 @@ def test_a_predicted_standard_deviation_is_the_spread_over_noise(pair):
 def one_step(pair, curves, alpha_2, window_px):
     from scipy import ndimage
 
-    from harness.matching.uncertainty import _seen_at
+    from harness.matching.uncertainty import sampled_at
 
     first, second = pair.filtered()
     step = GRID.phi_pitch / 2
-    before, after = (_seen_at(second, curves, alpha_2 + side * step) for side in (-1, 1))
+    before, after = (sampled_at(second, curves, alpha_2 + side * step) for side in (-1, 1))
     g, r = (after - before) / (2 * step), first.values - (after + before) / 2
     total = [
         ndimage.uniform_filter(np.nan_to_num(each), window_px, mode=("constant", "wrap")) for each in (g * r, g * g)

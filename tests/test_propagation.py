@@ -57,7 +57,7 @@ vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)
 )
 def test_motion_errors_have_the_closed_form(x, range_m, delta, tau, share):
     """`d_2²/(|t| sin alpha_1) delta·n + d_1 cot(alpha_2) tau·n - d_1 s`, where the believed motion falls short."""
-    assume(np.linalg.norm(x) > 0.1)
+    assume(np.hypot(x[0], x[1]) > 0.1)  # a panorama has no pixel at its poles
     x = normalise(x)
     plane = np.cross(T, x)
     assume(np.linalg.norm(plane) > 0.3 * np.linalg.norm(T))
