@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from harness.camera.sensor import Sensor
+from harness.errors import InputError
 from harness.evaluation.propagation import MOTION, Rig
 from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
 from harness.geometry.panorama import directions
@@ -126,6 +127,13 @@ def test_a_budget_predicts_what_is_measured():
     # The matcher's own part, which is not all predicted, is small beside 1 % of the range where walls are near.
     ratios = [each["over_drawn"] for each in entries if 1.5 < each["range_m"] < 4]
     assert np.median(ratios) == pytest.approx(1, abs=0.1)
+
+
+def test_a_drawn_tilt_that_is_none_is_named():
+    with pytest.raises(
+        InputError, match="trial.believed.sigma, as drawn: misalignment.rotation_x_deg: must be at most 90"
+    ):
+        misaligned(Sensor(), {"misalignment.rotation_x_deg": 130.0})
 
 
 def test_a_pooled_histogram_gives_its_share():

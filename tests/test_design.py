@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from browser import chromium, visit
 
 import harness
 from harness.camera.sensor import Sensor
@@ -213,6 +214,20 @@ def test_from_python():
             sensor=harness.load_sensor(harness.shipped.find("sensors", sensor)), uncertainty={"focal": 0.01}
         )
         assert np.isfinite(harness.describe_rig(rig, [3.0]).answers[0].error_m)
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_the_causes_are_not_broken_within_words_on_a_small_screen(tmp_path):
+    page = tmp_path / "design.html"
+    harness.describe_rig({"uncertainty": {"rotation_deg": 0.1, "t_direction_deg": 0.1, "alignment_mm": 1.0}}).write(
+        page
+    )
+    with chromium(tmp_path / "profile") as browser:
+        visited = visit(browser, page, width=400)
+        assert (visited.requests, visited.complaints) == ([], [])
+        assert visited.page.evaluate("document.documentElement.scrollWidth") <= 400
+        assert visited.page.locator("tbody tr").first.bounding_box()["height"] < 40  # a line of text and its padding
 
 
 def test_directions_keep_off_the_baseline():

@@ -14,6 +14,7 @@ from sweeps import write_small
 
 from harness.cli.tables import methods_table
 from harness.display import shortened_labels
+from harness.evaluation.metric_table import METRICS
 from harness.matching.program import Program
 from harness.matching.window.settings import WindowMatcher
 from harness.report import theme
@@ -128,6 +129,18 @@ def test_two_programs_are_two_methods(tmp_path: Path, monkeypatch: pytest.Monkey
     )
     assert set(result.cells["matcher"]) == {"program one.py", "program two.py"}
     assert methods_table(result.summary).row_count == 4
+
+
+@pytest.mark.parametrize(("trials", "title"), [(1, "mine: errors"), (32, "mine, the base trial: errors")])
+def test_the_table_of_a_sweep_says_that_it_is_the_base_trials(trials, title) -> None:
+    figures = dict.fromkeys(METRICS)
+    summary = {
+        "experiment": "mine",
+        "comparison": {"pixel": figures},
+        "comparison_wall": {"pixel": figures},
+        "trials": {"total": trials},
+    }
+    assert str(methods_table(summary).title).startswith(title)
 
 
 def test_names_of_methods() -> None:

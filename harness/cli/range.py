@@ -32,7 +32,12 @@ def add(commands: Commands) -> None:
     )
     add_images(command)
     command.add_argument(
-        "more", type=Path, nargs="*", metavar="IMAGE", help="images that follow: each is matched with the next"
+        "more",
+        type=Path,
+        nargs="*",
+        default=[],
+        metavar="IMAGE",
+        help="images that follow: each is matched with the next",
     )
     add_sensor(command, "sensor TOML or calibration file", required=True, second=True)
     command.add_argument(

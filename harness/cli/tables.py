@@ -26,7 +26,8 @@ def methods_table(summary: dict[str, Any]) -> "Table":
 
     count = len(summary["comparison"])
     who = {1: "the method", 2: "both methods"}.get(count, "all methods")
-    title = f"{escape(summary['experiment'])}: errors over the pixels that {who} matched"
+    which = ", the base trial" if summary["trials"]["total"] > count else ""
+    title = f"{escape(summary['experiment'])}{which}: errors over the pixels that {who} matched"
     table = _table(title)
     table.add_column("\npixels", no_wrap=True)
     table.add_column("\nmethod", overflow="fold")  # the only column that may wrap: names can be long

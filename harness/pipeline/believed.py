@@ -10,7 +10,7 @@ from harness.camera.sensor import Sensor
 from harness.evaluation.propagation import MOTION, Parameter, Rig, calibration_parameters
 from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
 from harness.simulation.noise import generator
-from harness.spec import Spec
+from harness.spec import Spec, parse
 
 Error = Annotated[float, Field(ge=-1000, le=1000)]
 
@@ -62,12 +62,21 @@ def draws_of(sensor: Sensor, sigma: Uncertainty, seed: int) -> dict[str, float]:
 
 
 def misaligned(sensor: Sensor, draws: dict[str, float]) -> Sensor:
-    """The sensor as it truly is: with the misalignment that was drawn beside its own."""
+    """The sensor as it truly is: with the misalignment that was drawn beside its own.
+
+    Raises
+    ------
+    InputError
+        Where the standard deviations are so large that what was drawn is no misalignment.
+    """
     drawn = {key.partition(".")[2]: error for key, error in draws.items() if key.startswith("misalignment.")}
     if not drawn or not isinstance(sensor.model, Mirror):
         return sensor
     added = {name: getattr(sensor.misalignment, name) + error for name, error in drawn.items()}
-    return sensor.model_copy(update={"misalignment": Misalignment.model_validate(dict(sensor.misalignment) | added)})
+    table = sensor.misalignment.model_dump() | added
+    return sensor.model_copy(
+        update={"misalignment": parse(Misalignment, table, key="trial.believed.sigma, as drawn: misalignment")}
+    )
 
 
 def believed_rig(true: Rig, believed: Believed, draws: dict[str, float]) -> Rig:
