@@ -5,14 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from harness.camera.sensor import Sensor
+from harness.camera.central_fit import nearest_central
+from harness.camera.misalignment import Misalignment
+from harness.camera.reflection import project_points
+from harness.camera.sensor import Sensor, in_field, project
 from harness.errors import InputError
-from harness.evaluation.propagation import MOTION, Rig
+from harness.evaluation.propagation import MOTION, Rig, range_errors
 from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
+from harness.geometry.angles import normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import points
-from harness.pipeline.believed import Believed, believed_rig, draws_of, misaligned
+from harness.pipeline.believed import Believed, believed_rig, calibrated, draws_of, misaligned
 from harness.pipeline.error_budget import Z_EDGES
 from harness.pipeline.row import row_of
 from harness.pipeline.trial import run_trial
@@ -147,3 +151,32 @@ def test_a_pooled_histogram_gives_its_share():
     assert result["over_drawn_ci95"][0] < 1.3 < result["over_drawn_ci95"][1] * 1.01
     assert result["alone_m"] is None
     assert [parameter.key for parameter in MOTION][-1] == "t_length"
+
+
+@pytest.mark.parametrize(
+    ("misalignment", "left"),
+    [
+        ({"y_mm": 1.0}, 0.12),
+        ({"rotation_x_deg": 0.5}, 0.02),
+        ({"z_mm": 1.0}, 1e-3),
+    ],
+)
+def test_a_central_calibration_takes_most_of_a_misalignment_away(misalignment, left):
+    """A tenth is left of a shift across the baseline, a fiftieth of a tilt; one along the axis is a focal length."""
+    nominal = Sensor()
+    sensor = nominal.model_copy(update={"misalignment": Misalignment(**misalignment)})
+    motion = Motion(np.eye(3), np.array([0.5, 0, 0]))
+    x = normalise(np.random.default_rng(0).normal(size=(2000, 3)))
+    points = 3 * x[in_field(nominal, x) & (np.hypot(x[:, 1], x[:, 2]) >= 0.5)]
+    true = Rig((sensor, sensor), motion)
+    costs = []
+    for alignment in ("nominal", "central"):
+        believed = calibrated(true, Believed(alignment=alignment))
+        costs.append(np.nanmedian(np.abs(range_errors(points, true, believed))))
+    assert costs[1] < left * costs[0]
+    fit = nearest_central(sensor)
+    assert fit.sensor.is_central
+    # The residual is the distance of its pixels from those of the misaligned mirror, here over other points.
+    off = project(fit.sensor, points)[0] - project_points(sensor, points)[0]
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) == pytest.approx(fit.rms_px, rel=0.35, abs=1e-4)
+    assert nearest_central(nominal).rms_px == 0

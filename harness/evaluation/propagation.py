@@ -203,7 +203,13 @@ def calibration_parameters(sensor: Sensor) -> tuple[Parameter, ...]:
     return (*_CAMERA, *own, *(_LENS if has_lens else ()))
 
 
-def sensitivities(points_m: Array, rig: Rig, parameters: Sequence[Parameter], normals: Array | None = None) -> Array:
+def sensitivities(
+    points_m: Array,
+    rig: Rig,
+    parameters: Sequence[Parameter],
+    normals: Array | None = None,
+    believed_of: Callable[[Rig], Rig] | None = None,
+) -> Array:
     """Derivatives of the range error by errors of parameters, `[..., parameters]`, metres per unit of each.
 
     By central differences around the believed rig.
@@ -214,10 +220,15 @@ def sensitivities(points_m: Array, rig: Rig, parameters: Sequence[Parameter], no
         As those of `range_errors`.
     rig
         Believed, and central.
+    believed_of
+        What is believed of a true rig, where that follows it; `rig` itself when None.
     """
     columns = []
     for each in parameters:
-        above, below = (range_errors(points_m, each.changed(rig, side * each.step), rig, normals) for side in (1, -1))
+        trues = [each.changed(rig, side * each.step) for side in (1, -1)]
+        above, below = (
+            range_errors(points_m, true, rig if believed_of is None else believed_of(true), normals) for true in trues
+        )
         columns.append((above - below) / (2 * each.step))
     return np.stack(columns, axis=-1)
 

@@ -1,9 +1,10 @@
 """What is believed of a rig, and wrong: errors of the motion and the calibration that the matcher is given."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from harness.camera.central_fit import nearest_central
 from harness.camera.misalignment import Misalignment
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
@@ -42,6 +43,9 @@ class Believed(Spec):
     """The principal point is believed to be too far down, pixels."""
     shape: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     """Error of the first number of the camera model: a share of a hyperboloid mirror's `a_m`, absolute for others."""
+    alignment: Literal["nominal", "central"] = "nominal"
+    """What is believed of a mirror that is misaligned: `nominal`, that it is aligned; `central`, what the best
+    calibration of a central sensor makes of it."""
     sigma: Uncertainty = Uncertainty()
     """Standard deviations of errors that are drawn by the seed, beside the fixed ones. Those of the alignment belong to
     the true mirror, which is believed to be aligned."""
@@ -95,6 +99,15 @@ def believed_rig(true: Rig, believed: Believed, draws: dict[str, float]) -> Rig:
         if error:
             rig = parameter.changed(rig, error)
     return rig
+
+
+def calibrated(true: Rig, believed: Believed) -> Rig:
+    """The rig with central sensors: those that are believed of misaligned mirrors."""
+    if believed.alignment == "nominal":
+        first, second = (each.aligned for each in true.sensors)
+    else:
+        first, second = (nearest_central(each).sensor for each in true.sensors)
+    return Rig((first, second), true.motion)
 
 
 def _fixed(believed: Believed, parameter: Parameter, sensor: Sensor) -> float:

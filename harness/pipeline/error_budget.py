@@ -1,5 +1,6 @@
 """The error budget of a trial: by range, what each cause is predicted to do, and how the errors compare with that."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,15 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import directions
 from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.pipeline.believed import calibrated
 from harness.pipeline.stages import setup_of
 from harness.pipeline.trial import Outcome
 from harness.simulation.noise import generator
 
 Z_EDGES = np.arange(0.0, 6.0001, 0.05)
 """Bins of |error| over its predicted standard deviation; what lies beyond is in the last one."""
+CALIBRATED = "alignment, calibrated"
+"""The cause that is left of a misaligned mirror after the best calibration of a central sensor."""
 _EVERY = 3
 """Rows and columns between the pixels that count."""
 _LEAST_SINE = 0.5
@@ -54,12 +58,17 @@ def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
     noise = generator(trial.seed, "error budget").standard_normal(len(points))
     follows = sigma["matching"] * noise
     for cause, parameters, covariance in covariances(assumed.sensors[0], trial.believed.sigma):
-        if covariance.any():
-            sensitivity = sensitivities(points, rig, parameters, normals)
-            sigma[cause] = propagated(sensitivity, covariance)
-            # What is believed is off what is true; of the alignment, what is true is off what is believed.
-            side = 1 if cause == "alignment" else -1
-            follows = follows + side * sensitivity @ [draws.get(each.key, 0.0) for each in parameters]
+        if not covariance.any():
+            continue
+        name, base, follow = cause, rig, None
+        if cause == "alignment" and trial.believed.alignment == "central":
+            name, base = CALIBRATED, Rig(trial.assumed_sensors, assumed.motion)
+            follow = partial(calibrated, believed=trial.believed)
+        sensitivity = sensitivities(points, base, parameters, normals, follow)
+        sigma[name] = propagated(sensitivity, covariance)
+        # What is believed is off what is true; of the alignment, what is true is off what is believed.
+        side = 1 if cause == "alignment" else -1
+        follows = follows + side * sensitivity @ [draws.get(each.key, 0.0) for each in parameters]
     total = np.sqrt(sum(each**2 for each in sigma.values()))
     known = np.isfinite(total) & (total > 0)
     bins = np.floor(np.log(range_m[some]) / np.log(RANGE_RATIO)).astype(int)

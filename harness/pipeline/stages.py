@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar, cast
 from harness.camera.sensor import Sensor
 from harness.evaluation.propagation import Rig
 from harness.geometry.pose import Motion, Pose, relative_motion
-from harness.pipeline.believed import believed_rig
+from harness.pipeline.believed import believed_rig, calibrated
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.simulation.fingerprint import fingerprint
@@ -51,7 +51,8 @@ def setup_of(trial: Trial) -> Setup:
     """The setup of a trial. What the matcher assumes is true but for a misalignment and `trial.believed`."""
     poses = trial.poses
     motion = relative_motion(*poses)
-    believed = believed_rig(Rig(trial.assumed_sensors, motion), trial.believed, trial.belief_draws)
+    central = calibrated(Rig(trial.sensors, motion), trial.believed)
+    believed = believed_rig(central, trial.believed, trial.belief_draws)
     return Setup(trial, fingerprint(trial.scene), poses, motion, Assumed(believed.sensors, believed.motion))
 
 

@@ -37,8 +37,16 @@ _COLOURS = {
     "t length": SPARE[1],
     "calibration": SPARE[0],
     "alignment": theme.SUBPIXEL,
+    "alignment, calibrated": SPARE[2],
 }
-_MARKS = {"rotation": "o", "t direction": "s", "t length": "^", "calibration": "D", "alignment": "v"}
+_MARKS = {
+    "rotation": "o",
+    "t direction": "s",
+    "t length": "^",
+    "calibration": "D",
+    "alignment": "v",
+    "alignment, calibrated": "P",
+}
 
 
 @section_of(About.ALL_TRIALS, "budget", "What limits the range")
