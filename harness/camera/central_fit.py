@@ -12,7 +12,7 @@ from harness.camera.sensor import Sensor, in_field, project
 from harness.geometry.angles import Array
 
 DISTANCE_M = 3.0
-"""Of the points at which pixels are compared: the rays of a misaligned mirror meet in no viewpoint."""
+"""Distance of the points at which pixels are compared: the rays of a misaligned mirror meet in no viewpoint."""
 _STEP_DEG = 6.0
 
 
