@@ -18,6 +18,7 @@ from harness.evaluation.metric_table import METRICS
 from harness.matching.program import Program
 from harness.matching.window.settings import WindowMatcher
 from harness.report import theme
+from harness.report.markup import html
 from harness.report.method_styles import methods_of
 from harness.report.paired_differences import build_comparison
 from harness.report.sections import error_curves, measures
@@ -235,3 +236,23 @@ def test_runs_are_paired_by_values(tmp_path: Path, plugin: str) -> None:
     ).pairings
     assert other.pairs == 0
     assert other.differing == {"view_2.baseline_m": ("0.5, 0.75", "0.50000000000001, 0.75000000000001")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coupled", [True, False])
+def test_the_caption_of_settings_that_change_together_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, coupled: bool
+) -> None:
+    monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path / "cache"))
+    together = "".join(
+        f'[[cases]]\n"noise.sigma_grey" = {grey}\n"matching.window_px" = {window}\n'
+        for grey, window in ((0.0, 5), (4.0, 7))
+    )
+    product = '[axes]\n"noise.sigma_grey" = [0.0, 4.0]\n"matching.window_px" = [5, 7]\n'
+    file = write_small(tmp_path / "e.toml", together if coupled else product)
+    sweep = sweep_of(run_experiment(load_experiment(str(file)), workers=1))
+    figures = [each for each in error_curves.swept_figures(sweep, 2.0) if each.id != "sweep-range"]
+    assert [each.coupled for each in figures] == [coupled, coupled]
+    said = "No setting of the other axes has an error at every value"
+    captions = [html(error_curves._ERRORS, swept=each, several=True, axes=2) for each in figures]
+    assert [said in caption for caption in captions] == [coupled, coupled]

@@ -42,7 +42,9 @@ dotted: d²/|<b>t</b>|.{% endif %}
 {{ " " }}
 {%- if swept.unbalanced %}From cells of surface, direction and range, whose medians are averaged as logarithms;
 different ranges come with partly different directions{{ " and settings" if several }}, and the law is averaged over the
-same cells. {%- elif axes > 1 %} Averaged over those settings of the other axes that occur with every value.{% endif %}
+same cells. {%- elif swept.coupled %} No setting of the other axes has an error at every value: each value is averaged
+over settings of its own, which are a part of what differs.
+{%- elif axes > 1 %} Averaged over those settings of the other axes that occur with every value.{% endif %}
 """
 
 
@@ -80,6 +82,8 @@ class Swept:
     """Whether the law predicts a dependence on this axis."""
     unbalanced: bool
     """Whether the means at different values are over different groups of cells, where no group has them all."""
+    coupled: bool = False
+    """Whether the axis changes together with others: no group of trials has all of its values."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,7 @@ def swept_figures(sweep: Sweep, column_deg: float) -> list[Swept]:
 def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
     others = [each.key for each in sweep.axes if each.key != axis.key]
     lines = []
+    coupled = False
     for name, (measure, _, _, _) in _MEASURES.items():
         for surface in SURFACES:
             for method in sweep.methods:
@@ -129,13 +134,15 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
                 if not present:
                     continue
                 table = balanced(table[present])
+                coupled |= bool(others) and bool(table.isna().any(axis=None))
                 curve = mean_over_seeds(table, logarithmic=True)
                 x = [axis.positions[i] for i in present]
                 lines.append(_Line(method, surface, name, x, [axis.texts[i] for i in present], curve))
     shapes = _law_over_baselines(sweep) if axis.key == BASELINE else {}
     slug = f"sweep-{axis.key.replace('.', '-').replace('_', '-')}"
     pictures = [_picture(name, lines, axis, shapes) for name in _MEASURES]
-    return Swept(slug, axis.name, axis.label, pictures, _data(slug, axis.key, lines), bool(shapes), unbalanced=False)
+    data = _data(slug, axis.key, lines)
+    return Swept(slug, axis.name, axis.label, pictures, data, bool(shapes), unbalanced=False, coupled=coupled)
 
 
 def _over_range(sweep: Sweep, column_deg: float) -> Swept:
