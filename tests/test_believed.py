@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import harness
 from harness.camera.central_fit import nearest_central
 from harness.camera.misalignment import Misalignment
 from harness.camera.reflection import project_points
@@ -180,3 +181,15 @@ def test_a_central_calibration_takes_most_of_a_misalignment_away(misalignment, l
     off = project(fit.sensor, points)[0] - project_points(sensor, points)[0]
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) == pytest.approx(fit.rms_px, rel=0.35, abs=1e-4)
     assert nearest_central(nominal).rms_px == 0
+
+
+def test_only_mirrors_are_misaligned():
+    with pytest.raises(
+        InputError, match=r"believed\.sigma\.alignment_mm and _deg are for sensors with a hyperboloid mirror"
+    ):
+        load_experiment("smoke", sets=["sensor=fisheye", "believed.sigma.alignment_mm=0.1"])
+
+
+def test_a_camera_that_sees_nothing_in_its_mirror_is_refused():
+    with pytest.raises(InputError, match=r"sensor\.misalignment: no pixel of the image sees the mirror"):
+        harness.render("box", sensor={"misalignment": {"x_mm": 500.0}}, position_m=(0, 0, 1), samples=1)

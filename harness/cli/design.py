@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import sys
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from harness.design.answers import Candidate
 
 _PAGE = Path("design.html")
+_DRAWS = 16
+"""Pairs of images that a rig is simulated with."""
 _HEADINGS = {
     "matching": "match-\ning",
     "rotation": "rota-\ntion",
@@ -184,7 +187,8 @@ def _verify(rigs: list, range_m: float) -> None:  # type: ignore[type-arg]
     from harness.design.verify import verify
 
     for rig in rigs:
-        result = verify(rig, range_m, draws=16)
+        print(f"simulating {rig.title}, walls at {range_m:g} m: {_DRAWS} draws ...", file=sys.stderr, flush=True)
+        result = verify(rig, range_m, draws=_DRAWS)
         print(
             f"simulated, {rig.title}, walls at {range_m:g} m and beyond: predicted {_mm(result.predicted_m)} mm, "
             f"measured {_mm(result.measured_m)} mm ({result.ratio:.2f} of it); {result.density:.1%} matched, "

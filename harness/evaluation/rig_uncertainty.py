@@ -13,6 +13,8 @@ from harness.spec import Spec
 
 Deviation = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 
+Share = Annotated[float, Field(ge=0, le=0.1)]
+
 ALIGNMENT = MISALIGNMENT[:5]
 """Without the turn about the mirror's axis, which is the believed rotation's."""
 
@@ -24,13 +26,13 @@ class Uncertainty(Spec):
     """Standard deviation of view 2's rotation about each axis, degrees."""
     t_direction_deg: Deviation = 0.0
     """Standard deviation of the baseline's direction, sideways and upwards each, degrees."""
-    t_length: Deviation = 0.0
+    t_length: Share = 0.0
     """Standard deviation of the baseline's length, as a share of it: 0.01 is 1 %."""
-    focal: Deviation = 0.0
+    focal: Share = 0.0
     """Standard deviation of the focal length, as a share of it."""
     centre_px: Deviation = 0.0
     """Standard deviation of each coordinate of the principal point, pixels."""
-    shape: Deviation = 0.0
+    shape: Share = 0.0
     """Standard deviation of each number of the camera model: as a share of it for the lengths of a hyperboloid mirror,
     absolute for other models."""
     alignment_mm: Deviation = 0.0

@@ -16,7 +16,7 @@ from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, directions
 from harness.geometry.pose import Pose
 from harness.io.view_folder import CAMERA, FILES, PANORAMA, npy, view_files
-from harness.pipeline.sight import check_sensor
+from harness.pipeline.sight import check_mirror, check_sensor
 from harness.simulation.export import write_glb
 from harness.simulation.pov import README as POV_README
 from harness.simulation.pov import check_pov, write_pov
@@ -128,6 +128,7 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
         raise InputError(str(error), key="panorama") from error
     assumed, points_m = sensor.aligned, None
     check_sensor(assumed, grid)
+    check_mirror(sensor)
     image = render(scene, sensor, pose, samples)
     around = directions(grid)
     unwrapped = unwrap(image, assumed, grid)

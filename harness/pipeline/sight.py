@@ -40,11 +40,7 @@ def check_sight(trial: Trial, motion: Motion) -> None:
     """
     (sensor, second), grid = trial.assumed_sensors, trial.panorama
     for each, key in zip(trial.sensors, ("trial.sensor", "trial.sensor_2"), strict=True):
-        if not each.is_central and not seeing_pixels(each).any():
-            raise InputError(
-                "no pixel of the image sees the mirror: the camera is too far off or looks past it; use smaller values",
-                key=f"{key}.misalignment",
-            )
+        check_mirror(each, key)
     on_sensor, on_panorama = _shares(sensor, grid)
     if on_sensor == 0 or (on_panorama == 0 and _share_in_field(sensor, grid)):
         raise _blind(sensor, grid, "trial.sensor")
@@ -63,6 +59,21 @@ def check_sight(trial: Trial, motion: Motion) -> None:
     _say_little(sensor, grid, "trial.sensor")
     if second != sensor:
         check_sensor(second, grid, key="trial.sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
+
+
+def check_mirror(sensor: Sensor, key: str = "sensor") -> None:
+    """Refuse a camera so far beside its mirror that it sees nothing in it.
+
+    Raises
+    ------
+    InputError
+        Names the key of the misalignment.
+    """
+    if not sensor.is_central and not seeing_pixels(sensor).any():
+        raise InputError(
+            "no pixel of the image sees the mirror: the camera is too far off or looks past it; use smaller values",
+            key=f"{key}.misalignment",
+        )
 
 
 def check_sensor(

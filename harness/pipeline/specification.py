@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
 from harness.camera.visible_rows import is_open, with_rows
@@ -183,6 +184,13 @@ class Trial(Spec):
     """What is stored of the trial beyond its figures."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of all that is random: placement and noise."""
+
+    @model_validator(mode="after")
+    def _has_a_mirror_to_align(self) -> "Trial":
+        sigma = self.believed.sigma
+        if (sigma.alignment_mm or sigma.alignment_deg) and not isinstance(self.sensor.model, Mirror):
+            raise ValueError("believed.sigma.alignment_mm and _deg are for sensors with a hyperboloid mirror")
+        return self
 
     @model_validator(mode="after")
     def _with_rows(self) -> "Trial":
