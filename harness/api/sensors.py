@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.api.loading import load_sensor
+from harness.camera.central import central_of
 from harness.camera.coverage import Coverage, coverage
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
@@ -97,7 +98,7 @@ def describe_sensor(sensor: str | Path | Mapping[str, Any] | Sensor | None = Non
     """
     loaded = load_sensor(sensor)
     try:
-        covered = coverage(loaded.aligned)
+        covered = coverage(central_of(loaded))
     except ValueError as error:
         raise InputError(str(error), key="sensor") from error
     warnings = (*misalignment_of(loaded), *warnings_of(covered))

@@ -1,8 +1,8 @@
-"""Rays of a sensor whose camera is misaligned with its hyperboloid mirror, by the law of reflection.
+"""Rays of a sensor without a viewpoint, by the law of reflection: a misaligned hyperboloid mirror, or a `[profile]`.
 
 Such a sensor is for rendering only. It has no single viewpoint: each ray starts at a point of the mirror, so that
 `harness.camera.sensor.project`, `unproject` and other functions of directions alone reject it. Matchers use a central
-sensor, such as `sensor.aligned`.
+sensor (`harness.camera.central`).
 """
 
 import math
@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from harness.camera._profile_kernels import reflect_at_profile
 from harness.camera._reflected_point_kernels import differentiate_reflected, project_reflected
 from harness.camera._reflection_kernels import ReflectingCamera, reflect_pixels
 from harness.camera.lens import fold_radius
 from harness.camera.models import Mirror
+from harness.camera.profile_reflection import profile_camera
 from harness.camera.sensor import (
     Sensor,
     field_of,
@@ -27,33 +29,37 @@ from harness.camera.sensor import (
     project,
     unproject,
 )
+from harness.errors import InputError
 from harness.geometry.angles import Array
 
 
 def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray]:
     """The rays of pixels: their origins on the mirror, and their directions.
 
-    Closed form except for lens distortion; equations in `harness.camera._reflection_kernels`. Without misalignment the
-    directions are those of `unproject`, and the line of each ray passes through the inner focus.
+    For a hyperboloid closed form except for lens distortion; equations in `harness.camera._reflection_kernels`. Without
+    misalignment the directions are those of `unproject`, and the line of each ray passes through the inner focus. For a
+    mirror of a `[profile]` Newton's method; equations in `harness.camera._profile_kernels`.
 
     Parameters
     ----------
     sensor
-        With a hyperboloid mirror, misaligned or not.
+        With a hyperboloid mirror, misaligned or not, or a profile.
     pixels
         `[..., 2]`, (u, v), fractions allowed.
 
     Returns
     -------
     origins
-        `[..., 3]`: the point of the mirror, metres, in the sensor's frame (z up, origin at the mirror's inner focus).
-        NaN where the camera's ray does not hit the hyperboloid, not even beyond the mirror's rim.
+        `[..., 3]`: the point of the mirror, metres, in the sensor's frame (z up, origin at the mirror's inner focus,
+        or at the viewpoint of the profile). NaN where the camera's ray does not hit the mirror, nor its continuation
+        beyond the rim.
     directions
         `[..., 3]`, unit length, in the same frame; NaN likewise.
     valid
         `[...]`, bool: the point is within the mirror's rim, not hidden by the camera's body, and the pixel is on the
         image and not masked. The rim is a circle on the mirror, given by the field of view; the blind disc is the image
-        of a round body at the camera centre, which moves with the camera.
+        of a round body at the camera centre, which moves with the camera. A profile has
+        a rim of its own, and the field of view limits the directions of its rays.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     flat = pixels.reshape(-1, 2)
@@ -92,9 +98,17 @@ def reflected_rays(sensor: Sensor, u: Array, v: Array) -> tuple[Array, Array, np
     u, v
         `[n]`, contiguous float64.
     """
-    origins, directions, valid = np.empty((3, u.size)), np.empty((3, u.size)), np.empty(u.size, dtype=np.bool_)
-    reflect_pixels(u, v, reflecting_camera(sensor), origins, directions, valid)
-    return origins, directions, valid
+    rays, valid = np.empty((6, u.size)), np.empty(u.size, dtype=np.bool_)
+    write_reflected_rays(sensor, u, v, rays, valid)
+    return rays[:3], rays[3:], valid
+
+
+def write_reflected_rays(sensor: Sensor, u: Array, v: Array, rays: Array, valid: np.ndarray) -> None:
+    """Write origins and unit directions of pixels, as `reflected_rays`, to `rays [6, n]`, and their validity, `[n]`."""
+    if sensor.profile is None:
+        reflect_pixels(u, v, reflecting_camera(sensor), rays[:3], rays[3:], valid)
+    else:
+        reflect_at_profile(u, v, profile_camera(sensor), rays[:3], rays[3:], valid)
 
 
 def project_points(sensor: Sensor, points_m: ArrayLike) -> tuple[Array, np.ndarray]:
@@ -180,7 +194,13 @@ def reflecting_camera(sensor: Sensor) -> ReflectingCamera:
     ------
     TypeError
         Unless the sensor has a hyperboloid mirror.
+    InputError
+        When it has a profile: points are not projected through one.
     """
+    if sensor.profile is not None:
+        raise InputError(
+            f"a hyperboloid mirror is needed here, not a {sensor.profile.title}; leave [profile] out", key="profile"
+        )
     mirror = sensor.model
     if not isinstance(mirror, Mirror):
         raise TypeError(f"a {mirror.title} is no hyperboloid mirror")

@@ -25,6 +25,7 @@ from harness.camera.misalignment import Misalignment
 from harness.camera.models import AnyModel, Mirror
 from harness.camera.models.hyperboloid import encloses
 from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
+from harness.camera.profile import AnyProfile, Profile
 from harness.errors import InputError
 from harness.files import path_of
 from harness.geometry.angles import Array
@@ -33,7 +34,7 @@ from harness.spec import Spec, as_given, given_of, parse, remember
 
 
 class Sensor(Spec):
-    """An omnidirectional sensor, with one viewpoint unless its mirror is misaligned.
+    """An omnidirectional sensor, with one viewpoint unless its mirror is misaligned or has a profile of its own.
 
     The defaults are those of the shipped experiments.
     """
@@ -49,7 +50,10 @@ class Sensor(Spec):
     mount: Mount = Mount()
     """How the camera is mounted."""
     misalignment: Misalignment = Misalignment()
-    """How the camera is displaced and turned against its hyperboloid mirror."""
+    """How the camera is displaced and turned against its mirror."""
+    profile: AnyProfile | None = None
+    """A mirror of another shape instead of the camera model: its rays follow from the law of reflection, and meet in no
+    point. None for the camera model."""
     mask: Mask = None
     """Which pixels are used: the path of an 8-bit grey image of the sensor's size, white where they are; relative to
     the sensor's file. Mask the pixels that show the robot itself or the mirror's support."""
@@ -74,18 +78,20 @@ class Sensor(Spec):
 
     @property
     def is_central(self) -> bool:
-        """Whether all rays meet in one viewpoint: camera and mirror are aligned."""
-        return self.misalignment.is_zero
+        """Whether all rays meet in one viewpoint: camera and mirror are aligned, and no profile replaces the model."""
+        return self.misalignment.is_zero and self.profile is None
 
     @property
     def aligned(self) -> "Sensor":
-        """The same sensor with its camera where it belongs, at the mirror's outer focus: a central one."""
-        return self if self.is_central else self.model_copy(update={"misalignment": Misalignment()})
+        """The same sensor with its camera where it belongs: a central one, unless its mirror has a profile."""
+        return self if self.misalignment.is_zero else self.model_copy(update={"misalignment": Misalignment()})
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
         """Fills in what was left open: the model's own limits of the field, and a focal length to be fitted."""
         looks = self.looks
+        if self.profile is not None:
+            self._check_profile(self.profile)
         if self.camera.is_open:
             self.model.refuse_unused(self.camera, self.lens)
         self.__dict__["field"] = field = self.model.filled_in(self.field, self.camera, self.lens, looks)
@@ -93,12 +99,24 @@ class Sensor(Spec):
             focal_px = fitted_focal_px(self.model, self.camera, self.lens, field, looks, mirrored=self.mirrored)
             camera = self.camera.model_copy(update={"focal_px": focal_px})
             self.__dict__["camera"] = remember(camera, given_of(self.camera) | {"focal_px": "fit"})
-        self.model.check(self.camera, self.lens, edge_of(field, looks))
-        self._check_misalignment()
+        if self.profile is None:
+            self.model.check(self.camera, self.lens, edge_of(field, looks))
+            self._check_misalignment()
         return self
 
+    def _check_profile(self, profile: Profile) -> None:
+        if self.model != Mirror():
+            raise ValueError(f"model: the mirror of [profile] takes the place of the {self.model.title}; leave one out")
+        if self.camera.is_open:
+            raise ValueError('camera.focal_px = "fit" needs a camera model, not a [profile]; give it in pixels')
+        if 1000 * profile.camera_m <= max(0.0, self.misalignment.z_mm):
+            raise ValueError(
+                f"misalignment.z_mm = {self.misalignment.z_mm:g} is not below the mirror's apex; use less than "
+                f"{1000 * profile.camera_m:g}"
+            )
+
     def _check_misalignment(self) -> None:
-        if self.is_central:
+        if self.misalignment.is_zero:
             return
         given = next(name for name in Misalignment.model_fields if getattr(self.misalignment, name))
         if not isinstance(self.model, Mirror):
@@ -327,7 +345,7 @@ def seam_px(sensor: Sensor, reach_px: int = 32) -> int:
 
 
 def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
-    """Refuse a sensor whose camera is misaligned with its mirror.
+    """Refuse a sensor whose camera is misaligned with its mirror, or whose mirror has a profile of its own.
 
     Parameters
     ----------
@@ -339,6 +357,13 @@ def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
     InputError
         Says what to use instead.
     """
+    if sensor.profile is not None:
+        raise InputError(
+            f"the rays of a {sensor.profile.title} meet in no viewpoint, which is needed here; use a central sensor, "
+            "such as harness.camera.central.best_central(sensor).sensor, or one without [profile]",
+            file=file,
+            key="profile",
+        )
     if not sensor.is_central:
         raise InputError(
             "camera and mirror are misaligned, so that rays meet in no viewpoint, which is needed here; use the "

@@ -8,6 +8,7 @@ import tomli_w
 from numpy.typing import NDArray
 from PIL import Image
 
+from harness.camera.central import central_of
 from harness.camera.sensor import Sensor, pixel_directions, used
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Panorama
@@ -51,12 +52,12 @@ def view_files(
     image
         `[sensor height, sensor width]`, grey levels.
     sensor
-        The rays are those of the aligned sensor, should its mirror be misaligned.
+        The rays are those of the aligned, or nearest central, sensor, should its rays meet in no point.
     R_world_from_view
         `[3, 3]`, where it is known better than to the rounding of the pose's angles.
     """
     rotation = pose.R_world_from_view if R_world_from_view is None else R_world_from_view
-    rays, valid = pixel_directions(sensor.aligned)
+    rays, valid = pixel_directions(central_of(sensor))
     placed = dump_toml(pose) + tomli_w.dumps({"R_world_from_view": rotation.tolist()})
     return {
         "omni.png": png(image),

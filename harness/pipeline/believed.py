@@ -4,10 +4,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from harness.camera.central import central_of
 from harness.camera.central_fit import nearest_central
 from harness.camera.misalignment import Misalignment
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
+from harness.errors import InputError
 from harness.evaluation.propagation import MOTION, Parameter, Rig, calibration_parameters
 from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
 from harness.simulation.noise import generator
@@ -104,10 +106,21 @@ def believed_rig(true: Rig, believed: Believed, draws: dict[str, float]) -> Rig:
 def calibrated(true: Rig, believed: Believed) -> Rig:
     """The rig with central sensors: those that are believed of misaligned mirrors."""
     if believed.alignment == "nominal":
-        first, second = (each.aligned for each in true.sensors)
+        first, second = (central_of(each) for each in true.sensors)
     else:
-        first, second = (nearest_central(each).sensor for each in true.sensors)
+        first, second = (_best_of(each) for each in true.sensors)
     return Rig((first, second), true.motion)
+
+
+def _best_of(sensor: Sensor) -> Sensor:
+    if sensor.profile is None:
+        return nearest_central(sensor).sensor
+    if not sensor.misalignment.is_zero:
+        raise InputError(
+            f'"central" is for hyperboloid mirrors, not for a misaligned {sensor.profile.title}; use "nominal"',
+            key="trial.believed.alignment",
+        )
+    return central_of(sensor)
 
 
 def _fixed(believed: Believed, parameter: Parameter, sensor: Sensor) -> float:

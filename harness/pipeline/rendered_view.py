@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.camera.central import central_of
 from harness.camera.sensor import Sensor, in_use, pixel_directions
 from harness.camera.unwrap import unwrap
 from harness.camera.visible_rows import with_rows
@@ -44,6 +45,13 @@ from the mirror's inner focus, and not along the ray, which begins on the mirror
 panorama_range.npy are of the aligned sensor, as whoever does not know of the misalignment takes it to be.
 """
 
+PROFILE = """
+The rays of this mirror meet in no point: omni.* and range.npy are what it sees. points.npy has the point that the ray
+of each pixel's centre meets, float64 metres in the sensor's frame, [row = v, column = u, 3]; range.npy is its distance
+from the sensor's origin, and not along the ray, which begins on the mirror. rays.npy, panorama.* and
+panorama_range.npy are of the central camera that comes nearest to the mirror's rays at a distance of 3 m.
+"""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RenderedView(OneLine):
@@ -63,9 +71,9 @@ class RenderedView(OneLine):
     pose: Pose
     grid: Grid
     points_m: Array | None = None
-    """`[sensor height, sensor width, 3]`, for a sensor whose mirror is misaligned: the point that the ray of each
-    pixel's centre meets, in the sensor's frame, metres. `range_m` is its distance from the mirror's inner focus. The
-    panorama and its ranges are those of the aligned sensor."""
+    """`[sensor height, sensor width, 3]`, for a sensor without a viewpoint: the point that the ray of each pixel's
+    centre meets, in the sensor's frame, metres. `range_m` is its distance from the sensor's origin. The panorama and
+    its ranges are those of the aligned, or nearest central, sensor."""
 
     def write(self, folder: str | Path, *, pov: bool = False) -> None:
         """Write the view into a folder that can be used without this program: see its README.txt.
@@ -98,7 +106,7 @@ class RenderedView(OneLine):
             readme += POV_README
         if self.points_m is not None:
             write(folder / "points.npy", npy(self.points_m))
-            readme += MISALIGNED
+            readme += MISALIGNED if self.sensor.profile is None else PROFILE
         write(folder / "README.txt", readme)
 
     def _repr_html_(self) -> str:
@@ -122,11 +130,11 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
     InputError
         When the view cannot see the scene, or the sensor sees nothing.
     """
+    assumed, points_m = central_of(sensor), None
     try:
-        grid = with_rows(grid or Grid(), (sensor.aligned,))
+        grid = with_rows(grid or Grid(), (assumed,))
     except ValueError as error:
         raise InputError(str(error), key="panorama") from error
-    assumed, points_m = sensor.aligned, None
     check_sensor(assumed, grid)
     check_mirror(sensor)
     image = render(scene, sensor, pose, samples)

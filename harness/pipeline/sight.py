@@ -67,12 +67,13 @@ def check_mirror(sensor: Sensor, key: str = "sensor") -> None:
     Raises
     ------
     InputError
-        Names the key of the misalignment.
+        Names the key of the misalignment, or of the profile.
     """
     if not sensor.is_central and not seeing_pixels(sensor).any():
         raise InputError(
-            "no pixel of the image sees the mirror: the camera is too far off or looks past it; use smaller values",
-            key=f"{key}.misalignment",
+            "no pixel of the image sees the mirror: the camera is too far off or looks past it; "
+            + ("use smaller values" if sensor.profile is None else "see profile, camera, field and misalignment"),
+            key=f"{key}.misalignment" if sensor.profile is None else f"{key}.profile",
         )
 
 

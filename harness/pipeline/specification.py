@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from harness.camera.central import central_of
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
@@ -227,8 +228,10 @@ class Trial(Spec):
         if self.sensors[0] == self.sensors[1]:
             del settings["sensor_2"]  # the same trial, whether or not it is given
         for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
-            if given.is_central:
+            if given.misalignment.is_zero:
                 sensor.pop("misalignment", None)  # as before there was one
+            if given.profile is None:
+                sensor.pop("profile", None)
             if mask := sensor.pop("mask", None):
                 sensor["mask"] = mask["sha256"]
         for name in ("optics", "optics_2", "chip", "motion", "believed"):
@@ -291,10 +294,11 @@ class Trial(Spec):
     def assumed_sensors(self) -> tuple[Sensor, Sensor]:
         """The sensor of each view as whoever uses its images takes it to be: central, its camera and mirror aligned.
 
+        Instead of a mirror with a `[profile]` it is the nearest central camera (`camera.central`).
         Panoramas, matches, ranges and the truth that they are compared with are those of this sensor.
         """
         first, second = self.sensors
-        return first.aligned, second.aligned
+        return central_of(first), central_of(second)
 
     @property
     def true_motion(self) -> Motion:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.camera.central import best_central
 from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
 from harness.camera.sensor import Sensor, used
 
@@ -42,12 +43,19 @@ def facts_of(coverage: Coverage) -> dict[str, str]:
 
 
 def misalignment_of(sensor: Sensor) -> list[str]:
-    """That camera and mirror are misaligned, a sentence; nothing where they are not."""
+    """That rays meet in no viewpoint, and why, a sentence each; nothing where they do."""
+    profile = []
+    if sensor.profile is not None:
+        fit = best_central(sensor)
+        profile.append(
+            f"The rays of a {sensor.profile.title} meet in no point: all that is said here is of the nearest central "
+            f"camera, whose rays are off by {fit.rms_deg:.2g} deg ({fit.rms_px:.2g} px) RMS at {fit.distance_m:g} m."
+        )
     given = {name: value for name, value in sensor.misalignment.model_dump().items() if value}
     if not given:
-        return []
+        return profile
     numbers = ", ".join(f"{name} = {value:.3g}" for name, value in given.items())
-    return [f"Camera and mirror are misaligned ({numbers}): all that is said here is of the aligned sensor."]
+    return [*profile, f"Camera and mirror are misaligned ({numbers}): all that is said here is of the aligned sensor."]
 
 
 def warnings_of(coverage: Coverage) -> list[str]:

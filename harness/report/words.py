@@ -100,8 +100,10 @@ def images_of(sensors: tuple[Sensor, Sensor]) -> str:
     """The sizes of both views' images, one where they are equal, and whether the views differ in more."""
     sizes = " and ".join(dict.fromkeys(f"{each.camera.width_px} × {each.camera.height_px}" for each in sensors))
     own = what_differs(sensors)
-    misaligned = ", whose mirrors are misaligned," if not all(each.is_central for each in sensors) else ""
-    return f"{sizes} pixels{f', each with {own}' if own else ''}{misaligned}"
+    titles = dict.fromkeys(each.profile.title for each in sensors if each.profile is not None)
+    profiles = f", of a {' and a '.join(titles)} told as a central camera," if titles else ""
+    misaligned = ", whose mirrors are misaligned," if not all(each.misalignment.is_zero for each in sensors) else ""
+    return f"{sizes} pixels{f', each with {own}' if own else ''}{profiles}{misaligned}"
 
 
 def what_differs(sensors: tuple[Sensor, Sensor]) -> str:

@@ -1,4 +1,4 @@
-"""The image of a sensor whose camera is misaligned with its mirror: rays that begin on the mirror, each traced.
+"""The image of a sensor without a viewpoint (`camera.reflection`): rays that begin on the mirror, each traced.
 
 There is no viewpoint, so that nothing can be read off a pixel's corners, and a face has no homography. Embree finds the
 triangle of every sample's ray; where it meets the face's plane is worked out in float64. Seen from any one point, the
@@ -13,8 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from harness.camera._reflection_kernels import reflect_pixels
-from harness.camera.reflection import reflected_pixels, reflected_rays, reflecting_camera
+from harness.camera.reflection import reflected_pixels, reflected_rays, write_reflected_rays
 from harness.camera.sensor import Sensor
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
@@ -125,7 +124,7 @@ class ReflectedShading(Shading):
         sample_positions(pixels, self.sensor.camera.width_px, offsets, u, v)
         rays = np.empty((6, u.size))
         valid = np.empty(u.size, dtype=np.bool_)
-        reflect_pixels(u, v, reflecting_camera(self.sensor), rays[:3], rays[3:], valid)
+        write_reflected_rays(self.sensor, u, v, rays, valid)
         return rays
 
     def _faces(self, rays: Array) -> Ints:

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from harness.camera.central import central_of
 from harness.geometry.angles import Array, normalise
 from harness.pipeline.trial import Outcome
 from harness.report import theme
@@ -60,7 +61,7 @@ def section(context: Context) -> Iterator[Block]:
     if outcome.trial.sensors[0] != outcome.trial.sensors[1]:
         first, second = outcome.trial.sensors
         own = what_differs((first, second))
-        caption = html(_SECOND_VIEW, sensor=second, own=own, masked=mask_words(second.aligned))
+        caption = html(_SECOND_VIEW, sensor=second, own=own, masked=mask_words(central_of(second)))
         yield Figure("figure-second-view", [mirror_image(outcome, 1)], caption)
     fields: Fields = {
         "grey_mean": (outcome.panoramas[0].values, outcome.panoramas[0].valid, np.mean),
