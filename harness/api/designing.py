@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from harness.camera.coverage import coverage
+from harness.camera.coverage import Coverage, coverage
 from harness.design.answers import Answer, Candidate, Cost, answers, candidates, height_m, mirror_diameter_m
 from harness.design.budget import CAUSES
 from harness.design.rig import RigDesign, load_rig
@@ -31,6 +31,8 @@ class RigDescription(OneLine):
     """What its sensor sees, and its size."""
     answers: tuple[Answer, ...]
     """A range each."""
+    coverage: Coverage
+    """What its sensor sees, in figures."""
 
     @property
     def table(self) -> "pd.DataFrame":
@@ -60,7 +62,7 @@ class RigDescription(OneLine):
 
         if Path(path).suffix.lower() not in (".html", ".htm"):
             raise InputError("must end in .html", file=path)
-        write(Path(path), build_page(self.rig, self.facts, self.answers))
+        write(Path(path), build_page(self.rig, self.facts, self.answers, self.coverage))
 
     def _repr_html_(self) -> str:
         return str(self.table.to_html(float_format="{:.3g}".format))
@@ -105,7 +107,7 @@ def describe_rig(
             f"mirror {1000 * mirror_diameter_m(loaded.sensor):.0f} mm across; from the camera's centre to its rim "
             f"{1000 * height_m(loaded.sensor):.0f} mm"
         )
-    return RigDescription(loaded, facts, answers(loaded, ranges_m))
+    return RigDescription(loaded, facts, answers(loaded, ranges_m), covered)
 
 
 def find_rigs(

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter
 
-from harness.camera.coverage import coverage
+from harness.camera.coverage import Coverage
 from harness.design.answers import Answer, answers, rim_m
 from harness.design.budget import CAUSES, budget
 from harness.design.rig import RigDesign
@@ -22,7 +22,7 @@ _HEIGHT = 400
 _PLAN_M = 8.0
 
 
-def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer]) -> str:
+def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer], covered: Coverage) -> str:
     """The page, one self-contained HTML file.
 
     Parameters
@@ -31,8 +31,9 @@ def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer]
         What is said of its sensor.
     expected
         What to expect at some ranges.
+    covered
+        What its sensor sees, in figures.
     """
-    covered = coverage(rig.sensor)
     with theme.style():
         errors = [_by_cause(rig), _plan(rig)]
         sensor = [*([_profile(rig)] if rig.has_mirror else []), image_panel(covered), resolution_panel(covered)]
@@ -51,7 +52,7 @@ def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer]
 def _by_cause(rig: RigDesign) -> Picture:
     fig = theme.figure(HALF, _HEIGHT)
     ax = theme.axes(fig, 64, 64, HALF - 80, _HEIGHT - 116)
-    ranges = np.geomspace(0.5, 16, 16)
+    ranges = np.geomspace(0.5, 16, 11)
     expected = answers(rig, ranges.tolist())
     total = np.array([1000 * each.error_m for each in expected])
     ax.plot(ranges, total, color=INK, linewidth=2.2, label="all together")
@@ -85,7 +86,7 @@ def _plan(rig: RigDesign) -> Picture:
     fig = theme.figure(HALF, _HEIGHT)
     side = min(HALF - 150, _HEIGHT - 70)
     ax = theme.axes(fig, 54, 16, side, side)
-    axis = np.linspace(-_PLAN_M, _PLAN_M, 161)
+    axis = np.linspace(-_PLAN_M, _PLAN_M, 81)
     x, y = np.meshgrid(axis, axis)
     points = np.stack([x, y, np.full_like(x, _height_of_plan(rig, x, y))], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
