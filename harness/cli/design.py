@@ -47,15 +47,15 @@ def add(commands: Commands) -> None:
     )
     completers.offer(rig, completers.files(".toml"))
     command.add_argument(
-        "--at", type=_positive, nargs="+", metavar="M", default=[1.0, 2.0, 4.0, 8.0], help="ranges, metres (1 2 4 8)"
+        "--at", type=positive, nargs="+", metavar="M", default=[1.0, 2.0, 4.0, 8.0], help="ranges, metres (1 2 4 8)"
     )
     command.add_argument(
         "--accuracy", type=_accuracy, metavar="M@M", help="such as 0.03@4: 68 %% of estimates within 30 mm at 4 m"
     )
-    command.add_argument("--baseline-max", type=_positive, default=math.inf, metavar="M", help="longest baseline")
+    command.add_argument("--baseline-max", type=positive, default=math.inf, metavar="M", help="longest baseline")
     command.add_argument(
         "--height-max",
-        type=_positive,
+        type=positive,
         default=math.inf,
         metavar="M",
         help="from the camera's centre to the mirror's rim",
@@ -209,16 +209,6 @@ def _accuracy(text: str) -> tuple[float, float]:
     if not at or not all(0 < each < math.inf for each in values):
         raise argparse.ArgumentTypeError(f"must be like 0.03@4, an error and a range in metres; found '{text}'")
     return values
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a number above 0; found '{text}'")
-    return value
 
 
 def _not_negative(text: str) -> float:

@@ -1,6 +1,7 @@
 """Declaration of sub-commands, and the options that several of them have."""
 
 import argparse
+import math
 import re
 import sys
 from collections.abc import Callable
@@ -123,3 +124,14 @@ def whole_number(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; found '{text}'")
     return int(text)
+
+
+def positive(text: str) -> float:
+    """A number above 0, for `type` of an argument."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"must be a number above 0; found '{text}'")
+    return value

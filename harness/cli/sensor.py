@@ -1,6 +1,5 @@
 """`omnirange sensor`: describe a sensor from a calibration file of any known format, or convert the file."""
 
-import argparse
 import math
 import os
 import sys
@@ -9,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.cli import completers
-from harness.cli.options import Commands, add_out
+from harness.cli.options import Commands, add_out, positive
 from harness.cli.sensor_options import add_choices, chosen
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def add(commands: Commands) -> None:
     )
     command.add_argument(
         "--allow-residual",
-        type=_length,
+        type=positive,
         metavar="PX",
         help="accept the closest camera if its RMS residual is at most so many pixels (0.2)",
     )
@@ -166,13 +165,3 @@ def _reading(read: "SensorFile") -> str:
         words.append(f"--angle-max {sensor.field.angle_max_deg:g}")
     words.append(f"--elevation {sensor.field.elevation_min_deg:g} {sensor.field.elevation_max_deg:g}")
     return " ".join(words)
-
-
-def _length(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a number above 0, pixels; found '{text}'")
-    return value
