@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
-from harness.cli.options import Commands, add_out, whole_number
+from harness.cli.options import Commands, add_out, positive, whole_number
 from harness.errors import InputError
 
 if TYPE_CHECKING:
