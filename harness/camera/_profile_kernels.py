@@ -1,9 +1,10 @@
 """A perspective camera that sees the world in a mirror of revolution: the ray of a pixel by the law of reflection.
 
 The camera's ray `C + s d` meets the profile where `F(s) = p_z - z(r) = 0`, r the distance of p from the axis. In front
-of a convex mirror F is concave and starts below 0, so that Newton's method from the camera approaches the first zero
-from below, without a step beyond it; for others a bisection takes over once F has changed its sign. The ray leaves in
-the direction `d - 2 (d·n) n`, n along `(-z' p_x/r, -z' p_y/r, 1)`.
+of a convex mirror F is concave and starts below 0, so that Newton's method approaches the first zero from below without
+a step beyond it, and from beyond comes below it at once; for others a bisection takes over once F has changed its sign.
+It begins where an aligned camera's ray would meet the mirror. The ray leaves in the direction `d - 2 (d·n) n`, n along
+`(-z' p_x/r, -z' p_y/r, 1)`.
 """
 
 import math
@@ -43,6 +44,10 @@ class ProfileCamera(NamedTuple):
     """`[4, n]`: their coefficients in the distance from the left knot, the highest power first."""
     first: Any
     """`[m]`: the piece in which each of m equal parts of 0 .. rim begins."""
+    depths: Any
+    """`[n + 1]`: depths, along the axis, at which an aligned camera's rays of evenly spaced slopes meet the mirror."""
+    widest: float
+    """The last of these slopes; steeper rays begin at the camera."""
     viewpoint: float
     """Height of the sensor's origin above the apex."""
     c_x: float
@@ -102,20 +107,26 @@ def heights(r, camera, z, slope):
         z[i], slope[i] = _height(r[i], camera)
 
 
-@kernel
+@kernel(inline=True)
 def _meet(d_x, d_y, d_z, camera):
     """Where a ray from the camera centre meets the mirror: `p_x, p_y, p_z`, the slope there, and whether it does."""
     c_x, c_y, c_z = camera.c_x, camera.c_y, camera.c_z
     s, least, most = 0.0, 0.0, math.inf
+    across = math.sqrt(d_x * d_x + d_y * d_y)
+    if across < camera.widest * d_z:
+        parts = camera.depths.size - 1
+        at = across / (d_z * camera.widest) * parts
+        i = min(int(at), parts - 1)
+        s = (camera.depths[i] + (at - i) * (camera.depths[i + 1] - camera.depths[i])) / d_z
     for _ in range(200):
         p_x, p_y, p_z = c_x + s * d_x, c_y + s * d_y, c_z + s * d_z
         r = math.sqrt(p_x * p_x + p_y * p_y)
         z, slope = _height(r, camera)
         excess = p_z - z
-        outwards = (p_x * d_x + p_y * d_y) / r if r > 0.0 else math.sqrt(d_x * d_x + d_y * d_y)
+        outwards = (p_x * d_x + p_y * d_y) / r if r > 0.0 else across
         rise = d_z - slope * outwards
         s_next = s - excess / rise if rise > 0.0 else math.inf
-        if abs(s_next - s) <= 2e-15 * s:  # and the error after it is of the order of its square
+        if abs(s_next - s) <= 1e-14 * s:  # the slope is that of the step before
             return c_x + s_next * d_x, c_y + s_next * d_y, c_z + s_next * d_z, slope, True
         if excess < 0.0:
             least = s
@@ -129,7 +140,7 @@ def _meet(d_x, d_y, d_z, camera):
     return math.nan, math.nan, math.nan, math.nan, False
 
 
-@kernel
+@kernel(inline=True)
 def _reflect(x, y, camera):
     """As `_reflection_kernels.meet_mirror`, about the apex."""
     d_x = camera.r_xx * x + camera.r_xy * y + camera.r_xz

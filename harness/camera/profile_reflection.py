@@ -17,6 +17,8 @@ _PIECES = 2000
 """Cubics of an equiangular profile: of the fourth order, they are right to 1e-13 of its radius."""
 _PARTS = 2
 """Parts in which a radius is looked up, per piece."""
+_STARTS = 1000
+"""Points of the profile from which the compiled iteration begins: right to 1e-6, so that two steps suffice."""
 _COMPARED = 10_000
 """Approximate number of pixels whose rays determine the sensor's origin."""
 
@@ -81,7 +83,7 @@ def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
     c_x, c_y, c_z = (np.array([0.0, 0.0, -profile.camera_m]) + misalignment.offset_m).tolist()
     rows = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
     R, M = misalignment.R_mirror_from_camera, model_from_sensor(sensor)
-    return ProfileCamera(
+    camera = ProfileCamera(
         **sensor.camera.matrix,
         k1=lens.k1,
         k2=lens.k2,
@@ -95,6 +97,8 @@ def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
         knots=pieces.x,
         cubics=np.ascontiguousarray(pieces.c),
         first=first.astype(np.int64),
+        depths=np.zeros(2),
+        widest=0.0,
         viewpoint=viewpoint_m,
         c_x=c_x,
         c_y=c_y,
@@ -103,6 +107,14 @@ def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
         **{f"m_{name}": each for name, each in zip(rows, M.ravel().tolist(), strict=True)},
         field=field_of(sensor),
     )
+    r, z = np.linspace(0, 1.1 * rim, 20 * _STARTS), np.empty((2, 20 * _STARTS))
+    heights(r, camera, z[0], z[1])
+    depth = z[0] + profile.camera_m
+    slope = r / depth
+    if not (np.diff(slope) > 0).all():  # the camera does not see all of the mirror
+        return camera
+    widest = float(slope[-1])
+    return camera._replace(depths=np.interp(np.linspace(0, widest, _STARTS + 1), slope, depth), widest=widest)
 
 
 _NO_PIECES = PPoly(np.zeros((4, 1)), np.array([0.0, 1.0]))
