@@ -44,7 +44,8 @@ def answer(images):
     ran = omnirange(
         images, "range", images / "left.png", images / "right.png", "--sensor", images / "sensor.toml",
         "--baseline", *BASELINE,
-        "--rotation-deg", 25, 2, 0, "--matcher", "column", "--set", "window_px=9", "--out", images / "out",
+        "--rotation-deg", 25, 2, 0, "--matcher", "column", "--set", "window_px=9", "--set", "panorama.width_px=720",
+        "--out", images / "out",
     )  # fmt: skip
     assert ran.returncode == 0, ran.stderr
     assert ran.stderr == ""

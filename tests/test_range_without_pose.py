@@ -66,7 +66,7 @@ def test_metres_by_the_floor_and_sigma_with_the_motions_share(folder, capsys):
 
 @pytest.mark.slow
 def test_units_of_the_baseline_are_said(folder, views, motion, capsys):
-    assert main(command(folder, "--out", str(folder / "unit"))) == 0
+    assert main(command(folder, "--set", "panorama.width_px=720", "--out", str(folder / "unit"))) == 0
     said = capsys.readouterr().out
     assert "in units of the baseline" in said
     assert json.loads((folder / "unit" / "range.json").read_text())["unit"] == "baseline"

@@ -263,7 +263,7 @@ def test_photographs_by_two_sensors(photographs, capsys):
     assert "<h3>Sensor of view 2</h3>" in page
     estimate = harness.estimate_range(
         folder / "left" / "omni.png", folder / "right" / "omni.png", SENSOR, (0.5, 0, 0), "sgm",
-        sensor_2=OTHER_SENSOR, grid=Grid(width_px=180, height_px=50),
+        sensor_2=OTHER_SENSOR, grid=Grid(width_px=180, height_px=50), fit_limits=True,
     ).range_m  # fmt: skip
     assert np.array_equal(estimate, np.load(folder / "out" / "range.npy"), equal_nan=True)
     capsys.readouterr()

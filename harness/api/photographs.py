@@ -1,13 +1,20 @@
 """Reading and checking photographs from files or arrays."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.camera.binning import binned
+from harness.camera.fitting_panorama import fitting_grid
 from harness.camera.sensor import Sensor
+from harness.camera.visible_rows import with_rows
+from harness.display import brief
 from harness.errors import InputError
+from harness.geometry.panorama import Grid
+from harness.geometry.pose import Motion
 from harness.images import Picture
 from harness.pipeline.photographs import Photograph, read_photograph
 
@@ -56,3 +63,49 @@ def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Ph
     grey_levels = picture.grey()
     grey_levels.flags.writeable = False
     return Photograph(Path(name), grey_levels, picture.colour(), picture.scale)
+
+
+def side_of(scale: float, sensors: tuple[Sensor, Sensor]) -> int:
+    """How many pixels of an image become one of the smaller one, along each side.
+
+    Raises
+    ------
+    InputError
+        When the scale is not the inverse of a whole number, or leaves fewer than 16 pixels.
+    """
+    if not 0 < scale <= 1 or abs(1 / scale - round(1 / scale)) > 0.05:
+        raise InputError(
+            f"must be 1, or one over a whole number, such as 0.5 or 0.25; found {brief(scale)}", key="scale"
+        )
+    side = round(1 / scale)
+    shortest = min(min(each.camera.width_px, each.camera.height_px) for each in sensors)
+    if shortest < 16 * side:
+        raise InputError(f"leaves {shortest // side} pixels of {shortest}; must leave 16", key="scale")
+    return side
+
+
+def smaller(photograph: Photograph, sensor: Sensor, side: int) -> Photograph:
+    """The photograph of means over squares of `side` x `side` pixels; grey is NaN where the sensor's mask hides one."""
+    grey = binned(photograph.grey, sensor, side)
+    grey.flags.writeable = False
+    colour = binned(photograph.colour.astype(np.float32), sensor.model_copy(update={"mask": None}), side)
+    levels = np.clip(np.rint(colour), 0, 255).astype(np.uint8)
+    return replace(photograph, grey=grey, colour=levels)
+
+
+def grid_of(grid: Grid | Literal["auto"] | None, sensors: tuple[Sensor, Sensor], motion: Motion) -> Grid:
+    """The panorama, its rows in numbers.
+
+    Raises
+    ------
+    InputError
+        When it is to suit the sensors, and these see nothing in common.
+    """
+    try:
+        if grid == "auto":
+            return fitting_grid(sensors, motion.R_v2_from_v1)
+        if not isinstance(grid, Grid | None):
+            raise InputError(f"must be a Grid, 'auto' or None; found {brief(grid)}", key="grid")
+        return with_rows(grid or Grid(), sensors, motion.R_v2_from_v1)
+    except ValueError as error:
+        raise InputError(str(error), key="panorama") from error

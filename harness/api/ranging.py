@@ -4,14 +4,16 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from harness.api.loading import load_sensor
 from harness.api.motion import MotionEstimate, Status, estimate_motion
-from harness.api.photographs import Image, photographs_of
+from harness.api.photographs import Image, grid_of, photographs_of, side_of, smaller
+from harness.api.search_limits import in_baselines, in_metres
+from harness.camera.binning import binned_sensor
 from harness.camera.sensor import Sensor
 from harness.display import brief, coloured, grey, html_figure
 from harness.errors import InputError, Notice
@@ -19,19 +21,11 @@ from harness.files import write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.matching.interface import MatcherSettings
-from harness.motion.estimate import scene_points
 from harness.pipeline.geometry_check import Verdict
 from harness.pipeline.maps import range_limits
-from harness.pipeline.photographs import Estimate, estimate, write_estimate
+from harness.pipeline.photographs import Estimate, Photograph, estimate, write_estimate
 from harness.runs.photograph_settings import OwnSettings
 from harness.spec import parse
-
-_FAR_SHARE, _NEAR_SHARE = 0.02, 0.005
-"""Shares of the points that the motion was estimated from, the farthest and the nearest, that set no limits."""
-_BESIDE = 0.6
-"""Nearest range searched, of the nearest point's; the farthest likewise."""
-_FARTHEST = 200.0
-"""Farthest range that counts, baselines: beyond, the parallax is below a third of a degree."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +37,9 @@ class RangeEstimate(Estimate):
     `table()`; `reason`, why there is no range (0: there is one); `matches` with `alpha_2`; `points_m` and `colours` of
     the point cloud.
     """
+
+    search: str = ""
+    """Where the limits of the search come from, if they were to come from the images."""
 
     def write(self, folder: str | Path) -> None:
         """Write arrays, point cloud and a page, `range.html`, into a folder.
@@ -80,8 +77,10 @@ def estimate_range(
     matcher: str | Mapping[str, Any] | MatcherSettings = "slanted",
     *,
     sensor_2: str | Path | Mapping[str, Any] | Sensor | None = None,
-    grid: Grid | None = None,
+    grid: Grid | Literal["auto"] | None = None,
     bits: int | None = None,
+    scale: float = 1.0,
+    fit_limits: bool = False,
 ) -> RangeEstimate:
     """Match two omnidirectional images and triangulate. No scene and no ground truth are needed.
 
@@ -102,10 +101,18 @@ def estimate_range(
     sensor_2
         The sensor of view 2, if it is another one.
     grid
-        The grid of the panorama; 720 x 200 pixels when None.
+        The grid of the panorama; 720 x 200 pixels when None. "auto": the rows that both sensors see, at nearly their
+        resolution, as the command has it; see `harness.camera.fitting_panorama`.
     bits
         White is 2^bits - 1 in files and in arrays of uint16, such as 12 of a camera that stores 12 bits in 16; when
         None the type decides.
+    scale
+        1, or the inverse of a whole number, such as 0.5: images are made smaller by the mean of squares of pixels
+        before they are matched. The motion, if it is estimated, and the panorama come from the images as they are.
+    fit_limits
+        Whether `d_min_m` and `d_max_m` of the matcher, where they are not given, follow from matched keypoints: 0.6
+        times the range of the nearest, 3 times that of the farthest. Needs the extra `motion`; without it, or with
+        few keypoints that agree with the motion, they stay as they are. `search` of the result says so.
 
     Returns
     -------
@@ -133,47 +140,44 @@ def estimate_range(
     settings = _matcher(matcher)
     if motion is None:
         motion = estimate_motion(left, right, *sensors, bits=bits)
+    return _estimated((first, second), sensors, motion, settings, grid, scale, fit_limits=fit_limits)
+
+
+def _estimated(
+    photographs: tuple[Photograph, Photograph],
+    sensors: tuple[Sensor, Sensor],
+    motion: Motion | Pose | MotionEstimate | Sequence[float],
+    settings: MatcherSettings,
+    grid: Grid | Literal["auto"] | None,
+    scale: float,
+    *,
+    fit_limits: bool,
+) -> RangeEstimate:
+    """The ranges of checked photographs; see `estimate_range`."""
+    first, second = photographs
+    error, has_metres, search = None, True, ""
     if isinstance(motion, MotionEstimate):
         if motion.status == Status.WEAK:
             reasons = "; ".join(motion.reasons)
-            warnings.warn(f"the motion is unreliable, and so are ranges from it: {reasons}", Notice, stacklevel=2)
-        if motion.baseline_m is None and motion.direction_v1 is not None:
-            settings = _with_limits(settings, motion, first_sensor)
-        estimated = estimate(
-            first,
-            second,
-            sensors,
-            motion.motion,
-            settings,
-            grid,
-            motion.error,
-            has_metres=motion.baseline_m is not None,
-        )
+            warnings.warn(f"the motion is unreliable, and so are ranges from it: {reasons}", Notice, stacklevel=3)
+        known, error, has_metres = motion.motion, motion.error, motion.baseline_m is not None
+        if not has_metres:
+            settings = in_baselines(settings, motion, sensors[0])
     else:
-        estimated = estimate(first, second, sensors, _motion(motion), settings, grid)
-    return RangeEstimate(**{each.name: getattr(estimated, each.name) for each in fields(estimated)})
-
-
-def _with_limits(settings: MatcherSettings, motion: MotionEstimate, sensor: Sensor) -> MatcherSettings:
-    """Settings whose limits of the search are those of the scene, in baselines, where they were not given: the defaults
-    are metres.
-    """
-    w = scene_points(motion, sensor)[1]
-    farthest, nearest = np.maximum(np.quantile(w, [_FAR_SHARE, 1 - _NEAR_SHARE]), 1 / _FARTHEST)
-    limits = {
-        "d_min_m": float(_BESIDE / nearest),
-        "d_max_m": float(max(1 / (_BESIDE * farthest), 2 * _BESIDE / nearest)),
-    }
-    given = settings.model_fields_set
-    limits = {name: value for name, value in limits.items() if name not in given}
-    changed = settings.model_copy(update=limits)
-    if not changed.d_min_m < changed.d_max_m:
-        raise InputError(
-            f"d_min_m = {changed.d_min_m:g} and d_max_m = {changed.d_max_m:g} are in units of the baseline, which is "
-            "not known; give both, or its length",
-            key="matcher",
-        )
-    return changed
+        known = _motion(motion)
+    if fit_limits and has_metres:
+        estimated = motion if isinstance(motion, MotionEstimate) else None
+        settings, search = in_metres(settings, (first.grey, second.grey), sensors, known, estimated)
+    side = side_of(scale, sensors)
+    grid = grid_of(grid, sensors, known)
+    if side > 1:
+        first, second = (smaller(each, sensor, side) for each, sensor in zip((first, second), sensors, strict=True))
+        sensors = binned_sensor(sensors[0], side), binned_sensor(sensors[1], side)
+        grid = Grid(**grid.model_dump())  # no longer "auto": its rows are those of the images as they are
+    estimated_range = estimate(first, second, sensors, known, settings, grid, error, has_metres=has_metres)
+    return RangeEstimate(
+        **{each.name: getattr(estimated_range, each.name) for each in fields(estimated_range)}, search=search
+    )
 
 
 def _matcher(matcher: str | Mapping[str, Any] | MatcherSettings) -> MatcherSettings:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
@@ -75,8 +75,10 @@ def estimate_sequence(
     matcher: str | Mapping[str, Any] | MatcherSettings = "slanted",
     *,
     baseline_m: float | None = None,
-    grid: Grid | None = None,
+    grid: Grid | Literal["auto"] | None = None,
     bits: int | None = None,
+    scale: float = 1.0,
+    fit_limits: bool = False,
     tell: Callable[[PairRange], None] = lambda _: None,
 ) -> SequenceRange:
     """Estimate range from each image of a sequence with the next, and write everything into a folder.
@@ -95,7 +97,7 @@ def estimate_sequence(
         where every motion is known in metres; and a folder for each pair, as `RangeEstimate.write` writes it.
     motions
         From each image to the next; estimated from the images when None.
-    matcher, grid, bits
+    matcher, grid, bits, scale, fit_limits
         As for `estimate_range`.
     baseline_m
         The distance between all successive viewpoints where motions are estimated, if it is known.
@@ -126,7 +128,9 @@ def estimate_sequence(
     loaded, out = load_sensor(sensor), Path(folder)
     make_folder(out)
     table = as_table(matcher) if isinstance(matcher, MatcherSettings) else matcher
-    settings = [__version__, as_table(loaded), table, None if grid is None else as_table(grid), bits, baseline_m]
+    panorama = as_table(grid) if isinstance(grid, Grid) else grid
+    settings = [__version__, as_table(loaded), table, panorama, bits, baseline_m, scale, fit_limits]
+    ranging = {"grid": grid, "bits": bits, "scale": scale, "fit_limits": fit_limits}
     names, done = _names([Path(each) for each in images]), []
     for i, (left, right) in enumerate(pairwise(images)):
         given = None if motions is None else motions[i]
@@ -134,7 +138,7 @@ def estimate_sequence(
         key = _key(settings, (Path(left), Path(right)), given)
         pair = _earlier(inside, key)
         if pair is None:
-            pair = _estimated(Path(left), Path(right), loaded, given, matcher, inside, baseline_m, grid, bits)
+            pair = _estimated(Path(left), Path(right), loaded, given, matcher, inside, baseline_m, ranging)
             write(inside / _SUMMARY, json.dumps({"key": key} | asdict(pair), indent=2) + "\n")
         pair = replace(pair, left=names[i], right=names[i + 1])
         done.append(pair)
@@ -182,22 +186,21 @@ def _estimated(
     matcher: str | Mapping[str, Any] | MatcherSettings,
     folder: Path,
     baseline_m: float | None,
-    grid: Grid | None,
-    bits: int | None,
+    ranging: dict[str, Any],
 ) -> PairRange:
     motion: Motion | MotionEstimate
     status, reasons = "given", list[str]()
     if given is not None:
         motion = given
     else:
-        motion = estimate_motion(left, right, sensor, baseline_m=baseline_m, bits=bits)
+        motion = estimate_motion(left, right, sensor, baseline_m=baseline_m, bits=ranging["bits"])
         status, reasons = str(motion.status), list(motion.reasons)
         if motion.direction_v1 is None:
             make_folder(folder)
             return PairRange(
                 left.name, right.name, folder.name, status, tuple(reasons), "", 0.0, None, None, False, None, None
             )
-    estimate = estimate_range(left, right, sensor, motion, matcher, grid=grid, bits=bits)
+    estimate = estimate_range(left, right, sensor, motion, matcher, **ranging)
     estimate.write(folder)
     known = estimate.pair.motion
     return PairRange(

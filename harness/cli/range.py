@@ -1,22 +1,29 @@
 """`omnirange range`: estimate range from two photographs of your own."""
 
+import math
 import sys
 from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.motion_options import add_length, check_length, naming_options
-from harness.cli.options import Commands, add_images, add_out
+from harness.cli.options import Commands, Parser, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 
 if TYPE_CHECKING:
     from harness.api.motion import MotionEstimate
+    from harness.api.ranging import RangeEstimate
     from harness.api.sequence import PairRange
     from harness.camera.sensor import Sensor
     from harness.geometry.pose import Motion
     from harness.runs.photograph_settings import OwnSettings
+
+_LARGE_MP = 3.0
+"""Megapixels of an image from which its cost is said before it is matched."""
+_SECONDS_A_MP, _GIGABYTES_A_MP = 10.0, 0.7
+"""What slanted windows take for a megapixel, on the panorama that suits the sensor; the time within a factor of two."""
 
 
 def add(commands: Commands) -> None:
@@ -28,7 +35,9 @@ def add(commands: Commands) -> None:
         description="Match two omnidirectional images and write the range of every pixel of the first view's "
         "panorama, its predicted standard deviation, a coloured point cloud and a page. No ground truth is needed. "
         "Without --pose and --baseline the motion is estimated from the images, as by omnirange motion.",
-        epilog="Frames are the sensor's, z up along the mirror's axis; the panorama is an experiment's by default.",
+        epilog="Frames are the sensor's, z up along the mirror's axis. If nothing of it is set, the panorama has the "
+        "rows that both sensors see, in square pixels of nearly their resolution; where d_min_m and d_max_m are not "
+        "set, the range searched follows from keypoints that match (extra motion).",
     )
     add_images(command)
     command.add_argument(
@@ -49,6 +58,31 @@ def add(commands: Commands) -> None:
         "the robot itself, is left out, and mask.png is written",
     )
     command.add_argument("--mask-2", type=Path, metavar="FILE", help="the same for the right image")
+    _add_motion(command)
+    matcher = command.add_argument(
+        "--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)"
+    )
+    completers.offer(matcher, completers.kinds)
+    command.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a setting of the matcher, such as window_px=15 or d_min_m=0.5, or of the panorama, such as "
+        "panorama.width_px=1440; repeatable",
+    )
+    command.add_argument(
+        "--scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="match images made smaller, by 0.5 or one over another whole number, on the same panorama (1)",
+    )
+    add_out(command, required=True)
+
+
+def _add_motion(command: Parser) -> None:
+    """Declare where view 2 is."""
     where = command.add_mutually_exclusive_group()
     pose = where.add_argument(
         "--pose",
@@ -85,19 +119,6 @@ def add(commands: Commands) -> None:
         choices=("sensor", "lens"),
         help="with --pose and a trajectory: whether it moves the sensor's frame, z up, or the lens's, Z along its axis",
     )
-    matcher = command.add_argument(
-        "--matcher", default="", metavar="KIND", help="any matcher's kind (default: slanted)"
-    )
-    completers.offer(matcher, completers.kinds)
-    command.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="a setting of the matcher, such as window_px=15 or d_min_m=0.5, or of the panorama, such as "
-        "panorama.width_px=1440; repeatable",
-    )
-    add_out(command, required=True)
 
 
 def run(options: Namespace) -> int:
@@ -112,6 +133,7 @@ def run(options: Namespace) -> int:
     sensor = _masked(sensor, None if automatic else options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     settings = own_settings(options.matcher, options.set)
+    _tell_size(options, sensor, settings)
     if options.more:
         return _sequence(options, sensor, settings)
     motion: Motion | MotionEstimate
@@ -136,10 +158,20 @@ def run(options: Namespace) -> int:
         motion,
         settings.matching,
         sensor_2=sensor_2,
-        grid=settings.panorama,
-        bits=options.bits,
+        **_ranging(options, settings),
     )
     estimate.write(options.out)
+    _tell(estimate, options.out)
+    return OK
+
+
+def _tell(estimate: "RangeEstimate", folder: Path) -> None:
+    """Say how the images were matched, and what came of it."""
+    grid = estimate.pair.grid
+    low, high = (math.degrees(math.atan(z)) for z in (grid.z_min, grid.z_max))
+    print(f"panorama: {grid.width_px} x {grid.height_px} pixels, elevation {low:.1f} to {high:.1f} deg")
+    if estimate.search:
+        print(estimate.search)
     for photograph in estimate.photographs:
         print(f"{photograph.file}: {photograph.scale}")
     if estimate.matches.remark:
@@ -147,8 +179,30 @@ def run(options: Namespace) -> int:
     for line in (*estimate.sharpness.lines(), *estimate.geometry.lines()):
         print(line)
     unit = "" if estimate.has_metres else ", in units of the baseline"
-    print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {options.out / 'range.html'}")
-    return OK
+    print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {folder / 'range.html'}")
+
+
+def _ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
+    """What `estimate_range` is told of panorama, limits and images."""
+    own_panorama = "panorama" in settings.model_fields_set
+    return {
+        "grid": settings.panorama if own_panorama else "auto",
+        "bits": options.bits,
+        "scale": options.scale,
+        "fit_limits": True,
+    }
+
+
+def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> None:
+    """Say what large images cost, before they do."""
+    megapixels = sensor.camera.width_px * sensor.camera.height_px / 1e6
+    if options.scale == 1 and megapixels >= _LARGE_MP and settings.matching.kind == "slanted":
+        seconds, gigabytes = _SECONDS_A_MP * megapixels, _GIGABYTES_A_MP * megapixels
+        print(
+            f"{megapixels:.1f} megapixels: about {seconds:.0f} s of CPU time and {gigabytes:.1f} GB of memory; "
+            "--scale 0.5 takes two thirds of the time and four fifths of the memory",
+            flush=True,
+        )
 
 
 def _sequence(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> int:
@@ -185,8 +239,7 @@ def _sequence(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> 
         motions,
         settings.matching,
         baseline_m=options.baseline_length,
-        grid=settings.panorama,
-        bits=options.bits,
+        **_ranging(options, settings),
         tell=tell,
     )
     print(f"page: {options.out / 'range.html'}")

@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sensitivity_to_alpha_2
 from harness.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches, Reason
-from harness.matching.pair import Pair
+from harness.matching.pair import Pair, Share, sharing
 from harness.matching.ranges import ranges_of
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.geometry_check import GeometryCheck, check_geometry, geometry_share
@@ -114,6 +115,9 @@ class Estimate(OneLine):
             "sigma_motion_median_m": median(self.sigma_motion_m),
             "baseline_m": self.pair.motion.baseline_m,
             "unit": "metre" if self.has_metres else "baseline",
+            "panorama": self.pair.grid.model_dump(),
+            "d_min_m": self.matcher.d_min_m,
+            "d_max_m": self.matcher.d_max_m,
             "sharpness": self.sharpness.summary(),
             "geometry": self.geometry.summary(),
         }
@@ -186,7 +190,8 @@ def estimate(
     check_sensor(sensors[0], grid)
     check_sensor(sensors[1], grid, key="sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
     sharpness = compare_sharpness((first.grey, second.grey), sensors, motion, grid)
-    pair = Pair(equalised((first.grey, second.grey), sensors, sharpness), sensors, motion, grid)
+    images = equalised((first.grey, second.grey), sensors, sharpness)
+    pair = Pair(images, sensors, motion, grid, share=_sharing_panoramas())
     matches = without_unlike(pair, matcher, _matched(pair, matcher, sharpness))
     geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
@@ -210,6 +215,16 @@ def estimate(
         sharpness=sharpness,
         reason=reason,
     )
+
+
+def _sharing_panoramas() -> Share:
+    """Share panoramas alone: a single matcher runs once, and costs of the size of a volume are not worth keeping."""
+    keep = sharing()
+
+    def share(stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
+        return keep(stage, key, make) if stage in {"unwrap", "filter"} else make()
+
+    return share
 
 
 def _ranges(pair: Pair, matcher: MatcherSettings, matches: Matches) -> tuple[Array, NDArray[np.uint8], Array]:

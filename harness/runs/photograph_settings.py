@@ -18,7 +18,8 @@ class OwnSettings(Spec):
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""
     panorama: Grid = Grid()
-    """The panorama on which ranges are estimated."""
+    """The panorama on which ranges are estimated; where no key of it is given, the command takes one that suits the
+    sensors."""
 
 
 def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
@@ -29,13 +30,13 @@ def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
     InputError
         Names the option and the key, and what would be right.
     """
-    table: dict[str, dict[str, object]] = {"matching": {"kind": kind or DEFAULT_KIND}, "panorama": {}}
+    table: dict[str, dict[str, object]] = {"matching": {"kind": kind or DEFAULT_KIND}}
     for each in sets:
         key, value = read_value("--set", each)
         room, _, name = key.partition(".")
-        if room not in table or not name:
+        if room not in OwnSettings.model_fields or not name:
             room, name = "matching", key
-        target = table[room]
+        target = table.setdefault(room, {})
         *above, last = name.split(".")
         for part in above:
             inside = target.setdefault(part, {})

@@ -136,11 +136,13 @@ def refine_slanted(
         start = _start(start_alpha_2, forth_warp, grid)
         forth = _fit(first, second, forth_warp, start, settings, settings.iterations, grid.phi_pitch, pool)
         start = _transferred(forth, forth_warp, back_warp.valid.shape, seams[1])
-        reverse = _fit(second, first, back_warp, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
         samples = _nothing(forth.w.shape)
         _sampled(forth.w, second, forth_warp, samples, pool)
         inflation = _inflation(forth, first, samples, forth_warp, pool)
-    return _matches(forth, reverse, inflation, samples, forth_warp, (sensors, seams), grid, settings)
+        read = _on_panorama(forth, inflation, samples, forth_warp, (sensors[0], seams[0]), grid, settings)
+        del forth, samples, inflation  # a field takes 128 bytes a pixel: one at a time
+        reverse = _fit(second, first, back_warp, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
+    return _matches(read, reverse, forth_warp, (sensors[1], seams[1]), grid, settings)
 
 
 # -- Geometry and images -----------------------------------------------------------------------------------------------
@@ -307,41 +309,66 @@ def _transferred(field: _Field, warp: _Warp, shape: tuple[int, ...], seam: int) 
 # -- Matches -----------------------------------------------------------------------------------------------------------
 
 
-def _matches(
+@dataclass(frozen=True)
+class _Read:
+    """View 1's planes in the directions of the panorama's pixels; all `[height, width]`."""
+
+    w: Array
+    """Inverse range; NaN where there is none."""
+    sigma: Array
+    """Standard deviation of alpha_2, radians."""
+    certain: Mask
+    """Within the limits, precise enough, without a rival, and with texture."""
+
+
+def _on_panorama(
     forth: _Field,
-    reverse: _Field,
     inflation: Array,
     samples: _Samples,
     warp: _Warp,
-    views: tuple[tuple[Sensor, Sensor], tuple[int, int]],
+    view: tuple[Sensor, int],
     grid: Grid,
     settings: Slanted,
-) -> Matches:
+) -> _Read:
     """Evaluate the planes in the directions of the panorama's pixels.
 
-    views : the sensors, and how many columns each one's image has been continued by.
+    view : view 1's sensor, and how many columns its image has been continued by.
     """
-    x, pixel = directions(grid), grid.phi_pitch
-    first, second = zip(*views, strict=True)
-    index, window, w = _read(forth, x, *first)
-    q = x - w[..., None] * warp.t
-    length = np.linalg.norm(q, axis=-1)
-    across = np.linalg.norm(np.cross(warp.t, x), axis=-1)
+    x = directions(grid)
+    index, window, w = _read(forth, x, *view)
+    length, across = np.linalg.norm(x - w[..., None] * warp.t, axis=-1), _across(warp, x)
     # d alpha_2/dw = |t × x|/|x - w t|²
     sigma = across / length**2 * _sigma(forth, inflation, x, window, warp, settings)
+    with np.errstate(invalid="ignore"):
+        certain = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
+        certain &= (sigma <= settings.max_sigma_px * grid.phi_pitch) & (forth.rival.ravel()[index] >= _AMBIGUOUS)
+        certain &= (forth.share.ravel()[window] < 1) & ~_blank(forth, samples, index, window, settings.window_px)
+    return _Read(w, sigma, certain)
 
+
+def _across(warp: _Warp, x: Array) -> Array:
+    """|t × x|."""
+    return np.asarray(np.linalg.norm(np.cross(warp.t, x), axis=-1))
+
+
+def _matches(
+    read: _Read, reverse: _Field, warp: _Warp, view: tuple[Sensor, int], grid: Grid, settings: Slanted
+) -> Matches:
+    """The planes that view 2's own confirm.
+
+    view : view 2's sensor, and how many columns its image has been continued by.
+    """
+    x, w, sigma = directions(grid), read.w, read.sigma
+    q = x - w[..., None] * warp.t
+    length, across = np.linalg.norm(q, axis=-1), _across(warp, x)
     # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there.
     x_2 = normalise(q @ warp.R.T)
-    _, _, w_2 = _read(reverse, x_2, *second)
+    _, _, w_2 = _read(reverse, x_2, *view)
     apart = np.abs(w_2 - w / length) * across * length
-
     with np.errstate(invalid="ignore"):
-        in_range = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
-        certain = (sigma <= settings.max_sigma_px * pixel) & (forth.rival.ravel()[index] >= _AMBIGUOUS)
-        certain &= (forth.share.ravel()[window] < 1) & ~_blank(forth, samples, index, window, settings.window_px)
-        consistent = apart <= settings.consistency_px * pixel
+        consistent = apart <= settings.consistency_px * grid.phi_pitch
     reason = np.where(consistent, np.uint8(Reason.MATCHED), np.uint8(Reason.INCONSISTENT))
-    reason[~(in_range & certain)] = Reason.NO_MATCH
+    reason[~read.certain] = Reason.NO_MATCH
     reason[across <= 1e-9 * np.linalg.norm(warp.t)] = Reason.NO_EPIPOLAR_PLANE
     matched = reason == Reason.MATCHED
     sigma = np.where(matched, sigma, np.nan)
