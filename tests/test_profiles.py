@@ -329,6 +329,11 @@ def test_what_is_no_mirror_is_refused(table, said):
         parse(Sensor, table)
 
 
+def test_a_trial_has_no_error_budget():
+    with pytest.raises(ValueError, match="not propagated through a conical mirror"):
+        Trial(scene=load_scene("box"), sensor=Sensor(profile=CONE), scoring={"budget": True})
+
+
 def test_what_needs_a_viewpoint_or_a_projection_is_refused():
     sensor = Sensor(profile=SPHERE)
     with pytest.raises(InputError, match="spherical mirror meet in no viewpoint"):

@@ -187,6 +187,15 @@ class Trial(Spec):
     """Seed of all that is random: placement and noise."""
 
     @model_validator(mode="after")
+    def _has_a_budget(self) -> "Trial":
+        for each in (self.sensor, self.sensor_2):
+            if self.scoring.budget and each is not None and each.profile is not None:
+                raise ValueError(
+                    f"scoring.budget: errors are not propagated through a {each.profile.title}; leave it out"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _has_a_mirror_to_align(self) -> "Trial":
         sigma = self.believed.sigma
         if (sigma.alignment_mm or sigma.alignment_deg) and not isinstance(self.sensor.model, Mirror):
