@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 import harness
+from harness.api import search_limits
 from harness.api.photographs import grid_of, side_of, smaller
 from harness.camera.binning import binned_sensor
 from harness.camera.fitting_panorama import fitting_grid
 from harness.camera.sensor import Sensor, project
 from harness.camera.unwrap import can_be_sampled
+from harness.cli import main
 from harness.errors import InputError
 from harness.geometry.panorama import Grid, directions
+from harness.matching.slanted.settings import Slanted
 from harness.motion.search_limits import limits_of, triangulated
 from harness.pipeline.photographs import Photograph
 
@@ -169,3 +172,20 @@ def test_the_command_says_what_large_images_take(capsys):
     options = Namespace(scale=1.0, bits=None)
     assert _ranging(options, settings)["grid"] == "auto"
     assert _ranging(options, own_settings("", ["panorama.width_px=360"]))["grid"] == Grid(width_px=360)
+
+
+def test_a_scale_that_is_refused_names_the_option(capsys):
+    command = ["range", "a.png", "b.png", "--sensor", "mirror", "--out", "o", "--scale", "0.7"]
+    assert main(command) == 2
+    assert "omnirange: --scale: must be 1, or one over a whole number" in capsys.readouterr().err
+
+
+def test_without_the_extra_the_limits_are_the_defaults(monkeypatch):
+    def missing(*_):
+        raise InputError("needs the extra")
+
+    monkeypatch.setattr(search_limits, "points_along", missing)
+    image, motion = np.zeros((480, 640), np.float32), harness.Motion(np.eye(3), np.array([0.4, 0, 0]))
+    settings, told = search_limits.in_metres(Slanted(), (image, image), (MIRROR, MIRROR), motion, None)
+    assert settings == Slanted()
+    assert told == "search: 1 to 10 m, the default; the scene's own need pip install 'omnirange[motion]'"

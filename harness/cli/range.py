@@ -133,6 +133,7 @@ def run(options: Namespace) -> int:
     sensor = _masked(sensor, None if automatic else options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     settings = own_settings(options.matcher, options.set)
+    _check_scale(options, (sensor, sensor_2))
     _tell_size(options, sensor, settings)
     if options.more:
         return _sequence(options, sensor, settings)
@@ -191,6 +192,17 @@ def _ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
         "scale": options.scale,
         "fit_limits": True,
     }
+
+
+def _check_scale(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> None:
+    """Refuse a scale before anything is worked out."""
+    from harness.api.photographs import side_of
+    from harness.errors import InputError
+
+    try:
+        side_of(options.scale, sensors)
+    except InputError as error:
+        raise InputError(error.problem, file="--scale") from error
 
 
 def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> None:
