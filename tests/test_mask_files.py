@@ -218,6 +218,10 @@ def test_masked_photographs(photographs, capsys):
     write_mask(folder / "black.png", np.s_[:, :], (160, 160))
     assert ranged(folder, "black", "--mask", folder / "black.png") == 2
     assert "sensor.mask hides it all: pixels that are used are white in it" in capsys.readouterr().err
+    pictures = [str(folder / f"{name}.png") for name in ("left", "right")]
+    black = ["--sensor", str(folder / "left" / "sensor.toml"), "--mask", str(folder / "black.png")]
+    assert main(["range", *pictures, *black, "--baseline", "1", "0", "0", "--out", str(folder / "black")]) == 2
+    assert "sensor.mask hides it all" in capsys.readouterr().err  # where the panorama would follow from the sensor
     assert ranged(folder, "none", "--mask", folder / "absent.png") == 2
     assert f"--mask: '{folder / 'absent.png'}': no such file" in capsys.readouterr().err
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from harness.camera.binning import binned
 from harness.camera.fitting_panorama import fitting_grid
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.camera.visible_rows import with_rows
 from harness.display import brief
 from harness.errors import InputError
@@ -103,6 +103,8 @@ def grid_of(grid: Grid | Literal["auto"] | None, sensors: tuple[Sensor, Sensor],
     """
     try:
         if grid == "auto":
+            if not all(pixel_directions(each)[1].any() for each in sensors):
+                return Grid()  # the check of the sensors says what is wrong
             return fitting_grid(sensors, motion.R_v2_from_v1)
         if not isinstance(grid, Grid | None):
             raise InputError(f"must be a Grid, 'auto' or None; found {brief(grid)}", key="grid")

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.camera.sensor import Sensor
+from harness.camera.sensor import Sensor, pixel_directions
 from harness.geometry.angles import Array, angle_between
 from harness.geometry.pose import Motion
 from harness.motion.features import Correspondences, find_features, is_mirrored, match_features
@@ -55,6 +55,8 @@ def points_along(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], mo
     InputError
         When OpenCV is not installed.
     """
+    if not all(pixel_directions(each)[1].any() for each in sensors):
+        return np.empty(0), 0
     mirrored = [is_mirrored(each) for each in sensors]
     first = find_features(images[0], sensors[0])
     second = find_features(images[1], sensors[1], flip=mirrored[0] != mirrored[1])
