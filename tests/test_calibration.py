@@ -280,7 +280,7 @@ class TestWhole:
         calibration = calibrate_sensor(noisy(corners, 0.1, 6), "hyperboloid", start=MIRROR)
         assert calibration.halves is None
         assert any("The standard deviation of rays is" in note for note in calibration.notes)
-        assert any("1 images are few" in note for note in calibration.notes)
+        assert any("1 image is few" in note for note in calibration.notes)
 
     def test_what_no_corner_tells_is_named(self):
         """Six corners of one board and eleven numbers: twelve equations less six for its pose."""

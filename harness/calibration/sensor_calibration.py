@@ -298,7 +298,8 @@ def _notes(
     if np.median(sigma_px) > _VAGUE_PX:
         yield f"The standard deviation of rays is {np.median(sigma_px):.2g} px (median): more boards would reduce it."
     if len(used.images) < _FEW_IMAGES:
-        yield f"{len(used.images)} images are few: {_FEW_IMAGES} with boards in all parts of the image are better."
+        said = "1 image is few" if len(used.images) == 1 else f"{len(used.images)} images are few"
+        yield f"{said}: {_FEW_IMAGES} with boards in all parts of the image are better."
     model: Any = adjusted.parameters.sensor_at(adjusted.vector).model
     if kind_of(model) == "hyperboloid" and model.b_m < 0.1 * model.a_m:
         yield "The estimated mirror is a paraboloid, the limit of hyperboloids; the unified model extends beyond it."
