@@ -334,6 +334,28 @@ def test_a_trial_has_no_error_budget():
         Trial(scene=load_scene("box"), sensor=Sensor(profile=CONE), scoring={"budget": True})
 
 
+@profiles
+def test_a_pixel_beyond_the_fold_of_the_lens_has_no_ray(profile):
+    # Its ray is NaN before it reaches the mirror, and must not be looked up in a profile's pieces.
+    sensor = Sensor(profile=profile, camera=Camera(focal_px=200), lens=Lens(k1=-1.0), field=ALL_ROUND)
+    origins, directions, valid = reflect(sensor, all_pixels())
+    folded = np.isnan(directions[..., 0])
+    assert folded[0, 0]
+    assert not folded[240, 320]
+    assert np.isnan(origins[folded]).all()
+    assert not valid[folded].any()
+    assert np.isfinite(origins[~folded]).all()
+
+
+def test_a_mirror_larger_than_the_distance_of_its_central_sensor_is_refused():
+    sensor = Sensor(profile=Sphere(radius_m=9, rim_m=7, camera_m=10))
+    with pytest.raises(InputError, match=r"profile: the mirror reaches \d.* m from its origin"):
+        best_central(sensor)
+    trial = {"scene": load_scene("box").model_dump(), "panorama": {"z_min": "auto", "z_max": "auto"}}
+    with pytest.raises(InputError, match=r"trial: panorama: profile: the mirror reaches"):
+        parse(Trial, trial | {"sensor": sensor.model_dump()}, key="trial")
+
+
 def test_what_needs_a_viewpoint_or_a_projection_is_refused():
     sensor = Sensor(profile=SPHERE)
     with pytest.raises(InputError, match="spherical mirror meet in no viewpoint"):

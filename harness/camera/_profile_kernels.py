@@ -91,7 +91,10 @@ def _height(r, camera):
         z, slope = camera.size * q * q, 2.0 * camera.size * q
     else:
         parts = camera.first.size
-        i = camera.first[min(int(q / camera.rim * parts), parts - 1)]
+        part = q / camera.rim * parts
+        i = (
+            camera.first[min(int(part), parts - 1)] if part >= 0.0 else 0
+        )  # NaN, beyond where the lens folds, is no index
         while i < camera.knots.size - 2 and q > camera.knots[i + 1]:
             i += 1
         t = q - camera.knots[i]

@@ -82,7 +82,7 @@ def best_central(sensor: Sensor, distance_m: float = DISTANCE_M) -> BestCentral:
     Raises
     ------
     InputError
-        When no pixel sees anything, or no polynomial has these rays.
+        When no pixel sees anything, no polynomial has these rays, or the mirror is larger than the distance.
     """
     profile = profile_of(sensor)
     aligned = sensor.aligned.model_copy(update={"mask": None})
@@ -118,6 +118,12 @@ def _points(sensor: Sensor, distance_m: float) -> tuple[Array, Array]:
     rows, columns = np.nonzero(valid[::every, ::every])
     rows, columns = rows * every, columns * every
     p, r = origins[rows, columns], directions[rows, columns]
+    reach = float(np.max(np.linalg.norm(p, axis=-1), initial=0.0))
+    if reach >= distance_m:
+        raise InputError(
+            f"the mirror reaches {reach:.3g} m from its origin, and a central camera is fitted at {distance_m:g} m",
+            key="profile",
+        )
     along = np.sum(p * r, axis=-1)
     s = np.sqrt(distance_m**2 - np.sum(p * p, axis=-1) + along**2) - along
     return np.stack([columns, rows], axis=-1).astype(np.float64), (p + s[:, None] * r) / distance_m
@@ -129,7 +135,7 @@ def _polynomial(sensor: Sensor, pixels: Array, towards: Array, degree: int) -> S
     c, e = camera.aspect, camera.skew_px / camera.focal_px
     rho = _radii(sensor, pixels)
     z = (towards @ lens_from_sensor(sensor).T)[:, 2]
-    sine = np.sqrt(1 - z * z)
+    sine = np.sqrt(np.maximum(1 - z * z, 0))  # z is rounded
     reach = float(rho.max())
     powers = [0, *range(2, degree + 1)]
     columns = np.stack([(rho / reach) ** i for i in powers], axis=-1) * reach

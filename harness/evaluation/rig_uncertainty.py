@@ -13,6 +13,9 @@ from harness.spec import Spec
 
 Deviation = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 
+Misaligned = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
+"""Ten sigmas of 10 degrees are past what a camera beside a mirror's focus can be; so are 10 mm for most mirrors."""
+
 Share = Annotated[float, Field(ge=0, le=0.1)]
 
 ALIGNMENT = MISALIGNMENT[:5]
@@ -35,10 +38,10 @@ class Uncertainty(Spec):
     shape: Share = 0.0
     """Standard deviation of each number of the camera model: as a share of it for the lengths of a hyperboloid mirror,
     absolute for other models."""
-    alignment_mm: Deviation = 0.0
+    alignment_mm: Misaligned = 0.0
     """Standard deviation of each coordinate of the camera beside its mirror's focus, millimetres; for hyperboloid
     mirrors."""
-    alignment_deg: Deviation = 0.0
+    alignment_deg: Misaligned = 0.0
     """Standard deviation of the camera's tilt against its mirror about each axis, degrees."""
 
 

@@ -12,6 +12,7 @@ from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
 from harness.camera.visible_rows import is_open, with_rows
+from harness.errors import InputError
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
@@ -208,7 +209,7 @@ class Trial(Spec):
             motion = relative_motion(self.view_1, self.view_2.pose(self.view_1))
             try:
                 self.__dict__["panorama"] = with_rows(self.panorama, self.assumed_sensors, motion.R_v2_from_v1)
-            except ValueError as error:
+            except (ValueError, InputError) as error:  # of the rows, or of the sensors that are assumed
                 raise ValueError(f"panorama: {error}") from error
         return self
 
