@@ -54,6 +54,7 @@ def test_a_turn_at_the_horizon_has_as_many_pixels_as_counted():
     assert abs(fitting_grid((MIRROR,)).width_px - 0.7 * around) <= 20  # half a step of 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "width_px", "height_px"), [(2, 1440, None), (4, 2160, 1200)])
 def test_larger_images_get_larger_panoramas_up_to_a_limit(times, width_px, height_px):
     grid = fitting_grid((enlarged(MIRROR, times),) * 2)

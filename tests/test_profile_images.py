@@ -70,6 +70,7 @@ def test_a_sphere_against_a_slow_ray_tracer(misalignment):
     assert apart.max() < 1e-3  # the textures are float32
 
 
+@pytest.mark.slow
 def test_a_view_has_the_panorama_of_the_central_camera_and_the_points_of_the_mirror():
     field = FieldOfView(elevation_min_deg=-60, elevation_max_deg=10)
     sensor = Sensor(profile=Cone(half_angle_deg=55, rim_m=0.0306, camera_m=0.03), camera={"focal_px": 400}, field=field)

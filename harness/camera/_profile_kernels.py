@@ -116,6 +116,8 @@ def _meet(d_x, d_y, d_z, camera):
     c_x, c_y, c_z = camera.c_x, camera.c_y, camera.c_z
     s, least, most = 0.0, 0.0, math.inf
     across = math.sqrt(d_x * d_x + d_y * d_y)
+    if not across < math.inf:  # NaN, beyond where the lens folds the image over
+        return math.nan, math.nan, math.nan, math.nan, False
     if across < camera.widest * d_z:
         parts = camera.depths.size - 1
         at = across / (d_z * camera.widest) * parts
