@@ -92,9 +92,7 @@ def _height(r, camera):
     else:
         parts = camera.first.size
         part = q / camera.rim * parts
-        i = (
-            camera.first[min(int(part), parts - 1)] if part >= 0.0 else 0
-        )  # NaN, beyond where the lens folds, is no index
+        i = camera.first[min(int(part), parts - 1)] if part >= 0.0 else 0  # NaN is no index
         while i < camera.knots.size - 2 and q > camera.knots[i + 1]:
             i += 1
         t = q - camera.knots[i]
