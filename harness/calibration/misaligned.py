@@ -23,15 +23,34 @@ def is_misalignment(key: str) -> bool:
 def significance(keys: Sequence[str], uncertainty: Uncertainty) -> float:
     """How far from aligned the estimated numbers are together: `v^T C^-1 v` (Wald), no unit.
 
-    Chi-squared with as many degrees of freedom if camera and mirror are aligned; NaN if one is not determined.
+    Chi-squared with as many degrees of freedom if camera and mirror are aligned, and the covariance holds as far as
+    there: boards some 0.3 m away and more determine the numbers so weakly that it does not. NaN if one is not
+    determined.
     """
     own = [i for i, key in enumerate(keys) if is_misalignment(key)]
     values, C = uncertainty.values[own], uncertainty.covariance[np.ix_(own, own)]
     return float(values @ np.linalg.solve(C, values)) if np.isfinite(C).all() else np.nan
 
 
-def misalignment_notes(keys: Sequence[str], uncertainty: Uncertainty, start: Sensor) -> Iterator[str]:
-    """What should be known before the numbers are used; nothing if no misalignment was estimated."""
+def likelihood_ratio(central_rms_px: float, rms_px: float, uncertainty: Uncertainty, corners: int) -> float:
+    """What the best central sensor adds to the sum of squared residuals, over their variance; no unit.
+
+    Chi-squared with as many degrees of freedom as misalignment has numbers if camera and mirror are aligned, however
+    weakly the corners determine these.
+    """
+    return corners * (central_rms_px**2 - rms_px**2) / uncertainty.sigma_px**2
+
+
+def misalignment_notes(
+    keys: Sequence[str], uncertainty: Uncertainty, start: Sensor, ratio: float | None
+) -> Iterator[str]:
+    """What should be known before the numbers are used; nothing if no misalignment was estimated.
+
+    Parameters
+    ----------
+    ratio
+        `likelihood_ratio`; None where there is no central sensor to compare with.
+    """
     own = [i for i, key in enumerate(keys) if is_misalignment(key)]
     if not own:
         return
@@ -55,8 +74,13 @@ def misalignment_notes(keys: Sequence[str], uncertainty: Uncertainty, start: Sen
     pairs = _strongest(keys, uncertainty, own)
     if pairs:
         yield f"Strongly correlated: {'; '.join(pairs)}. Compare rays, not parameters."
-    if len(own) == 5 and significance(keys, uncertainty) < _CHANCE:
+    if len(own) == 5 and ratio is not None and ratio < _CHANCE:
         yield "The corners show no significant misalignment: a central sensor explains them as well."
+        if significance(keys, uncertainty) >= _CHANCE:
+            yield (
+                "The standard deviations of the misalignment, and of what trades off with it, are too small here: the "
+                "problem is not linear as far as they reach. Take boards nearer to the mirror, or fix what is known."
+            )
 
 
 def _strongest(keys: Sequence[str], uncertainty: Uncertainty, own: Sequence[int]) -> list[str]:

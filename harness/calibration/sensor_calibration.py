@@ -13,7 +13,7 @@ from harness.calibration.circle import Circle
 from harness.calibration.corners import Corners
 from harness.calibration.covered_field import covered_field
 from harness.calibration.halves import Halves, compare_halves
-from harness.calibration.misaligned import is_misalignment, misalignment_notes
+from harness.calibration.misaligned import is_misalignment, likelihood_ratio, misalignment_notes
 from harness.calibration.parameters import Parameters, choose_keys, key_named, kind_of, with_values
 from harness.calibration.poses import BoardPoses
 from harness.calibration.start import Start, find_start, poses_for, template_of, visible
@@ -152,6 +152,8 @@ def calibrate_sensor(
     grid = replace(grid, directions=np.ascontiguousarray(grid.directions @ model_from_sensor(sensor).T))
     turned, unturned = ray_sigma(adjusted, uncertainty.vector_covariance, grid)
     halves = compare_halves(adjusted, used, grid)
+    rms_px = float(np.sqrt(np.mean(np.sum(adjusted.residuals**2, axis=-1))))
+    ratio = None if central is None else likelihood_ratio(central.rms_px, rms_px, uncertainty, len(used.image))
     return SensorCalibration(
         sensor=sensor,
         keys=keys,
@@ -168,7 +170,10 @@ def calibrate_sensor(
         circle=circle,
         central=central,
         rounds=adjusted.rounds,
-        notes=(*_notes(adjusted, uncertainty, corners, used, turned), *misalignment_notes(keys, uncertainty, template)),
+        notes=(
+            *_notes(adjusted, uncertainty, corners, used, turned),
+            *misalignment_notes(keys, uncertainty, template, ratio),
+        ),
     )
 
 
