@@ -336,3 +336,10 @@ def test_derivative_by_direction_is_used_as_it_stands():
     turned, p = poses.apply(corners)
     np.testing.assert_array_equal(pose_jacobian(parameters_of(MIRROR), turned, p)[..., 3:], jacobian(MIRROR, p))
     assert isinstance(poses, BoardPoses)
+
+
+def test_one_board_seen_head_on_determines_nothing():
+    points = np.array([[c, r] for r in range(6) for c in range(9)], dtype=np.float64)
+    corners = corners_of([("a", 0.04 * points, 300 + 10 * points)], 1024, 768)
+    with pytest.raises(InputError, match=r"determine none of .*: take more boards"):
+        calibrate_sensor(corners, "eucm")

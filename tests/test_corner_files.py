@@ -137,3 +137,42 @@ def test_size_that_contradicts_the_file(corners, tmp_path):
     (tmp_path / "a.csv").write_text(corners_csv(corners), encoding="utf-8")
     with pytest.raises(InputError, match="has images of 640 x 480 pixels; --size says 800 x 600"):
         read_corners(tmp_path / "a.csv", size=(800, 600))
+
+
+@pytest.mark.parametrize("size", [(20000, 768), (1024, 7), (10**8, 10**8)])
+def test_a_size_that_no_camera_has_names_the_option(size, tmp_path):
+    lines = [f"a,{0.04 * (i % 3)},{0.04 * (i // 3)},{100 + 10 * (i % 3)},{50 + 10 * (i // 3)}" for i in range(9)]
+    (tmp_path / "a.csv").write_text("\n".join(["image,x_m,y_m,u_px,v_px", *lines]), encoding="utf-8")
+    with pytest.raises(InputError, match=r"^--size: images of \d+ x \d+ pixels; sides must be 8 to 16384 pixels long$"):
+        read_corners(tmp_path / "a.csv", size=size)
+
+
+@pytest.mark.parametrize("width", ["a", 1024.5, True, None])
+def test_a_width_in_a_file_that_is_no_number_names_the_key(width, corners, tmp_path):
+    table = {"width_px": width, "height_px": 480, "images": corner_tables(corners)}
+    (tmp_path / "a.json").write_text(json.dumps(table), encoding="utf-8")
+    with pytest.raises(InputError, match=r"a\.json: width_px: (must be a whole number; found|is missing)"):
+        read_corners(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset"), [(1e-20, 0), (1e59, 0), (1e155, 0), (1e-300, 0), (1, 1e300), (1e308, -1e308), (0, 5)]
+)
+def test_positions_that_are_no_board(scale, offset, tmp_path):
+    points = np.array([[c, r] for r in range(6) for c in range(9)])
+    with np.errstate(over="ignore"):
+        places = np.clip(0.04 * scale * points + offset, -1e308, 1e308)
+    images = [{"name": "a", "points_m": places.tolist(), "pixels": (300 + 10 * points).tolist()}]
+    (tmp_path / "a.json").write_text(json.dumps({"width_px": 640, "height_px": 480, "images": images}))
+    with pytest.raises(
+        InputError, match=r"a\.json: the corners of image 'a' (span .* m of|lie on one line of the board)"
+    ):
+        read_corners(tmp_path / "a.json")
+
+
+def test_corners_at_one_pixel(tmp_path):
+    points = np.array([[0.04 * c, 0.04 * r] for r in range(6) for c in range(9)])
+    images = [{"name": "a", "points_m": points.tolist(), "pixels": np.full((54, 2), 5.0).tolist()}]
+    (tmp_path / "a.json").write_text(json.dumps({"width_px": 640, "height_px": 480, "images": images}))
+    with pytest.raises(InputError, match="the corners of image 'a' lie on one line of the image"):
+        read_corners(tmp_path / "a.json")

@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.calibration.corners import Corners, corners_of
+from harness.calibration.corners import Corners, check_size, corners_of
 from harness.errors import InputError
 from harness.files import read_regular
 from harness.geometry.angles import Array
@@ -61,16 +61,10 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
         raise InputError("does not contain the size of the images; give --size WIDTH HEIGHT", file=file)
     if own is not None and size is not None and own != size:
         raise InputError(f"has images of {own[0]} x {own[1]} pixels; --size says {size[0]} x {size[1]}", file=file)
+    if own is None and size is not None:
+        check_size(size, file="--size")
     width, height = own or size or (0, 0)
-    corners = corners_of(views, width, height, file=str(file))
-    outside = ((corners.pixels < -0.5) | (corners.pixels > [width - 0.5, height - 0.5])).any(axis=-1)
-    if outside.any():
-        u, v = corners.pixels[np.flatnonzero(outside)[0]].tolist()
-        name = corners.images[corners.image[np.flatnonzero(outside)[0]]]
-        raise InputError(
-            f"a corner of image '{name}' is at ({u:g}, {v:g}), outside an image of {width} x {height} pixels", file=file
-        )
-    return corners
+    return corners_of(views, width, height, file=str(file))
 
 
 def corners_csv(corners: Corners) -> str:
@@ -140,7 +134,9 @@ def _from_npz(file: Path) -> ImageCorners:
     if not all(np.issubdtype(each.dtype, np.number) for each in (points, pixels)):
         raise InputError("points_m and pixels must be numbers", file=file)
     size = arrays.get("size")
-    image_size = (int(size[0]), int(size[1])) if size is not None and size.shape == (2,) else None
+    if size is not None and not (size.shape == (2,) and np.issubdtype(size.dtype, np.integer)):
+        raise InputError(f"size must be two whole numbers, width and height; found {size!r}", file=file)
+    image_size = None if size is None else (int(size[0]), int(size[1]))
     return [(str(each), points[image == each], pixels[image == each]) for each in np.unique(image)], image_size
 
 
@@ -159,8 +155,10 @@ def _from_table(content: Content) -> ImageCorners:
             raise refusal(content, f"{key}[{i}]", "points_m and pixels must be equally many pairs of numbers")
         views.append((str(entry.get("name", i)), points, pixels))
     size = tuple(content.table.get(each) for each in ("width_px", "height_px"))
-    whole = all(isinstance(each, int) and 0 < each < 100_000 for each in size)
-    return views, (size[0], size[1]) if whole else None  # type: ignore[return-value]
+    for key, each in zip(("width_px", "height_px"), size, strict=True):
+        if size != (None, None) and (not isinstance(each, int) or isinstance(each, bool)):
+            raise refusal(content, key, "is missing" if each is None else f"must be a whole number; found {each!r}")
+    return views, None if size == (None, None) else (size[0], size[1])  # type: ignore[return-value]
 
 
 def _from_opencv(content: Content) -> ImageCorners:

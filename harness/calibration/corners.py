@@ -15,6 +15,11 @@ from harness.spec import Positive, Spec
 
 Count = Annotated[int, Field(ge=2, le=200)]
 
+_LEAST_PX, _MOST_PX = 8, 16384
+"""Sides of images, as `Camera` allows them."""
+_LEAST_M, _MOST_M = 1e-4, 1e4
+"""Extents of boards."""
+
 
 class Board(Spec):
     """A chessboard, described by its inner corners, where four squares meet."""
@@ -69,6 +74,20 @@ class Corners(OneLine):
         return Corners(names, index, self.points_m[keep], self.pixels[keep], self.width_px, self.height_px)
 
 
+def check_size(size: tuple[int, int], *, file: str | None = None) -> None:
+    """Check the width and height of images, pixels.
+
+    Raises
+    ------
+    InputError
+        When one is not what a camera can have; it names the file or option.
+    """
+    if not all(_LEAST_PX <= each <= _MOST_PX for each in size):
+        raise InputError(
+            f"images of {size[0]} x {size[1]} pixels; sides must be {_LEAST_PX} to {_MOST_PX} pixels long", file=file
+        )
+
+
 def corners_of(
     views: Sequence[tuple[str, Array, Array]], width_px: int, height_px: int, *, file: str | None = None
 ) -> Corners:
@@ -77,8 +96,10 @@ def corners_of(
     Raises
     ------
     InputError
-        When an image has fewer than 6 corners, all of them collinear, or a coordinate is not finite.
+        When images are too small or too large, or one has fewer than 6 corners, all of them collinear, or a corner is
+        not finite or outside the image, or a board's extent is not one of 0.1 mm to 10 km.
     """
+    check_size((width_px, height_px), file=file)
     if not views:
         raise InputError("contains no corners", file=file)
     for name, points, pixels in views:
@@ -86,8 +107,24 @@ def corners_of(
             raise InputError(f"image '{name}' has {len(points)} corners; a board needs at least 6", file=file)
         if not (np.isfinite(points).all() and np.isfinite(pixels).all()):
             raise InputError(f"image '{name}' has corners that are not finite numbers", file=file)
-        if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * np.ptp(points)) < 2:
-            raise InputError(f"the corners of image '{name}' lie on one line of the board", file=file)
+        outside = ((pixels < -0.5) | (pixels > [width_px - 0.5, height_px - 0.5])).any(axis=-1)
+        if outside.any():
+            u, v = pixels[np.flatnonzero(outside)[0]].tolist()
+            raise InputError(
+                f"a corner of image '{name}' is at ({u:g}, {v:g}), outside an image of {width_px} x {height_px} pixels",
+                file=file,
+            )
+        # Coordinates are halved, so that the difference of two finite ones is finite.
+        extent = 2 * float(np.ptp(points / 2, axis=0).max())
+        if not (_LEAST_M <= extent <= _MOST_M and np.abs(points).max() <= _MOST_M):
+            raise InputError(
+                f"the corners of image '{name}' span {extent:.3g} m of the board, or lie far from its origin; "
+                f"give positions in metres: an extent of {_LEAST_M:g} to {_MOST_M:g}",
+                file=file,
+            )
+        for where, places in (("board", points), ("image", pixels)):
+            if np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-6 * np.ptp(places)) < 2:
+                raise InputError(f"the corners of image '{name}' lie on one line of the {where}", file=file)
     return Corners(
         tuple(name for name, _, _ in views),
         np.repeat(np.arange(len(views)), [len(points) for _, points, _ in views]),

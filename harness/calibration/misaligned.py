@@ -7,6 +7,7 @@ import numpy as np
 
 from harness.calibration.uncertainty import Uncertainty
 from harness.camera.sensor import Sensor
+from harness.geometry.angles import Array
 
 _TRADES_OFF = 0.98
 _VAGUE = {"mm": 1.0, "deg": 0.5}
@@ -32,13 +33,13 @@ def significance(keys: Sequence[str], uncertainty: Uncertainty) -> float:
     return float(values @ np.linalg.solve(C, values)) if np.isfinite(C).all() else np.nan
 
 
-def likelihood_ratio(central_rms_px: float, rms_px: float, uncertainty: Uncertainty, corners: int) -> float:
+def likelihood_ratio(central_rms_px: float, residuals: Array, uncertainty: Uncertainty) -> float:
     """What the best central sensor adds to the sum of squared residuals, over their variance; no unit.
 
     Chi-squared with as many degrees of freedom as misalignment has numbers if camera and mirror are aligned, however
     weakly the corners determine these.
     """
-    return corners * (central_rms_px**2 - rms_px**2) / uncertainty.sigma_px**2
+    return float(len(residuals) * central_rms_px**2 - np.sum(residuals**2)) / uncertainty.sigma_px**2
 
 
 def misalignment_notes(

@@ -132,7 +132,7 @@ def calibrate_sensor(
     Raises
     ------
     InputError
-        When an option is invalid, or no sensor fits the corners.
+        When an option is invalid, no sensor fits the corners, or they determine nothing.
     """
     template, keys = _chosen(_template(corners, kind, start), lens, free, dict(fix or {}))
     plain = tuple(key for key in keys if not is_misalignment(key))
@@ -142,7 +142,7 @@ def calibrate_sensor(
         aligned = _central_start(corners, begin, plain, tell)
         begin = begin if not template.is_central else aligned
     adjusted, used, left_out = _without_outliers(corners, Parameters(begin.sensor, keys), begin, tell)
-    uncertainty = uncertainty_of(adjusted)
+    uncertainty = _determined(uncertainty_of(adjusted), keys)
     calibrated = adjusted.parameters.sensor_at(adjusted.vector)
     calibrated = calibrated.model_copy(update={"mount": mount or (start.mount if start else Mount())})
     sensor = _with_field(calibrated, field or covered_field(calibrated, used, circle))
@@ -152,8 +152,7 @@ def calibrate_sensor(
     grid = replace(grid, directions=np.ascontiguousarray(grid.directions @ model_from_sensor(sensor).T))
     turned, unturned = ray_sigma(adjusted, uncertainty.vector_covariance, grid)
     halves = compare_halves(adjusted, used, grid)
-    rms_px = float(np.sqrt(np.mean(np.sum(adjusted.residuals**2, axis=-1))))
-    ratio = None if central is None else likelihood_ratio(central.rms_px, rms_px, uncertainty, len(used.image))
+    ratio = None if central is None else likelihood_ratio(central.rms_px, adjusted.residuals, uncertainty)
     return SensorCalibration(
         sensor=sensor,
         keys=keys,
@@ -260,6 +259,15 @@ def _without_outliers(
     final = adjust(parameters, corners.where(keep), vector, poses.of(np.unique(some.image[agrees]).tolist()))
     assert final is not None  # it begins where the robust one has ended
     return final, corners.where(keep), None if keep.all() else corners.where(~keep)
+
+
+def _determined(uncertainty: Uncertainty, keys: Sequence[str]) -> Uncertainty:
+    """The uncertainty, unless nothing at all is determined."""
+    if set(uncertainty.undetermined) == set(keys):
+        raise InputError(
+            f"the corners determine none of {', '.join(keys)}: take more boards, at more angles, or fix what is known"
+        )
+    return uncertainty
 
 
 def _first_line(error: ValueError) -> str:
