@@ -1,5 +1,6 @@
 """The report where something goes wrong late: names that look like markup, settings of others, a figure that fails."""
 
+import json
 import os
 import re
 import subprocess
@@ -274,3 +275,14 @@ def test_a_report_without_the_files_of_its_scene_says_what_is_left_out(tmp_path,
     measured = re.compile(r'<td data-measure="[a-z0-9_.]+">[^<]*</td>')
     assert measured.findall(html) == measured.findall(with_pixels)
     assert (out / "summary.json").read_text(encoding="utf-8").count("wall") >= 1
+
+
+def test_methods_beyond_those_that_fit_a_page_are_named(tmp_path, capsys):
+    experiment, out = toml(tmp_path), tmp_path / "out"
+    kinds = "window,column,sgm,slanted,opencv-bm,opencv-sgbm,opencv-reconstruct"
+    assert main(["run", str(experiment), "--axis", f"matching.kind={kinds}", "--out", str(out)]) == 0
+    said = "opencv-reconstruct: at most 6 methods are compared pixel by pixel; trials.csv has its figures"
+    assert f"left out of the report: {said}" in capsys.readouterr().err
+    assert said in (out / "report.html").read_text(encoding="utf-8")
+    assert "opencv-reconstruct" not in json.loads((out / "summary.json").read_text())["comparison"]
+    assert "opencv-reconstruct" in (out / "trials.csv").read_text(encoding="utf-8")

@@ -38,7 +38,7 @@ _FACT = "details"
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A trial that should be shown in detail and cannot be."""
+    """A method that should be shown in detail and is not."""
 
     matcher: str
     reason: str
@@ -79,12 +79,16 @@ def details_of(
     for each in experiment.planned:
         methods.setdefault(each.method, each.trial)
     chosen = list(methods.values())[:MOST_DETAILS]
+    beyond = [
+        LeftOut(_label(name), f"at most {MOST_DETAILS} methods are compared pixel by pixel; trials.csv has its figures")
+        for name in list(methods)[MOST_DETAILS:]
+    ]
     details = Details([], [], [], [], None)
     for base in dict.fromkeys((experiment.trial, done[0].trial)):
         trials = [with_method(base, trial) for trial in chosen]
         attempts = [stored.outcome_of(trial, run_code=run_code) for trial in trials]
         shown = [attempt for attempt in attempts if not isinstance(attempt, LeftOut)]
-        missing = [attempt for attempt in attempts if isinstance(attempt, LeftOut)]
+        missing = [*(attempt for attempt in attempts if isinstance(attempt, LeftOut)), *beyond]
         if shown or not details.trials:
             details = Details(trials, [key for key, _ in shown], [outcome for _, outcome in shown], missing, None)
         if shown:
@@ -92,6 +96,11 @@ def details_of(
     if stored.comparison and (details.left_out or (store and store.other_code)):
         details = Details(details.trials, details.keys, details.outcomes, details.left_out, stored.comparison)
     return details
+
+
+def _label(method: MethodName) -> str:
+    """A method's matcher, and its sub-pixel step if it has one."""
+    return " ".join(each for each in method if each not in {"own", "none"})
 
 
 def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, store: Store) -> None:
@@ -131,7 +140,7 @@ class _Stored:
 
     def outcome_of(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:
         """A trial's key and outcome, or why there is none."""
-        name = " ".join(each for each in method_of(trial.matching) if each not in {"own", "none"})
+        name = _label(method_of(trial.matching))
         earlier = next(((key, scene) for each, key, scene in self._keys_of_trials if each == trial), None)
         try:
             scene = fingerprint(trial.scene)
