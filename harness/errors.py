@@ -40,6 +40,11 @@ def nearest(word: str, choices: Sequence[str]) -> str:
     return f"did you mean '{close[0]}'?" if close else f"valid: {', '.join(choices) or 'none'}"
 
 
+def with_article(noun: str) -> str:
+    """A noun after "a" or "an"; no word of this program begins with a silent h or a u that is a vowel."""
+    return f"{'an' if noun[:1].lower() in 'aeio' else 'a'} {noun}"
+
+
 class Notice(UserWarning):
     """Something that a user may want to know, in one line: the program continues, and its numbers are right."""
 

@@ -1,5 +1,6 @@
 """Specifications: small, frozen, hashable, JSON-able records read from TOML, and what is said when one is wrong."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,10 +18,14 @@ from harness.errors import InputError, nearest
 from harness.renamed import Renaming, former_names, give_notice, up_to_date
 from harness.toml import levels, read_toml
 
-LARGEST = 1e60
-"""The limit of all numbers with a unit, and of the inverses of positive ones: products of several stay finite."""
+LARGEST = 1e9
+"""The limit of all numbers with a unit, and of the inverses of positive ones: products of several stay finite, also in
+single precision."""
 Positive = Annotated[float, Field(gt=0, ge=1 / LARGEST, le=LARGEST, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+LARGEST_COEFFICIENT = 1e60
+"""The limit of coefficients of powers, which are huge where what is raised to the power is small."""
+Coefficient = Annotated[float, Field(ge=-LARGEST_COEFFICIENT, le=LARGEST_COEFFICIENT, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 
 MOST_LEVELS = 32
@@ -399,6 +404,7 @@ _EXPECTED = {
     "finite_number": "a finite number",
     "int_type": "a whole number",
     "int_parsing": "a whole number",
+    "int_parsing_size": "a whole number",
     "int_from_float": "a whole number",
     "float_type": "a number",
     "float_parsing": "a number",
@@ -414,10 +420,15 @@ _EXPECTED = {
     "too_long": "a list of at most {max_length}",
     "too_short": "a list of at least {min_length}",
 }
+_BOUNDS = frozenset({"greater_than", "greater_than_equal", "less_than", "less_than_equal"})
 
 
 def _expected(problem: _Problem) -> str:
     error = problem.error
+    if error["type"] in _BOUNDS and isinstance(error["input"], bool):
+        return "a number"
+    if error["type"] in _BOUNDS and isinstance(error["input"], float) and math.isnan(error["input"]):
+        return _EXPECTED["finite_number"]
     if error["type"] == "greater_than_equal" and error["ctx"]["ge"] == 1 / LARGEST and float(error["input"]) <= 0:
         return "above 0"  # what `Positive` is about
     if error["type"] in _EXPECTED:

@@ -53,7 +53,11 @@ LONG = "x" * 5000
         ),
         (
             ("render", "box", "--at", "0", "0", "-inf", "--out", "o"),
-            "position_m[2]: must be a finite number",
+            "--at: must be a finite number",
+        ),
+        (
+            ("render", "box", "--at", "0", "0", "1", "--yaw-deg", "nan", "--out", "o"),
+            "--yaw-deg: must be a finite number",
         ),
     ],
     ids=lambda each: " ".join(each)[:50].replace("\0", "0") if isinstance(each, tuple) else "",

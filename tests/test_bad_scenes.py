@@ -187,7 +187,7 @@ def test_view_inside_a_mesh(tmp_path):
 
 
 def test_a_face_that_is_lost_beside_its_position():
-    scene = room(Plane(kind="plane", name="far", size_m=(4, 4), position_m=(1e18, 0, 0), texture=GREY))
+    scene = room(Plane(kind="plane", name="far", size_m=(4e-9, 4e-9), position_m=(1e9, 0, 0), texture=GREY))
     with pytest.raises(InputError, match="'far' has a face without area; its size is below"):
         geometry_of(scene)
 

@@ -251,7 +251,7 @@ OPENCV_D = "7.7531333953325700e-02, 2.7664400596417553e-02,\n       1.3229517533
         (files.OMNIDIR_XML, "<opencv", "<!DOCTYPE x><opencv", "has a document type"),
         (files.OMNIDIR_XML, "<rows>3", "<cows>3</cows><rows>2", "camera_matrix.data: must be 2 x 3 numbers; found 9"),
         (files.KALIBR, "model: omni", "model: spherical", "cam0.camera_model: 'spherical' is not supported, only omni"),
-        (files.KALIBR, "radtan", "fov", "cam0.distortion_model: fov of a omni camera is not supported, only none or"),
+        (files.KALIBR, "radtan", "fov", "cam0.distortion_model: fov of an omni camera is not supported, only none or"),
         (files.KALIBR, "[1.45, ", "[", "cam0.intrinsics: must be 5 numbers (xi fu fv pu pv); found 4"),
         (files.KALIBR, "833.0", "-833.0", "cam0.intrinsics: fu and fv must be above 0; found -833 and 830.3"),
         (files.KALIBR, "resolution: [752, 480]", "resolution: [752]", "cam0.resolution: must be width and height"),

@@ -209,7 +209,8 @@ def test_what_was_guessed_is_said(tmp_path):
         (files.OMNIDIR_YAML, "xi: 1.14", "xi: -1.14", "xi: must be at least 0; found -1.14"),
         (files.OCAMCALIB, "5 -2.190000e+02", "5 2.190000e+02", "direct polynomial: coefficients: a_0 = 219 must"),
         (files.BASALT, '"alpha": 0.59', '"alpha": 1.59', "value0.intrinsics[0].intrinsics.alpha: must be at most 1"),
-        (files.COLMAP, "401.23", "401.23e70", "line 4: must be at most"),
+        (files.COLMAP, "401.23", "401.23e50", "line 4: must be at most"),
+        (files.COLMAP, "401.23", "401.23e300", "line 4[0]: must be at most 1e+60"),
     ],
 )  # fmt: skip
 def test_what_no_camera_can_have_names_the_files_own_key(text, old, new, said, tmp_path):

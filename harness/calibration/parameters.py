@@ -21,7 +21,7 @@ from harness.camera._projection_kernels import project_all
 from harness.camera.models import CameraModel
 from harness.camera.reflection import reflecting_camera
 from harness.camera.sensor import Sensor, parameters_of
-from harness.errors import InputError, nearest
+from harness.errors import InputError, nearest, with_article
 from harness.geometry.angles import Array
 
 LENS_POWERS = {"k1": 2, "k2": 4, "p1": 1, "p2": 1, "k3": 6}
@@ -85,7 +85,7 @@ def choose_keys(
         if name not in LENS_POWERS:
             raise InputError(f"there is no lens term '{name}'; {nearest(name, list(LENS_POWERS))}", key="lens")
     if terms and not sensor.model.has_lens:
-        raise InputError(f"a {sensor.model.title} has its own distortion and no [lens] terms", key="lens")
+        raise InputError(f"{with_article(sensor.model.title)} has its own distortion and no [lens] terms", key="lens")
     chosen = {*_model_keys(sensor.model), *_camera_keys(kind), *(f"lens.{each}" for each in terms)}
     every = _every_key(sensor)
     for word in free:
@@ -97,7 +97,9 @@ def choose_keys(
 
 def _misalignment(sensor: Sensor) -> list[str]:
     if kind_of(sensor.model) != "hyperboloid":
-        raise InputError(f"a {sensor.model.title} has no mirror to be misaligned with; leave it out", key="free")
+        raise InputError(
+            f"{with_article(sensor.model.title)} has no mirror to be misaligned with; leave it out", key="free"
+        )
     return [f"misalignment.{name}" for name in MISALIGNMENT]
 
 

@@ -22,7 +22,7 @@ from harness.camera.intrinsics import FieldOfView
 from harness.camera.mount import Mount
 from harness.camera.sensor import Sensor, model_from_sensor
 from harness.display import OneLine
-from harness.errors import InputError
+from harness.errors import InputError, with_article
 from harness.geometry.angles import Array
 
 Tell = Callable[[str], None]
@@ -220,7 +220,7 @@ def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:
     if start is None:
         return template_of(kind, corners.width_px, corners.height_px)
     if kind_of(start.model) != kind:
-        raise InputError(f"is a {start.model.title}, not of kind '{kind}'", key="start")
+        raise InputError(f"is {with_article(start.model.title)}, not of kind '{kind}'", key="start")
     if (start.camera.width_px, start.camera.height_px) != (corners.width_px, corners.height_px):
         raise InputError(
             f"is of {start.camera.width_px} x {start.camera.height_px} pixels; the images have {corners.width_px} x "

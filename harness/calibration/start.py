@@ -22,7 +22,7 @@ from harness.camera.lens import Lens
 from harness.camera.models import MODELS
 from harness.camera.reflection import camera_of_points, ray_directions
 from harness.camera.sensor import Sensor, parameters_of, unproject
-from harness.errors import InputError, nearest
+from harness.errors import InputError, nearest, with_article
 from harness.geometry.angles import Array
 
 _ANGLES_DEG = (25.0, 45.0, 65.0, 85.0, 105.0, 125.0)
@@ -51,7 +51,7 @@ def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
         When there is no such kind.
     """
     if kind not in MODELS:
-        raise InputError(f"there is no camera model '{kind}'; {nearest(kind, list(MODELS))}", key="model")
+        raise InputError(f"there is no camera model '{kind}'; {nearest(kind, list(_PLAIN))}", key="model")
     if kind not in _PLAIN:
         raise InputError(f"a model of kind '{kind}' cannot be calibrated; {nearest(kind, list(_PLAIN))}", key="model")
     camera = Camera(width_px=width_px, height_px=height_px, cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2)
@@ -88,7 +88,8 @@ def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle
     kind = kind_of(template.model)
     if kind not in _OWN_KEYS:
         raise InputError(
-            f"there is no initial guess for a {template.model.title}; give a sensor to start from", key="start"
+            f"there is no initial guess for {with_article(template.model.title)}; give a sensor to start from",
+            key="start",
         )
     # In another model xi and the focal length take the role of its own keys.
     own = [key for key in ("model.xi", "camera.focal_px") if key in keys or kind != "unified"]

@@ -60,8 +60,9 @@ class Camera(Spec):
                 self.__dict__[key] = (size - 1) / 2
         for key, at, size in (("cx_px", self.cx_px, self.width_px), ("cy_px", self.cy_px, self.height_px)):
             if not -0.5 <= at <= size - 0.5:
-                middle = (size - 1) / 2
-                raise ValueError(f"{key} = {at:g} is not on an image of {size} pixels; its middle is {middle:g}")
+                raise ValueError(
+                    f"{key} = {at:g} is not on an image of {size} pixels; 'centre' is its middle, {(size - 1) / 2:g}"
+                )
         return self
 
 

@@ -7,21 +7,21 @@ from numpy.typing import ArrayLike
 
 from harness.camera._lens_kernels import bend_all
 from harness.geometry.angles import Array
-from harness.spec import Finite, Spec
+from harness.spec import Coefficient, Spec
 
 
 class Lens(Spec):
     """Radial and tangential coefficients in OpenCV's order and meaning; all 0 for a pinhole."""
 
-    k1: Finite = 0.0
+    k1: Coefficient = 0.0
     """Radial distortion, coefficient of r², no unit."""
-    k2: Finite = 0.0
+    k2: Coefficient = 0.0
     """Radial distortion, coefficient of r⁴, no unit."""
-    p1: Finite = 0.0
+    p1: Coefficient = 0.0
     """Tangential distortion, first coefficient, no unit."""
-    p2: Finite = 0.0
+    p2: Coefficient = 0.0
     """Tangential distortion, second coefficient, no unit."""
-    k3: Finite = 0.0
+    k3: Coefficient = 0.0
     """Radial distortion, coefficient of r⁶, no unit."""
 
     @property

@@ -29,7 +29,7 @@ from harness.camera.sensor import (
     project,
     unproject,
 )
-from harness.errors import InputError
+from harness.errors import InputError, with_article
 from harness.geometry.angles import Array
 
 
@@ -199,11 +199,12 @@ def reflecting_camera(sensor: Sensor) -> ReflectingCamera:
     """
     if sensor.profile is not None:
         raise InputError(
-            f"a hyperboloid mirror is needed here, not a {sensor.profile.title}; leave [profile] out", key="profile"
+            f"a hyperboloid mirror is needed here, not {with_article(sensor.profile.title)}; leave [profile] out",
+            key="profile",
         )
     mirror = sensor.model
     if not isinstance(mirror, Mirror):
-        raise TypeError(f"a {mirror.title} is no hyperboloid mirror")
+        raise TypeError(f"{with_article(mirror.title)} is no hyperboloid mirror")
     lens, misalignment = sensor.lens, sensor.misalignment
     c_x, c_y, c_z = (np.array([0.0, 0.0, -2 * mirror.e_m]) + misalignment.offset_m).tolist()
     R, M = misalignment.R_mirror_from_camera, model_from_sensor(sensor)

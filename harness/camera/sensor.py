@@ -26,7 +26,7 @@ from harness.camera.models import AnyModel, Mirror
 from harness.camera.models.hyperboloid import encloses
 from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
 from harness.camera.profile import AnyProfile, Profile
-from harness.errors import InputError
+from harness.errors import InputError, with_article
 from harness.files import path_of
 from harness.geometry.angles import Array
 from harness.renamed import Renaming, give_notice
@@ -121,8 +121,8 @@ class Sensor(Spec):
         given = next(name for name in Misalignment.model_fields if getattr(self.misalignment, name))
         if not isinstance(self.model, Mirror):
             raise ValueError(  # noqa: TRY004 - the user's mistake, which pydantic collects
-                f"misalignment.{given} = {getattr(self.misalignment, given):g}: a {self.model.title} has no mirror to "
-                "be misaligned with; leave it out"
+                f"misalignment.{given} = {getattr(self.misalignment, given):g}: {with_article(self.model.title)} "
+                "has no mirror to be misaligned with; leave it out"
             )
         if encloses(self.model, self.misalignment.offset_m - [0, 0, 2 * self.model.e_m]):
             raise ValueError(
@@ -359,8 +359,8 @@ def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
     """
     if sensor.profile is not None:
         raise InputError(
-            f"the rays of a {sensor.profile.title} meet in no viewpoint, which is needed here; use a central sensor, "
-            "such as harness.camera.central.best_central(sensor).sensor, or one without [profile]",
+            f"the rays of {with_article(sensor.profile.title)} meet in no viewpoint, which is needed here; use a "
+            "central sensor, such as harness.camera.central.best_central(sensor).sensor, or one without [profile]",
             file=file,
             key="profile",
         )

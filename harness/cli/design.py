@@ -206,7 +206,7 @@ def _accuracy(text: str) -> tuple[float, float]:
         values = (float(accuracy), float(range_m))
     except ValueError:
         values = (math.nan, math.nan)
-    if not at or not all(0 < each < math.inf for each in values):
+    if not at or not all(1e-9 <= each <= 1e9 for each in values):
         raise argparse.ArgumentTypeError(f"must be like 0.03@4, an error and a range in metres; found '{text}'")
     return values
 

@@ -332,7 +332,11 @@ def _given(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
             raise InputError("belongs to --pose, which is not given", file=f"--{option}")
     yaw, pitch, roll = options.rotation_deg or (0.0, 0.0, 0.0)
     table = {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
-    return harness.relative_motion(harness.Pose(), parse(harness.Pose, table, file="--baseline"))
+    try:
+        return harness.relative_motion(harness.Pose(), parse(harness.Pose, table))
+    except InputError as error:
+        option = "--rotation-deg" if (error.key or "").endswith("_deg") else "--baseline"
+        raise InputError(error.problem, file=option, key=error.key) from error
 
 
 def _without_body(

@@ -6,6 +6,9 @@ from harness import shipped
 from harness.cli import completers
 from harness.cli.options import Commands, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor
+from harness.errors import InputError
+
+_OPTIONS = frozenset({"--at", "--yaw-deg", "--pitch-deg", "--roll-deg", "--samples"})
 
 
 def add(commands: Commands) -> None:
@@ -40,14 +43,19 @@ def run(options: Namespace) -> None:
     """Render the view, and write the folder."""
     import harness
 
-    view = harness.render(
-        options.scene,
-        sensor=first_sensor(options),
-        position_m=options.at,
-        yaw_deg=options.yaw_deg,
-        pitch_deg=options.pitch_deg,
-        roll_deg=options.roll_deg,
-        samples=options.samples,
-    )
+    try:
+        view = harness.render(
+            options.scene,
+            sensor=first_sensor(options),
+            position_m=options.at,
+            yaw_deg=options.yaw_deg,
+            pitch_deg=options.pitch_deg,
+            roll_deg=options.roll_deg,
+            samples=options.samples,
+        )
+    except InputError as error:
+        key = error.key or ""
+        option = "--at" if key.startswith("position_m") else f"--{key.replace('_', '-')}"
+        raise (InputError(error.problem, file=option) if option in _OPTIONS else error) from error
     view.write(options.out, pov=options.pov)
     print(f"{view.scene.name} seen from {tuple(options.at)} m: {options.out}")

@@ -12,7 +12,7 @@ from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
 from harness.camera.visible_rows import is_open, with_rows
-from harness.errors import InputError
+from harness.errors import InputError, with_article
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
@@ -192,7 +192,8 @@ class Trial(Spec):
         for each in (self.sensor, self.sensor_2):
             if self.scoring.budget and each is not None and each.profile is not None:
                 raise ValueError(
-                    f"scoring.budget: errors are not propagated through a {each.profile.title}; leave it out"
+                    f"scoring.budget: errors are not propagated through {with_article(each.profile.title)}; "
+                    "leave it out"
                 )
         return self
 

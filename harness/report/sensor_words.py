@@ -8,6 +8,7 @@ import numpy as np
 from harness.camera.central import best_central
 from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
 from harness.camera.sensor import Sensor, used
+from harness.errors import with_article
 
 _OFF_CENTRE = 0.03
 """Share of the image's smaller side within which the principal point usually is from the middle."""
@@ -48,8 +49,9 @@ def misalignment_of(sensor: Sensor) -> list[str]:
     if sensor.profile is not None:
         fit = best_central(sensor)
         profile.append(
-            f"The rays of a {sensor.profile.title} meet in no point: all that is said here is of the nearest central "
-            f"camera, whose rays are off by {fit.rms_deg:.2g} deg ({fit.rms_px:.2g} px) RMS at {fit.distance_m:g} m."
+            f"The rays of {with_article(sensor.profile.title)} meet in no point: all that is said here is of the "
+            f"nearest central camera, whose rays are off by {fit.rms_deg:.2g} deg ({fit.rms_px:.2g} px) RMS "
+            f"at {fit.distance_m:g} m."
         )
     given = {name: value for name, value in sensor.misalignment.model_dump().items() if value}
     if not given:

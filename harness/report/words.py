@@ -8,6 +8,7 @@ from markupsafe import Markup, escape
 
 from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor
+from harness.errors import with_article
 from harness.evaluation.metric_table import Metric
 from harness.evaluation.metrics import CORE
 from harness.matching.interface import MatcherSettings
@@ -101,7 +102,7 @@ def images_of(sensors: tuple[Sensor, Sensor]) -> str:
     sizes = " and ".join(dict.fromkeys(f"{each.camera.width_px} × {each.camera.height_px}" for each in sensors))
     own = what_differs(sensors)
     titles = dict.fromkeys(each.profile.title for each in sensors if each.profile is not None)
-    profiles = f", of a {' and a '.join(titles)} told as a central camera," if titles else ""
+    profiles = f", of {' and '.join(map(with_article, titles))} told as a central camera," if titles else ""
     misaligned = ", whose mirrors are misaligned," if not all(each.misalignment.is_zero for each in sensors) else ""
     return f"{sizes} pixels{f', each with {own}' if own else ''}{profiles}{misaligned}"
 

@@ -2,13 +2,14 @@
 
 import itertools
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import AfterValidator, Field, PrivateAttr, field_validator
 
 from harness.camera.sensor import check_mask
 from harness.display import shortened
@@ -41,10 +42,18 @@ class Planned:
     """Where its scene was read from, for messages; empty for a shipped scene and for a table."""
 
 
+def _folder_name(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", text):
+        raise ValueError(
+            f"must be 1 to 80 letters, digits, '_', '.' and '-', the first a letter or a digit; found {text!r}"
+        )
+    return text
+
+
 class Experiment(Spec):
     """A named set of trials: for each of the cases, the full product of the axes over the base trial's settings."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
+    name: Annotated[str, AfterValidator(_folder_name)]
     """The experiment's name: letters, digits, `_`, `.` and `-`. It also names the output folder."""
     description: str = ""
     """A description for people."""

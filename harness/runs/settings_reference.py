@@ -16,7 +16,7 @@ from harness.errors import InputError, nearest
 from harness.pipeline.specification import Trial
 from harness.renamed import up_to_date_key
 from harness.runs.experiment import Experiment
-from harness.spec import LARGEST
+from harness.spec import LARGEST, LARGEST_COEFFICIENT
 
 UNITS = {
     "_per_px": "per pixel",
@@ -254,7 +254,8 @@ def _limits(metadata: Sequence[Any]) -> dict[str, float]:
 
 
 def _range_text(limits: dict[str, float]) -> list[str]:
-    limits = {name: limit for name, limit in limits.items() if limit not in (-LARGEST, 1 / LARGEST, LARGEST)}
+    beyond = (1 / LARGEST, LARGEST, -LARGEST, LARGEST_COEFFICIENT, -LARGEST_COEFFICIENT)
+    limits = {name: limit for name, limit in limits.items() if limit not in beyond}
     if limits.keys() == {"ge", "le"}:
         return [f"{_number(limits['ge'])} .. {_number(limits['le'])}"]
     return [_BOUNDS[name].format(_number(limit)) for name, limit in limits.items()]

@@ -10,11 +10,9 @@ from harness.simulation.mesh_gltf import read_gltf
 from harness.simulation.mesh_obj import read_obj
 from harness.simulation.mesh_part import MeshPart
 from harness.simulation.mesh_ply import read_ply
+from harness.spec import LARGEST
 
 FORMATS = {".glb": read_gltf, ".gltf": read_gltf, ".obj": read_obj, ".ply": read_ply}
-
-_LARGEST = 1e9
-"""The largest valid coordinate, in the file's unit: its square is still far from overflow."""
 
 
 @cached_by_content(8)
@@ -39,8 +37,8 @@ def read_mesh(path: Path, textured: bool = True) -> tuple[MeshPart, ...]:
     for part in parts:
         if not np.isfinite(part.corners).all() or (part.uv is not None and not np.isfinite(part.uv).all()):
             raise InputError("has vertices that are not finite numbers; repair the mesh", file=path)
-        if np.abs(part.corners).max() > _LARGEST or (part.uv is not None and np.abs(part.uv).max() > _LARGEST):
-            raise InputError(f"has coordinates beyond {_LARGEST:g}; repair the mesh", file=path)
+        if np.abs(part.corners).max() > LARGEST or (part.uv is not None and np.abs(part.uv).max() > LARGEST):
+            raise InputError(f"has coordinates beyond {LARGEST:g}; repair the mesh", file=path)
         for array in (part.corners, part.uv):
             if array is not None:
                 array.flags.writeable = False

@@ -13,9 +13,10 @@ fish-eye lenses, PAMI 2006, with the radial part alone.
 """
 
 import math
-from typing import ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from harness.camera._pixel_kernels import from_pixel, moved_pixel, to_pixel
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
@@ -23,7 +24,9 @@ from harness.camera.intrinsics import Camera
 from harness.camera.lens import Lens
 from harness.camera.models.axial import AxialModel, Domain
 from harness.compiled import kernel
-from harness.spec import Finite
+
+Coefficient = Annotated[float, Field(ge=-1000, le=1000)]
+"""Far beyond any lens, and small enough for the polynomial to stay finite."""
 
 
 class KannalaBrandt(AxialModel):
@@ -33,13 +36,13 @@ class KannalaBrandt(AxialModel):
 
     kind: Literal["kannala_brandt"] = "kannala_brandt"
     """The fisheye model of Kannala and Brandt."""
-    k1: Finite = 0.0
+    k1: Coefficient = 0.0
     """Coefficient of theta³, no unit; all four 0 for the equidistant lens."""
-    k2: Finite = 0.0
+    k2: Coefficient = 0.0
     """Coefficient of theta⁵, no unit."""
-    k3: Finite = 0.0
+    k3: Coefficient = 0.0
     """Coefficient of theta⁷, no unit."""
-    k4: Finite = 0.0
+    k4: Coefficient = 0.0
     """Coefficient of theta⁹, no unit."""
 
     def radius(self, angle_rad: float, lens: Lens) -> float:  # noqa: ARG002

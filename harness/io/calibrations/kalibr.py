@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.camera.model_fitting import Target
 from harness.camera.optics import Optics
+from harness.errors import with_article
 from harness.io.calibrations.opencv import PERSPECTIVE
 from harness.io.calibrations.record import CalibratedCamera, Calibration, Content, Format, focal_lengths, keys_of
 from harness.io.calibrations.values import member, numbers, pixels, refusal, table, transform
@@ -66,7 +67,9 @@ def _camera(content: Content, entry: Mapping[str, Any], name: str) -> Calibrated
     if distortion not in _SUPPORTED[model]:
         known = " or ".join(_SUPPORTED[model])
         raise refusal(
-            content, f"{name}.distortion_model", f"{distortion} of a {model} camera is not supported, only {known}"
+            content,
+            f"{name}.distortion_model",
+            f"{distortion} of {with_article(model)} camera is not supported, only {known}",
         )
     intrinsics = numbers(content, *member(content, entry, "intrinsics", name), INTRINSICS[model])
     given = dict(zip(INTRINSICS[model].split(), intrinsics, strict=True))

@@ -65,6 +65,8 @@ def _parsed(file: Path, text: str) -> Content:
         return Content(file, "toml", text, parse_toml(text))
     except ValueError as error:
         no_toml = InputError(f"not valid TOML: {error}")
+    if file.suffix.lower() == ".toml" and re.search(r"^\s*\[[A-Za-z]", text, re.MULTILINE):
+        raise no_toml
     if re.search(r"^[^\s#:][^\n:]*:(?:\s|\Z)", text, re.MULTILINE):
         try:
             return Content(file, "yaml", text, _yaml(text))

@@ -11,6 +11,7 @@ from harness.display import shortened
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.io.calibrations.record import Content
+from harness.spec import LARGEST_COEFFICIENT
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 """YAML 1.1 reads `1e-05` as text."""
@@ -33,6 +34,8 @@ def number(content: Content, value: Any, key: str) -> float:
         value = math.inf
     if not math.isfinite(value):
         raise refusal(content, key, f"must be a finite number; found {value}")
+    if abs(value) > LARGEST_COEFFICIENT:
+        raise refusal(content, key, f"must be at most {LARGEST_COEFFICIENT:g}; found {value:g}")
     return value
 
 
