@@ -319,6 +319,7 @@ def test_a_view_has_the_range_of_the_walls(views: "list[harness.RenderedView]") 
     assert view._repr_html_().count("data:image/png") == 2
 
 
+@pytest.mark.slow
 def test_range_from_arrays_and_from_files(views: "list[harness.RenderedView]", tmp_path: Path) -> None:
     from PIL import Image
 

@@ -215,6 +215,7 @@ class TestRays:
 class TestWhole:
     """No start is given: all begins with the corners."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("sensor", "boards", "options"),
         [
@@ -253,6 +254,7 @@ class TestWhole:
         ratio = np.sqrt(np.nanmean(calibration.halves.difference_px**2) / np.mean(calibration.ray_sigma_px**2))
         assert 0.8 < ratio < 5
 
+    @pytest.mark.slow
     def test_mistakes_are_left_out_and_said(self):
         exact, _ = visible_boards(MIRROR, 8, 12)
         corners = noisy(exact, 0.1, 4)
@@ -275,6 +277,7 @@ class TestWhole:
         assert (calibration.sensor.model.xi, calibration.sensor.camera.aspect) == (1.1, 1.002)
         assert calibration.rms_px < 0.2
 
+    @pytest.mark.slow
     def test_one_small_board_tells_little_and_that_is_said(self):
         corners, _ = visible_boards(MIRROR, 1, 14, board=Board(columns=3, rows=2, square_m=0.01))
         calibration = calibrate_sensor(noisy(corners, 0.1, 6), "hyperboloid", start=MIRROR)

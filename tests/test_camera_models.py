@@ -133,6 +133,7 @@ class TestEveryModel:
         unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
         assert np.abs(again - unit).max() < 1e-11  # the lens is undone to 1e-13 of the radius
 
+    @pytest.mark.slow
     def test_derivative_is_that_of_differences(self, sensor, directions):
         """Central differences with a step of 1e-4 of the length: 1e-8 from the third order, 1e-9 from rounding."""
         analytic = jacobian(sensor, directions)
@@ -192,6 +193,7 @@ class TestRandomCameras:
             np.testing.assert_array_equal(valid, on_image(sensor, pixels))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "lens", "skew"), VARIANTS)
 def test_derivative_is_that_of_differences_for_random_cameras(kind, lens, skew):
     """Central differences over 2e-5 of the length.

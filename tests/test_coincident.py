@@ -103,6 +103,7 @@ def test_the_later_object_is_seen_in_both_views_and_in_truth(seed):
         np.testing.assert_array_equal(render(scene, SMALL, pose, 4), render_every_sample(scene, SMALL, pose, 4))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::harness.errors.Notice")
 def test_a_point_on_a_rug_is_visible_from_the_other_view():
     directions, valid = pixel_directions(SMALL)
@@ -111,6 +112,7 @@ def test_a_point_on_a_rug_is_visible_from_the_other_view():
     assert visible.unoccluded[valid].all()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::harness.errors.Notice")
 def test_faces_that_float32_cannot_part_are_parted_by_range():
     # The first rug lies a tenth of a micrometre above the second: float32 has steps of 2e-7 m there.

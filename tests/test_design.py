@@ -204,6 +204,7 @@ def test_a_lens_has_no_mirror_in_the_table(tmp_path, capsys):
     assert "mirror" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_from_python():
     described = harness.describe_rig({"uncertainty": {"rotation_deg": 0.05}}, [2.0, 8.0])
     assert described.table.index.tolist() == [2.0, 8.0]

@@ -168,6 +168,7 @@ def test_inverse_ranges_are_those_of_the_walls():
     assert np.allclose(w, BASELINE_M / reach(np.zeros(3), pairs.x_1), rtol=1e-6, atol=1e-7 + near_t * 1e-3)
 
 
+@pytest.mark.slow
 def test_first_planes_are_near_those_of_the_walls():
     given = views(pair(), (SENSOR, SENSOR))
     tiles = lay_tiles(given)
@@ -207,6 +208,7 @@ def test_tiles_are_where_view_1_sees_and_there_is_contrast():
 # --- The motion -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_without_noise_the_motion_is_exact():
     result, pairs = start()
     assert off_deg(result.turn).min() > 0.005  # so that there is something to do

@@ -165,6 +165,7 @@ def test_names_of_methods() -> None:
     ]
 
 
+@pytest.mark.slow
 @given(st.lists(st.text(max_size=90), min_size=1, max_size=6))
 def test_texts_are_told_apart(texts: list[str]) -> None:
     short = shortened_labels(texts, 20)

@@ -202,6 +202,7 @@ def test_gain_and_offset_change_neither_zncc_nor_census(gain, offset):
         np.testing.assert_allclose(before.costs[same], after.costs[same], atol=tolerance)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=10)
 @given(gain=st.sampled_from([0.5, 1.0, 2.0]), offset=st.integers(-480, 480))
 def test_gain_and_offset_change_no_census_of_columns_and_hardly_a_zncc(gain, offset):

@@ -88,6 +88,7 @@ def test_with_a_known_camera_the_mirror_is_known_to_a_few_micrometres():
     assert sigma["misalignment.rotation_x_deg"] < 0.02
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_aligned_is_said_to_be():
     corners = noisy(visible_boards(TRUE.aligned, 8, 32)[0], NOISE_PX, 3)
     calibration = calibrate_sensor(corners, "hyperboloid", free=["misalignment"])
@@ -120,6 +121,7 @@ def test_far_boards_of_an_aligned_camera_show_no_misalignment():
         assert doubt == (fine and significance(each.keys, each.uncertainty) >= 11.07)
 
 
+@pytest.mark.slow
 def test_exact_corners_of_three_boards_lead_to_a_gross_misalignment():
     misalignment = Misalignment(x_mm=4, y_mm=3, z_mm=-3, rotation_x_deg=2, rotation_y_deg=-3)
     askew = Sensor(misalignment=misalignment)

@@ -44,6 +44,7 @@ def still():
 # --- Keypoints ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [(0.25, 0.0), (0.5, -0.3), (3.37, 1.71)])
 def test_keypoints_move_with_the_picture(still, shift):
     pairs = match_features(still, find_features(picture(shift), SENSOR))

@@ -55,6 +55,7 @@ def on_the_plane(pixels, turn):
     return turn.t @ np.cross(x, turn.R.T @ y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", range(6))
 def test_sampson_distance_is_how_far_pixels_are_from_fitting(which):
     """Brute force: the least change of both pixels that puts the pair onto an epipolar plane."""
@@ -148,6 +149,7 @@ def test_what_is_held_stays_and_the_rest_is_found(freedom, t):
 # --- Least squares --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_poselib_and_plain_least_squares_agree():
     """Five points by PoseLib from the first few true pairs, then angles to epipolar planes, unweighted, all pairs."""
     pairs = draw(TURN, 600, noise_px=0.2, seed=7)

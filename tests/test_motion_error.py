@@ -87,6 +87,7 @@ def test_a_floor_is_found_among_other_things():
     assert find_floor(x[:15], w[:15], np.array([1.0, 0, 0])) is None
 
 
+@pytest.mark.slow
 def test_its_height_moves_with_the_motion_as_predicted():
     draws = np.random.default_rng(3)
     x, w, _ = room(draws, 3.0)

@@ -89,6 +89,7 @@ def test_mirrors_at_their_default_are_not_turned() -> None:
     assert (shifted == np.sign(project(mounted(PINHOLE, looks="forward"), ahead)[0] - [80.5, 59])).all()
 
 
+@pytest.mark.slow
 def test_a_mirror_that_hangs_is_one_turned_over() -> None:
     """Upside down the mirror looks up: the same as a roll of 180°, which takes y and z to their negatives."""
     field = FieldOfView(elevation_min_deg=-20, elevation_max_deg=75)
@@ -166,6 +167,7 @@ def test_mirrored_flips_the_image(which: str) -> None:
 # --- Rendering ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [{"yaw_deg": 30.0}, {"yaw_deg": -70.0, "pitch_deg": 12.0, "roll_deg": -8.0}])
 def test_rendered_through_a_turned_mount_and_from_a_turned_pose(keys: dict[str, float]) -> None:
     """Rays are turned by the mount and then by no pose, or by the pose alone: they differ by 1e-16, and so may which
@@ -180,6 +182,7 @@ def test_rendered_through_a_turned_mount_and_from_a_turned_pose(keys: dict[str, 
     assert difference.max() < 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", AXES)
 def test_shortcut_equals_every_sample_through_any_mount(which: str) -> None:
     """Outlines are found where a mounted camera sees them: a missed one would show as half its contrast."""

@@ -69,6 +69,7 @@ def test_a_path_has_its_length_and_direction():
         assert mean == pytest.approx([330, 150], abs=0.05)
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(
     st.builds(

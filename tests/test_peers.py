@@ -224,6 +224,7 @@ def constant(t, disparity_px, R=None, turned=0.0):
     return replace(pair, images=(images[0], images[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t", BASELINES)
 @pytest.mark.parametrize(
     ("matcher", "disparity_px", "tolerance_px"),
@@ -420,6 +421,7 @@ def test_without_opencv_it_says_what_to_install(monkeypatch, kind, module):
     assert str(error.value) == f"{kind}: needs the extra: pip install 'omnirange[peers]'"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cv2")
 def test_a_lens_that_omnidir_has_not_is_fitted():
     """A k3 changes nothing but what `opencv-reconstruct` is given, and that is said."""

@@ -112,6 +112,7 @@ def test_a_misaligned_table_of_the_hyperboloid_is_the_misaligned_hyperboloid():
         assert np.linalg.norm(origins - others[0], axis=-1)[both].max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("misalignment", [Misalignment(), SLIGHT], ids=["aligned", "misaligned"])
 def test_a_sphere_against_its_quadratic(misalignment):
     """The nearer root of `|C + s d - (0, 0, R)| = R`, and the normal along the radius."""
@@ -246,6 +247,7 @@ def test_a_mirror_that_is_not_convex():
 # --- The nearest central sensor -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_table_of_the_hyperboloid_has_a_central_sensor():
     best = best_central(Sensor(profile=hyperboloid_table(Mirror(), 3000)))
     assert best.rms_px < 1e-3

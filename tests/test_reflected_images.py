@@ -129,6 +129,7 @@ def test_against_a_slow_ray_tracer(pose):
     assert apart.max() < 1e-3  # the textures are float32
 
 
+@pytest.mark.slow
 def test_a_face_in_the_plane_of_the_viewpoint():
     """It has no homography from there, but the mirror, which is two centimetres wide, sees it on one side."""
     wall = Plane(
@@ -223,6 +224,7 @@ def test_a_camera_that_looks_past_its_mirror_is_refused():
     assert caught.value.key == "trial.sensor.misalignment"
 
 
+@pytest.mark.slow
 def test_a_view_of_its_own(tmp_path):
     view = harness.render("box", sensor={"misalignment": {"x_mm": 1.0}}, samples=1)
     np.testing.assert_allclose(np.linalg.norm(view.points_m, axis=-1), view.range_m)

@@ -103,6 +103,7 @@ def shortest_path_pixel(sensor: Sensor, point: np.ndarray) -> np.ndarray:
     return np.array([u, camera.focal_px * camera.aspect * n + camera.cy_px])
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(sensors(), st.floats(0.05, 20), st.floats(-math.pi, math.pi), st.floats(-1.2, 0.2))
 def test_the_pixel_is_that_of_the_shortest_path(
@@ -126,6 +127,7 @@ def test_most_of_those_points_have_a_pixel() -> None:
     assert np.nanmax(np.abs(project_points(sensor, 1e6 * points)[0] - project_points(sensor, 1e7 * points)[0])) < 1e-4
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(sensors(), st.floats(0.1, 10))
 def test_derivatives_are_those_of_differences(sensor: Sensor, range_m: float) -> None:

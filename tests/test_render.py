@@ -43,6 +43,7 @@ def noise(seed, tile_m=4.0):
     return NoiseTexture(kind="noise", seed=seed, tile_m=tile_m, shortest_m=0.1, longest_m=1.0, size_px=256)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("pose", POSES, ids=["first", "second", "turned"])
 def test_shortcut_equals_every_sample(name, pose):
@@ -88,6 +89,7 @@ def random_scene(seed):
     return Scene(name=f"random {seed}", objects=tuple(objects))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_shortcut_equals_every_sample_in_random_scenes(seed):
     scene = random_scene(seed)

@@ -277,6 +277,7 @@ def test_a_report_without_the_files_of_its_scene_says_what_is_left_out(tmp_path,
     assert (out / "summary.json").read_text(encoding="utf-8").count("wall") >= 1
 
 
+@pytest.mark.slow
 def test_methods_beyond_those_that_fit_a_page_are_named(tmp_path, capsys):
     experiment, out = toml(tmp_path), tmp_path / "out"
     kinds = "window,column,sgm,slanted,opencv-bm,opencv-sgbm,opencv-reconstruct"

@@ -42,6 +42,7 @@ def test_only_an_image_that_goes_round_has_a_seam():
     assert seam_px(half) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["box", "room"])
 def test_image_is_every_sample_of_it(name):
     """At the seam, at the poles, where pixels are narrow, and at edges across both."""

@@ -152,6 +152,7 @@ def test_a_path_runs_around_the_row_until_it_repeats_itself():
     assert set(best[1]) == {20}
 
 
+@pytest.mark.slow
 def test_without_penalties_every_pixel_is_on_its_own():
     costs, first, last, _ = any_costs(4)
     matcher = SemiGlobal(p1_bits=0, p2_bits=0)
@@ -308,6 +309,7 @@ def sphere(looking_1, looking_2, t, seed):
     return [np.clip(128 + 12 * np.sin(p @ waves.T + phases).sum(axis=-1), 0, 255) for p in points]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t", DIRECTIONS)
 @pytest.mark.parametrize(("subpixel", "typical_px"), [("none", 0.3), ("parabola", 0.15), ("v", 0.15)])
 def test_a_sphere_is_found_in_any_direction_of_t(t, subpixel, typical_px):
@@ -435,6 +437,7 @@ def test_impossible_settings_are_refused(wrong, message):
         SemiGlobal(**wrong)
 
 
+@pytest.mark.slow
 def test_the_largest_path_costs_fit_into_their_numbers():
     """Costs of nothing but 0 and the most, with the largest P1 and P2 that are allowed."""
     draws = np.random.default_rng(12)

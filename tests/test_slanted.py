@@ -165,6 +165,7 @@ def test_samples_lie_where_the_sensor_sees_the_point(lens):
     np.testing.assert_allclose(value[known], expected, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", [Lens(), LENS])
 def test_slope_is_the_derivative(lens):
     sensor, there = SENSOR.model_copy(update={"lens": lens}), motion()
@@ -242,6 +243,7 @@ def test_gain_and_offset_do_not_matter():
     assert np.quantile(difference, 0.99) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 3])
 def test_threads_change_nothing(threads):
     there = motion()

@@ -50,6 +50,7 @@ def test_an_arm_is_found_and_nothing_else(parallel):
     assert used[~around].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["box", "corridor", "room"])
 @pytest.mark.parametrize(
     "second",

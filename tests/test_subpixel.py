@@ -154,6 +154,7 @@ def test_images_recover_the_shift(kind, cost):
         assert np.median(np.abs(error)) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch_px", [0.5, 0.25])
 def test_images_recover_the_shift_at_any_pitch(pitch_px):
     for k in FRACTIONS[::2]:
@@ -175,6 +176,7 @@ def test_images_recover_the_shift_along_alpha():
     assert np.median(np.abs(error)) < 0.01  # as above; a column is a step of alpha_2 here, within 5 %
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["window", "column"])
 @examples(deadline=None, max_examples=5)
 @given(gain=st.floats(0.5, 1.6), offset=st.floats(-40, 40))
@@ -253,6 +255,7 @@ def test_half_samples_of_squares_are_bilinear():
             assert made[row, column_1, n] == pytest.approx(np.abs(own - there).sum(), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_every_step_leaves_search_and_confidence_alone():
     first, second = views(5.6)
     for kind in ("window", "column"):
