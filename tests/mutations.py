@@ -186,7 +186,7 @@ def _vary(table: dict[str, Any], draw: random.Random) -> None:
     if draw.random() < 0.6 and isinstance(table.setdefault("axes", {}), dict):
         table["axes"][key] = copy.deepcopy(values)
     elif isinstance(table.setdefault("cases", []), list):
-        table["cases"].append({key: copy.deepcopy(draw.choice(ODD))})
+        table["cases"].append({"name": f"case {len(table['cases'])}", key: copy.deepcopy(draw.choice(ODD))})
 
 
 def _garbled(data: bytes, draw: random.Random) -> bytes:

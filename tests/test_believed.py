@@ -1,7 +1,5 @@
 """Wrong beliefs of a rig: what they do to the range is what propagation says, and the budget's figures add up."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -22,6 +20,7 @@ from harness.pipeline.error_budget import Z_EDGES
 from harness.pipeline.row import row_of
 from harness.pipeline.trial import run_trial
 from harness.runs.budgets import budget_of
+from harness.runs.experiment import Planned
 from harness.runs.load import load_experiment
 
 SMALL = [
@@ -144,7 +143,7 @@ def test_a_pooled_histogram_gives_its_share():
     counts = [np.histogram(np.abs(1.3 * rng.standard_normal(20_000)), Z_EDGES)[0].tolist() for _ in range(9)]
 
     unit = np.histogram(np.abs(rng.standard_normal(200_000)), Z_EDGES)[0].tolist()
-    planned = SimpleNamespace(method=("slanted", "own"), coordinates={"seed": 0})
+    planned = Planned("", {"seed": 0}, trial(), ("slanted", "own"))
     entry = {"range_bin": 2, "pixels": 20_000, "predicted_m": {"matching": 0.01}, "total_m": 0.01}
     (result,) = budget_of((planned, {"budget": [entry | {"z": each, "z_drawn": unit}]}) for each in counts)
     assert result["measured_m"] == pytest.approx(0.013, rel=0.01)

@@ -82,9 +82,14 @@ def test_scenes_as_an_axis_with_a_key_of_their_own(tmp_path: Path) -> None:
 
 
 def test_cases_are_taken_as_they_are_and_multiplied_by_axes(tmp_path: Path) -> None:
-    rest = '[axes]\nseed = [1, 2]\n[[cases]]\n"noise.sigma_grey" = 5\n[[cases]]\n"view_2.baseline_m" = 0.2\n'
+    rest = "[axes]\nseed = [1, 2]\n"
+    rest += '[[cases]]\nname = "noisy"\n"noise.sigma_grey" = 5\n[[cases]]\nname = "near"\n"view_2.baseline_m" = 0.2\n'
     planned = load_experiment(str(write_small(tmp_path / "e.toml", rest))).planned
-    assert [tuple(each.coordinates.values()) for each in planned] == [
+    assert [each.coordinates for each in planned] == [
+        {"case": name, "seed": seed} for name in ("noisy", "near") for seed in (1, 2)
+    ]
+    trials = [each.trial for each in planned]
+    assert [(each.seed, each.noise.sigma_grey, each.view_2.baseline_m) for each in trials] == [
         (1, 5, 0.5),
         (2, 5, 0.5),
         (1, 0.0, 0.2),
@@ -201,14 +206,31 @@ def test_all_that_there_is_has_a_line(arguments: list[str], capsys: pytest.Captu
             "axes.scene: 'bx': no such scene; did you mean 'box'? Otherwise give the path of a TOML file or one of",
         ),
         ("[axes]\nseed = [1, 2, 1]\n", "axes: two trials are the same: seed = 1, and seed = 1; remove one"),
-        ('[[cases]]\n"noise.sigma" = 3\n', "cases[0].noise.sigma: unknown key 'sigma'; did you mean 'sigma_grey'?"),
-        ("[[cases]]\nseed = 2\n[[cases]]\nseed = -1\n", "cases[1].seed: must be at least 0; found -1"),
-        ("[[cases]]\nseed = 2\n[[cases]]\nseed = 2\n", "cases[1]: two trials are the same: seed = 2, and seed = 2"),
         (
-            "[axes]\nseed = [1]\n[[cases]]\nseed = 2\n",
+            '[[cases]]\nname = "a"\n"noise.sigma" = 3\n',
+            "cases[0].noise.sigma: unknown key 'sigma'; did you mean 'sigma_grey'?",
+        ),
+        (
+            '[[cases]]\nname = "a"\nseed = 2\n[[cases]]\nname = "b"\nseed = -1\n',
+            "cases[1].seed: must be at least 0; found -1",
+        ),
+        (
+            '[[cases]]\nname = "a, 1"\nseed = 2\n[[cases]]\nname = "b"\nseed = 2\n',
+            'cases[1]: two trials are the same: case = "a, 1", and case = b; remove one',
+        ),
+        (
+            '[axes]\nseed = [1]\n[[cases]]\nname = "a"\nseed = 2\n',
             "cases[0].seed: this key is also an axis; give it only once",
         ),
-        ("[[cases]]\n", "cases[0]: "),
+        ("[[cases]]\n", 'cases[0].name: is missing; give the case a name, such as name = "1280x960, 0.3 m"'),
+        ("[[cases]]\nname = 3\n", "cases[0].name: must be text; found 3"),
+        ('[[cases]]\nname = " "\n', "cases[0].name: must have 1 to 60 letters in one line, without space at its ends"),
+        (f'[[cases]]\nname = "{61 * "x"}"\n', "cases[0].name: must have 1 to 60 letters in one line, without space"),
+        ('[[cases]]\nname = "a\\nb"\n', "cases[0].name: must have 1 to 60 letters in one line"),
+        (
+            '[[cases]]\nname = "a"\nseed = 2\n[[cases]]\nname = "a"\nseed = 3\n',
+            "cases[1].name: 'a' is the name of cases[0] too; give each its own",
+        ),
     ],
 )
 def test_a_bad_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str], rest: str, said: str) -> None:
@@ -246,10 +268,10 @@ def test_a_bad_option(
 
 
 def test_a_case_cannot_be_overruled(tmp_path: Path) -> None:
-    path = str(write_small(tmp_path / "e.toml", "[[cases]]\nseed = 2\n"))
-    with pytest.raises(InputError, match=r"--set: seed: cases\[0\] gives this key"):
+    path = str(write_small(tmp_path / "e.toml", '[[cases]]\nname = "two"\nseed = 2\n'))
+    with pytest.raises(InputError, match=r"--set: seed: cases\[0\] \('two'\) gives this key"):
         load_experiment(path, sets=["seed=3"])
-    with pytest.raises(InputError, match=r"--axis: seed: cases\[0\] gives this key"):
+    with pytest.raises(InputError, match=r"--axis: seed: cases\[0\] \('two'\) gives this key"):
         load_experiment(path, axes=["seed=3"])
 
 

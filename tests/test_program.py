@@ -450,7 +450,8 @@ def test_patterns_that_match_nothing_are_refused(tmp_path: Path) -> None:
 
 def test_files_are_relative_to_the_experiment(tmp_path: Path) -> None:
     (tmp_path / "w.npy").write_text("1")
-    case = '[[cases]]\n"matching.kind" = "program"\n"matching.command" = ["python3", "{input}", "{output}"]\n'
+    case = '[[cases]]\nname = "mine"\n"matching.kind" = "program"\n'
+    case += '"matching.command" = ["python3", "{input}", "{output}"]\n'
     path = write_small(tmp_path / "e.toml", case + '"matching.files" = ["*.npy"]\n')
     (planned,) = load_experiment(str(path)).planned
     (tmp_path / "w.npy").write_text("2")

@@ -97,7 +97,7 @@ def test_refused_before_a_run(
             "{file}: axes.matching.kind: absent:f: there is no module",
         ),
         (
-            '[[cases]]\n"matching.kind" = "absent:f"',
+            '[[cases]]\nname = "a"\n"matching.kind" = "absent:f"',
             "{file}: cases[0].matching.kind: absent:f: there is no module abse",
         ),
     ],

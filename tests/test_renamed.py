@@ -148,14 +148,15 @@ def test_experiment_and_options() -> None:
         "name": "x",
         "trial": {"scene": "box", "sensor": {"mirror": {"a_m": 0.03}}},
         "axes": {"sensor.mirror.b_m": [0.02, 0.03]},
-        "cases": [{"sensor.mirror.a_m": 0.025}, {"sensor": {"mirror": {"a_m": 0.03}}}],
+        "cases": [{"name": "a", "sensor.mirror.a_m": 0.025}, {"name": "b", "sensor": {"mirror": {"a_m": 0.03}}}],
     }
     with pytest.warns(Notice, match=rf"trial\.sensor\.mirror, axes\.sensor\.mirror\.b_m, cases.*: {MIRROR}") as said:
         experiment = load_experiment(table)
     assert len(said) == 1
     assert experiment.axes == {"sensor.model.b_m": [0.02, 0.03]}
     places = [each.coordinates for each in experiment.planned]
-    assert [list(place) for place in places] == [["sensor.model.b_m", "sensor.model.a_m", "sensor"]] * 4
+    assert [list(place) for place in places] == [["case", "sensor.model.b_m"]] * 4
+    assert [list(case) for case in experiment.cases] == [["name", "sensor.model.a_m"], ["name", "sensor"]]
     assert experiment.planned[0].trial.sensor.model.a_m == 0.025
 
     plain = {"name": "x", "trial": {"scene": "box"}, "axes": {"sensor.model.b_m": [0.02]}}

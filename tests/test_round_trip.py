@@ -88,6 +88,7 @@ CASES = [{"noise.sigma_grey": 1.5}, {"matching": {"d_max_m": math.inf}}]
     st.lists(st.sampled_from(CASES), max_size=2, unique_by=str),
 )
 def test_the_written_experiment_plans_the_same_trials(axes: dict, cases: list) -> None:
+    cases = [{"name": f"case {number}", **case} for number, case in enumerate(cases)]
     if any("matching" in case for case in cases):
         axes.pop("matching.d_max_m", None)
     experiment = Experiment(name="x", trial=Trial(scene=SCENE), axes=axes, cases=cases)
@@ -103,7 +104,7 @@ def test_the_written_experiment_plans_the_same_trials(axes: dict, cases: list) -
     "rest",
     [
         '[axes]\n"matching.d_max_m" = [5, 10, inf]\n',
-        '[[cases]]\n"matching.d_max_m" = inf\n[[cases]]\n"matching.d_max_m" = 5\n',
+        '[[cases]]\nname = "a"\n"matching.d_max_m" = inf\n[[cases]]\nname = "b"\n"matching.d_max_m" = 5\n',
         '[axes]\nmatching = [{ kind = "m:f", parameters = { a = inf, b = [-inf, nan] } }]\n',
     ],
 )

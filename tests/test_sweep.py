@@ -194,7 +194,8 @@ def test_report_from_the_folder_alone(room: Path, whole: bytes) -> None:
 def test_a_trial_that_fails(room: Path) -> None:
     write_small(
         room / "failing.toml",
-        '[[cases]]\n"view_2.baseline_m" = 0.3\n[[cases]]\n"view_2.baseline_m" = 50.0\n[[cases]]\nseed = 7\n',
+        '[[cases]]\nname = "near"\n"view_2.baseline_m" = 0.3\n[[cases]]\nname = "far"\n"view_2.baseline_m" = 50.0\n'
+        '[[cases]]\nname = "7"\nseed = 7\n',
         name="failing",
     )
     out = room / "failing"
@@ -205,7 +206,7 @@ def test_a_trial_that_fails(room: Path) -> None:
     )
     trials = table(out / "trials.csv")
     assert [trial["state"] for trial in trials] == ["done", "failed", "done"]
-    assert [trial["view_2.baseline_m"] for trial in trials] == ["0.3", "50.0", "0.5"]  # a case's own, or the base's
+    assert [trial["case"] for trial in trials] == ["near", "far", '"7"']  # text that reads as a number is quoted
     assert [trial["density"] != "" for trial in trials] == [True, False, True]
     failures = table(out / "failures.csv")
     assert len(failures) == 1

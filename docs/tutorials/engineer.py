@@ -19,8 +19,8 @@ import harness
 # Compare rigs
 # ------------
 #
-# A rig is a few keys of an experiment. Here are two resolutions as *cases* and four baselines as an *axis*, all with
-# 3 grey levels of noise and the ``column`` matcher. (See :doc:`/reference/settings` for what else can vary: the
+# A rig is a few keys of an experiment. Here are two resolutions as named *cases* and four baselines as an *axis*, all
+# with 3 grey levels of noise and the ``column`` matcher. (See :doc:`/reference/settings` for what else can vary: the
 # mirror, the lens, the field of view.)
 
 
@@ -46,11 +46,11 @@ rigs = harness.run(
             "render": {"samples": 4},
             "matching": {"kind": "column", "d_min_m": 0.8},
         },
-        "cases": [camera(320, 240), camera(640, 480)],
         "axes": {"view_2.baseline_m": [0.1, 0.2, 0.4, 0.8]},
-    }
+    },
+    cases={"320x240": camera(320, 240), "640x480": camera(640, 480)},
 )
-table = rigs.trials[["sensor.camera.width_px", "view_2.baseline_m", "density", "range_median_abs_m", "bad_1px"]]
+table = rigs.trials[["case", "view_2.baseline_m", "density", "range_median_abs_m", "bad_1px"]]
 table.reset_index(drop=True).round(3)
 
 # %%
@@ -59,10 +59,8 @@ table.reset_index(drop=True).round(3)
 # is about: compare both.
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
-for (width, rows), color, marker in zip(
-    table.groupby("sensor.camera.width_px"), ("#E69F00", "#0072B2"), ("o", "s"), strict=True
-):
-    style = {"color": color, "marker": marker, "label": f"{width} px wide"}
+for (name, rows), color, marker in zip(table.groupby("case"), ("#E69F00", "#0072B2"), ("o", "s"), strict=True):
+    style = {"color": color, "marker": marker, "label": name}
     axes[0].plot(rows["view_2.baseline_m"], 1000 * rows["range_median_abs_m"], **style)
     axes[1].plot(rows["view_2.baseline_m"], 100 * rows["density"], **style)
 axes[0].set(xlabel="baseline, m", ylabel="median error of the range, mm", yscale="log", xscale="log")

@@ -22,9 +22,10 @@ def load_experiment(
     experiment: str | Path | Mapping[str, Any] | Experiment,
     *,
     axes: Mapping[str, Sequence[Any]] | None = None,
+    cases: Mapping[str, Mapping[str, Any]] | None = None,
     sets: Mapping[str, Any] | None = None,
 ) -> Experiment:
-    """Read an experiment, with changed axes and settings.
+    """Read an experiment, with changed axes, cases and settings.
 
     Parameters
     ----------
@@ -32,6 +33,8 @@ def load_experiment(
         A shipped name, the path of a TOML file, a table like that of a file, or an experiment.
     axes
         Dotted keys of a trial and the values of each: further axes, or other values of an existing one.
+    cases
+        Names, each with dotted keys of a trial and their values: cases instead of the experiment's own.
     sets
         Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
 
@@ -49,10 +52,13 @@ def load_experiment(
     >>> import harness
     >>> harness.load_experiment("paper", axes={"matching.window_px": [7, 11]})
     Experiment('paper', 4 trials: matching.subpixel (2), matching.window_px (2))
+    >>> rigs = {"1280x960, 0.3 m": {"view_2.baseline_m": 0.3, "noise.sigma_grey": 4}, "as it is": {}}
+    >>> harness.load_experiment("paper", cases=rigs)
+    Experiment('paper', 4 trials: matching.subpixel (2), 2 cases)
     >>> harness.load_experiment({"name": "mine", "trial": {"scene": "corridor"}}).trial.matching.window_px
     11
     """
-    return _load.load_experiment(experiment, sets or {}, axes or {})
+    return _load.load_experiment(experiment, sets or {}, axes or {}, cases)
 
 
 def load_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:

@@ -1,6 +1,6 @@
 """Running an experiment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,14 @@ from harness.pipeline.maps import FOLDER, prepare_folder
 from harness.runs.executors import backend_for
 from harness.runs.experiment import Experiment
 from harness.runs.run import open_run, rows_of, run_plan, run_status, write_tables
-from harness.runs.store import Store
+from harness.runs.store import Finished, Store
 
 
 def run(
     experiment: str | Path | Mapping[str, Any] | Experiment,
     *,
     axes: Mapping[str, Sequence[Any]] | None = None,
+    cases: Mapping[str, Mapping[str, Any]] | None = None,
     sets: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
     workers: int | None = None,
@@ -34,16 +35,17 @@ def run(
     experiment
         A shipped name, the path of a TOML file, a table like that of a file, or an experiment.
     axes
-        Dotted keys of a trial and the values of each: further axes, or other values of an existing one.
+        Dotted keys of a trial and the values of each: further axes, or other values of one that is there.
+    cases
+        Names, each with dotted keys of a trial and their values: cases instead of the experiment's own.
     sets
         Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
     out
-        The run's folder: trials are stored there as they finish, and the same call resumes an interrupted run. When
-        None, the run is in memory.
+        The run's folder, in which an interrupted run is resumed; when None, the run is in memory.
     workers
         Number of processes; when None, as many as save time.
     keep_arrays
-        Whether to store every trial's maps in `out`, from which `result.outcome` reads them.
+        Whether to store every trial's maps in `out`.
     progress
         Whether to show progress; when None, in a terminal and in a notebook.
 
@@ -70,7 +72,7 @@ def run(
     2                   7              none    0.738
     3                   7          parabola    0.738
     """
-    experiment = load_experiment(experiment, axes=axes, sets=sets)
+    experiment = load_experiment(experiment, axes=axes, cases=cases, sets=sets)
     if workers is not None and workers < 1:
         raise InputError(f"must be at least 1; found {workers}", key="workers")
     if keep_arrays and out is None:
@@ -80,20 +82,23 @@ def run(
         if folder is not None:
             make_folder(folder)
         store = stack.enter_context(Store() if folder is None else open_run(experiment, folder))
-        maps = prepare_folder(folder / FOLDER) if folder is not None and keep_arrays else None
+        maps = prepare_folder(folder / FOLDER) if folder and keep_arrays else None
         before = run_status(experiment, store, maps)
         left = before.plan
         if left.trials:
-            bar = None
-            if someone_watches() if progress is None else progress:
-                bar = stack.enter_context(Progress(experiment.name, before.total, before.done))
-            backend = backend_for(left.total_s, len(left.trials), workers)
-            run_plan(left, store, backend, bar.update if bar else lambda _: None, maps)
+            shown = someone_watches() if progress is None else progress
+            bar = stack.enter_context(Progress(experiment.name, before.total, before.done)) if shown else None
+            run_plan(left, store, backend_for(left.total_s, len(left.trials), workers), _told(bar), maps)
             if bar:
                 bar.finish()
         rows = rows_of(experiment, store)
-        if folder is not None:
+        if folder:
             write_tables(experiment, store, folder)
     if all(row.state == "failed" for row in rows):
         raise InputError(rows[0].finished.message)
     return RunResult(experiment, rows, folder)
+
+
+def _told(bar: Progress | None) -> Callable[[Sequence[Finished]], None]:
+    """What is called with trials as they finish."""
+    return bar.update if bar else lambda _: None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from harness import interrupts
 from harness.cli.exits import FAILED, OK
-from harness.cli.tables import methods_table
+from harness.cli.tables import cases_table, methods_table
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -93,6 +93,9 @@ def show(summary: dict[str, Any], folder: Path) -> None:
     console = Console()
     if summary["comparison"]:
         console.print(methods_table(summary))
+    if summary.get("cases") and not summary.get("labels"):  # where cases name methods, they are in the table above
+        console.print()
+        console.print(cases_table(summary))
     if summary.get("conclusions"):
         console.print()
     for each in summary.get("conclusions", ()):

@@ -4,6 +4,7 @@ import json
 import os
 import warnings
 from argparse import Namespace
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,6 +98,7 @@ def run(options: Namespace) -> int:
 def _dry_run(experiment: "Experiment") -> int:
     from harness.machine import available_cpus
     from harness.pipeline.sight import check_sight
+    from harness.runs.cases import CASE
     from harness.runs.plan import plan
 
     # The first trial of each pair of sensors: what would be refused, or noticed, when it is run.
@@ -113,4 +115,8 @@ def _dry_run(experiment: "Experiment") -> int:
         f"{experiment.name}: {len(whole.trials)} trials, {whole.renders} distinct renders, "
         f"about {duration(seconds)} on {available_cpus()} CPUs ({guess})"
     )
+    counts = Counter(each.coordinates.get(CASE) for each in experiment.planned)
+    for name, count in counts.items():
+        if name is not None:
+            print(f"  case {name}: {count} trial{'s' * (count != 1)}")
     return OK

@@ -22,8 +22,6 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     """
     from rich.markup import escape
 
-    from harness.evaluation.metric_table import METRICS
-
     count = len(summary["comparison"])
     who = {1: "the method", 2: "both methods"}.get(count, "all methods")
     which = ", the base trial" if summary["trials"]["total"] > count else ""
@@ -31,18 +29,57 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     table = _table(title)
     table.add_column("\npixels", no_wrap=True)
     table.add_column("\nmethod", overflow="fold")  # the only column that may wrap: names can be long
-    columns = [METRICS[name] for name in _SHOWN]
-    for each in columns:
-        table.add_column(_in_two_lines(each), justify="right", no_wrap=True)
+    columns = _add_figures(table)
+    names = {"pixel": "whole pixels", "subpixel": "sub-pixel"} | summary.get("labels", {})
     for key, where in (("comparison_wall", "walls"), ("comparison", "all")):
         for method, m in summary[key].items():
             table.add_row(
                 where,
-                escape({"pixel": "whole pixels", "subpixel": "sub-pixel"}.get(method, method)),
+                escape(names.get(method, method)),
                 *(_figure(m[each.name], each) for each in columns),
             )
         table.add_section()
     return table
+
+
+def cases_table(summary: dict[str, Any]) -> "Table":
+    """A table of the main figures of a run's named cases, a line for each case, and method where there are several.
+
+    Parameters
+    ----------
+    summary
+        As in `summary.json`.
+    """
+    from rich.markup import escape
+
+    from harness.evaluation.metric_table import METRICS
+
+    cases = summary["cases"]
+    methods = {(each["matcher"], each["subpixel"]) for each in cases}
+    table = _table(f"{escape(summary['experiment'])}: means over the trials of each case")
+    longest = max(len(word) for each in cases for word in each["case"].split())
+    table.add_column("\ncase", min_width=longest)  # names wrap between words, and never inside one
+    if len(methods) > 1:
+        table.add_column("\nmethod", overflow="fold")
+    columns = _add_figures(table)
+    for each in cases:
+        method = each["matcher"] if each["subpixel"] == "own" else f"{each['matcher']} {each['subpixel']}"
+        table.add_row(
+            escape(each["case"]),
+            *([escape(method)] if len(methods) > 1 else []),
+            *(_figure(each[column.name], METRICS[column.name]) for column in columns),
+        )
+    return table
+
+
+def _add_figures(table: "Table") -> list["Metric"]:
+    """Add the columns of the main figures."""
+    from harness.evaluation.metric_table import METRICS
+
+    columns = [METRICS[name] for name in _SHOWN]
+    for each in columns:
+        table.add_column(_in_two_lines(each), justify="right", no_wrap=True)
+    return columns
 
 
 def differences_table(lines: Iterable[Sequence[str]]) -> "Table":

@@ -1,6 +1,6 @@
 """The methods that a report compares: what they are called and how they are drawn."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.runs.experiment import Planned
-from harness.runs.methods import method_id
+from harness.runs.methods import MethodName, method_id
 from harness.runs.run import by_method, methods_in, names_in
 
 
@@ -49,17 +49,23 @@ class Look(NamedTuple):
     colour: str
 
 
-def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], Look]:
+def looks(pairs: list[tuple[str, str]], labels: Mapping[MethodName, str] | None = None) -> dict[tuple[str, str], Look]:
     """Labels and colour of each method, given as a matcher and its sub-pixel step.
 
     Steps of the window matchers have a colour each, and so has every other matcher with its own step.
+
+    Parameters
+    ----------
+    labels
+        What methods are called by the cases that name them.
     """
+    given = labels or {}
     drawn_as = [step if matcher in _WINDOWS else f"{matcher} {step}" for matcher, step in pairs]
     spare = iter(theme.SPARE * len(pairs))
     colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
     several = len({matcher for matcher, _ in pairs}) > 1
     refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
-    labels, steps = [], []
+    said, steps = [], []
     for matcher, step in pairs:
         # "Sub-pixel" is enough where there is one such step.
         label = short = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
@@ -67,26 +73,30 @@ def looks(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], Look]:
             label = short = matcher
         elif several:
             label = f"{matcher}, {short}"
-        labels.append(label)
+        said.append(given.get((matcher, step), label))
         steps.append(short)
     return {
         pair: Look(label, step, colours[name])
-        for pair, label, step, name in zip(pairs, shortened_labels(labels, _LONGEST), steps, drawn_as, strict=True)
+        for pair, label, step, name in zip(pairs, shortened_labels(said, _LONGEST), steps, drawn_as, strict=True)
     }
 
 
-def methods_of(outcomes: list[Outcome], planned: Sequence[Planned] = ()) -> list[Method]:
+def methods_of(
+    outcomes: list[Outcome], planned: Sequence[Planned] = (), labels: Mapping[MethodName, str] | None = None
+) -> list[Method]:
     """The methods of an experiment, in the order in which they were run."""
     named = by_method(outcomes, planned)
-    names = names_of([outcome.trial for outcome in outcomes], planned)
+    names = names_of([outcome.trial for outcome in outcomes], planned, labels)
     return [Method(each.key, each.label, each.colour, named[each.key]) for each in names]
 
 
-def names_of(trials: list[Trial], planned: Sequence[Planned] = ()) -> list[Named]:
+def names_of(
+    trials: list[Trial], planned: Sequence[Planned] = (), labels: Mapping[MethodName, str] | None = None
+) -> list[Named]:
     """The names of the methods of some trials, in their order."""
     names = names_in(trials, planned)
     named = {key: names[method_id(trials[i].matching)] for key, i in methods_in(trials, planned).items()}
-    appearance = looks(list(named.values()))
+    appearance = looks(list(named.values()), labels)
     return [Named(key, appearance[name].label, appearance[name].colour) for key, name in named.items()]
 
 

@@ -1,21 +1,16 @@
 """Comparison of runs: what differs between them, and paired differences of their main figures."""
 
-import csv
-import io
 import itertools
 import json
-import os
-import tomllib
-import warnings
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from harness.errors import InputError, Notice
+from harness.errors import InputError
 from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
@@ -25,46 +20,11 @@ from harness.report.markup import template
 from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
 from harness.report.words import figure
-from harness.runs.values import identity_of, value_of
-from harness.runs.written import read_written
+from harness.report.written_runs import COMPARED, NONE, Run, names_of_folders, read_run
+from harness.runs.cases import CASE
 
-READ = ("experiment.toml", "trials.csv")
-"""Written by every run. They are read rather than the rows, so that runs of other code can be compared."""
-_FACTS = "environment.json"
-"""Written with the summary."""
-
-COMPARED = (
-    "wall_disparity_median_abs_px",
-    "wall_range_median_abs_m",
-    "floor_disparity_median_abs_px",
-    "floor_range_median_abs_m",
-    "disparity_median_abs_px",
-    "range_median_abs_m",
-    "range_rmse_m",
-    "bad_1px",
-    "density",
-)
-"""The metrics that runs are compared by."""
-
-_NONE = identity_of("", None)
 _STEP = "matching.subpixel"
 _STEPS = {"none": "whole pixels", "parabola": "sub-pixel"}
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run as its folder describes it."""
-
-    folder: Path
-    name: str
-    """Unique among the runs compared."""
-    experiment: str
-    settings: list[dict[str, str]]
-    """Settings of each trial: dotted key and the value's `identity_of`; without those that are None."""
-    figures: list[dict[str, float]]
-    """The figures of each trial that is done; NaN where there is none."""
-    facts: dict[str, str]
-    """Versions, machine, hash of the source."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +34,8 @@ class Difference:
     figure: str
     step: str
     """The sub-pixel step that both have; empty if it differs or is not there."""
+    case: str
+    """The case of the trials of both runs; empty where they are of none, or of cases of different names."""
     pairs: int
     first: float
     second: float
@@ -82,6 +44,11 @@ class Difference:
     """Mean of second minus first."""
     between: tuple[float, float] | None
     """Its 95 % interval by bootstrap over seeds; None from one seed."""
+
+    @property
+    def group(self) -> str:
+        """The case and the sub-pixel step, in words; empty where it is of all pairs."""
+        return ", ".join(filter(None, (self.case, _STEPS.get(self.step, self.step))))
 
     @property
     def verdict(self) -> str:
@@ -106,7 +73,8 @@ class Pairing:
     first: Run
     second: Run
     differing: dict[str, tuple[str, str]]
-    """Settings that no trial of one run shares with any of the other; a value in words, or several."""
+    """Settings that no trial of one run shares with any of the other; a value in words, or several. Cases of different
+    names in the place of what they set."""
     pairs: int
     seeds: int
     differences: list[Difference]
@@ -123,7 +91,7 @@ class Comparison:
     html: str
 
     def lines(self) -> Iterator[tuple[str, ...]]:
-        """For a terminal: run, figure with unit, sub-pixel step, first, second, difference with interval, verdict."""
+        """For a terminal: run, figure with unit, case and step, first, second, difference with interval, verdict."""
         for pairing in self.pairings:
             for each in pairing.differences:
                 shown = metric(each.figure)
@@ -132,7 +100,7 @@ class Comparison:
                 yield (
                     pairing.second.name,
                     f"{shown.short}, {shown.unit}".replace("\u00a0", " "),
-                    _STEPS.get(each.step, each.step),
+                    each.group,
                     figure(scale * each.first, form),
                     figure(scale * each.second, form),
                     f"{figure(scale * each.difference, _signed(form))}{span}".replace("\u00a0", " "),
@@ -155,8 +123,8 @@ def build_comparison(*folders: Path) -> Comparison:
     """
     if len(folders) < 2:
         raise InputError("give at least two folders to compare")
-    names = _names(folders)
-    runs = [_read(folder, name) for folder, name in zip(folders, names, strict=True)]
+    names = names_of_folders(folders)
+    runs = [read_run(folder, name) for folder, name in zip(folders, names, strict=True)]
     pairings = [_pair(runs[0], other) for other in runs[1:]]
     with theme.style():
         compared = [[each for each in pairing.differences if each.first] for pairing in pairings]
@@ -176,89 +144,6 @@ def build_comparison(*folders: Path) -> Comparison:
         facts=_fact_table(runs),
     )
     return Comparison(runs, pairings, html)
-
-
-# --- Reading ------------------------------------------------------------------------------------------------------
-
-
-def _names(folders: Sequence[Path]) -> list[str]:
-    """The shortest ends of the paths that are unique."""
-    parts = [Path(os.path.realpath(folder)).parts for folder in folders]  # of links in a circle, too
-    if len(set(parts)) < len(parts):
-        raise InputError(
-            "is given twice", file=next(f for f, p in zip(folders, parts, strict=True) if parts.count(p) > 1)
-        )
-    length = 1
-    while len({each[-length:] for each in parts}) < len(parts):
-        length += 1
-    return ["/".join(each[-length:]) for each in parts]
-
-
-def _read(folder: Path, name: str) -> Run:
-    for file in READ:
-        if not (folder / file).is_file():
-            raise InputError(f"holds no run that can be compared: it has no {file}", file=folder)
-    files, checked = read_written(folder, (*READ, _FACTS))
-    path = folder
-    try:
-        path = folder / "experiment.toml"
-        experiment = tomllib.loads(files["experiment.toml"].decode())
-        base = dict(_flat(experiment["trial"]))
-        path = folder / _FACTS
-        facts = json.loads(files.get(_FACTS, b"{}"))
-        path = folder / "trials.csv"
-        rows = list(csv.DictReader(io.StringIO(files["trials.csv"].decode(), newline="")))
-        run = _run(folder, name, experiment, base, rows, facts)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        why = f"there is no {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"cannot be read as part of a run ({why})", file=path) from error
-    if not checked:
-        warnings.warn(
-            f"{folder}: has no database with the hashes of its tables, so they cannot be checked for changes",
-            Notice,
-            stacklevel=2,
-        )
-    return run
-
-
-def _run(
-    folder: Path,
-    name: str,
-    experiment: dict[str, Any],
-    base: dict[str, str],
-    rows: list[dict[str, str]],
-    facts: dict[str, Any],
-) -> Run:
-    done = [row for row in rows if row["state"] == "done"]
-    keys = dict.fromkeys(itertools.chain(experiment.get("axes", {}), *experiment.get("cases", [])))
-    settings = []
-    for row in done:
-        changed = {key: identity_of(key, value_of(row[key])) for key in keys}
-        # A setting that is a table or a list replaces all that was under it.
-        unchanged = {
-            key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)
-        }
-        settings.append({key: value for key, value in (unchanged | changed).items() if value != _NONE})
-    figures = [{key: _number(row.get(key)) for key in COMPARED} for row in done]
-    packages = facts.pop("packages", {})
-    flat = {key: str(value) for key, value in (facts | packages).items() if key != "finished"}
-    return Run(folder, name, str(experiment["name"]), settings, figures, flat)
-
-
-def _number(text: str | None) -> float:
-    return float(text) if text else float("nan")
-
-
-def _flat(value: Any, above: str = "") -> Iterator[tuple[str, str]]:
-    """Dotted keys; lists of plain values in one piece, as in `trials.csv`."""
-    if isinstance(value, dict):
-        for key, each in value.items():
-            yield from _flat(each, f"{above}.{key}" if above else key)
-    elif isinstance(value, list) and any(isinstance(each, dict | list) for each in value):
-        for index, each in enumerate(value):
-            yield from _flat(each, f"{above}.{index}")
-    else:
-        yield above, identity_of(above, value)
 
 
 # --- Pairing ------------------------------------------------------------------------------------------------------
@@ -286,7 +171,7 @@ def _pair(first: Run, second: Run) -> Pairing:
     return Pairing(
         first,
         second,
-        {key: _in_words(_values(first, key), _values(second, key)) for key in differing},
+        _differing_in_words(first, second, differing),
         len(table),
         len(seeds),
         list(_differences(first, second, table)),
@@ -300,8 +185,21 @@ def _differing(first: Run, second: Run) -> list[str]:
     return [key for key in keys if not _values(first, key) & _values(second, key)]
 
 
+def _differing_in_words(first: Run, second: Run, differing: list[str]) -> dict[str, tuple[str, str]]:
+    """What differs, each with its values in both runs; keys of cases as the cases, where these have other names."""
+    of_cases = {*first.case_keys, *second.case_keys}
+    names = [list(dict.fromkeys(filter(None, run.cases))) for run in (first, second)]
+    if set(names[0]) == set(names[1]) or not of_cases & set(differing):
+        of_cases = set()
+    words = {key: _in_words(_values(first, key), _values(second, key)) for key in differing if key not in of_cases}
+    if not of_cases:
+        return words
+    one, other = ("; ".join(each[:6]) + ("; …" if len(each) > 6 else "") or "none" for each in names)
+    return {CASE: (one, other), **words}
+
+
 def _values(run: Run, key: str) -> set[str]:
-    return {settings.get(key, _NONE) for settings in run.settings}
+    return {settings.get(key, NONE) for settings in run.settings}
 
 
 def _in_words(first: set[str], second: set[str]) -> tuple[str, str]:
@@ -330,6 +228,7 @@ def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Itera
             {
                 "seed": first.settings[a].get("seed", ""),
                 "step": _common_step(first.settings[a], second.settings[b]),
+                "case": first.cases[a] if first.cases[a] == second.cases[b] else "",
                 **{f"first_{key}": value for key, value in first.figures[a].items()},
                 **{f"second_{key}": value for key, value in second.figures[b].items()},
             }
@@ -339,18 +238,20 @@ def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Itera
     if frame.empty:
         return
     for name in COMPARED:
-        for step, part in frame.groupby("step", sort=False):
+        for (case, step), part in frame.groupby(["case", "step"], sort=False):
             known = part.dropna(subset=[f"first_{name}", f"second_{name}"])
             if known.empty:
                 continue
             before, after = known[f"first_{name}"], known[f"second_{name}"]
             mean, span = _mean((after - before).to_numpy(), known["seed"])
-            yield Difference(name, str(step), len(known), float(before.mean()), float(after.mean()), mean, span)
+            yield Difference(
+                name, str(step), str(case), len(known), float(before.mean()), float(after.mean()), mean, span
+            )
 
 
 def _common_step(first: dict[str, str], second: dict[str, str]) -> str:
-    step = first.get(_STEP, _NONE)
-    return "" if step == _NONE or second.get(_STEP, _NONE) != step else str(json.loads(step))
+    step = first.get(_STEP, NONE)
+    return "" if step == NONE or second.get(_STEP, NONE) != step else str(json.loads(step))
 
 
 def _mean(values: Array, seeds: "pd.Series[str]") -> tuple[float, tuple[float, float] | None]:
@@ -373,7 +274,7 @@ def _signed(form: str) -> str:
 def _table(pairing: Pairing) -> Table:
     head = [
         Heading("Figure", text=True),
-        Heading("Step", text=True),
+        Heading("Case, step" if any(each.case for each in pairing.differences) else "Step", text=True),
         Heading("Pairs"),
         Heading(pairing.first.name),
         Heading(pairing.second.name),
@@ -388,7 +289,7 @@ def _table(pairing: Pairing) -> Table:
         rows.append(
             [
                 words(f"{shown.heading} ({shown.unit})"),
-                words(_STEPS.get(each.step, each.step) or "–"),
+                words(each.group or "–"),
                 count(each.pairs),
                 number(each.first, form, scale),
                 number(each.second, form, scale),
@@ -398,10 +299,11 @@ def _table(pairing: Pairing) -> Table:
         )
     data = Data(
         "paired-differences",
-        ["figure", "subpixel", "pairs", "first_mean", "second_mean", "difference", "ci95_low", "ci95_high"],
+        ["figure", "case", "subpixel", "pairs", "first_mean", "second_mean", "difference", "ci95_low", "ci95_high"],
         [
             [
                 each.figure,
+                each.case,
                 each.step,
                 each.pairs,
                 each.first,
@@ -418,17 +320,19 @@ def _table(pairing: Pairing) -> Table:
 @theme.panel
 def _picture(shown: list[Difference]) -> Picture:
     """Differences as shares of the first run's figure, so that all fit on one axis."""
-    steps = list(dict.fromkeys(each.step for each in shown))
+    groups = list(dict.fromkeys(each.group for each in shown))
     names = list(dict.fromkeys(each.figure for each in shown))
-    colours = {"none": theme.PIXEL, "parabola": theme.SUBPIXEL}
-    fig = theme.figure(WIDE, 24 * len(names) + 100)
-    ax = theme.axes(fig, 250, 34, WIDE - 290, 24 * len(names) + 10)
+    colours = {_STEPS["none"]: theme.PIXEL, _STEPS["parabola"]: theme.SUBPIXEL}
+    row, above = max(24, 9 * len(groups) + 6), 12 + 20 * math.ceil(len(groups) / 4)
+    fig = theme.figure(WIDE, row * len(names) + above + 66)
+    ax = theme.axes(fig, 250, above, WIDE - 290, row * len(names) + 10)
     ax.axvline(0, color=theme.TRUTH, linewidth=0.9)
     described = []
-    spare = iter(theme.SPARE)
-    for index, step in enumerate(steps):
-        mine = [each for each in shown if each.step == step]
-        y = np.array([names.index(each.figure) for each in mine]) + 0.22 * (index - (len(steps) - 1) / 2)
+    spare = itertools.cycle(theme.SPARE)
+    for index, group in enumerate(groups):
+        mine = [each for each in shown if each.group == group]
+        apart = min(0.22, 0.8 / len(groups))
+        y = np.array([names.index(each.figure) for each in mine]) + apart * (index - (len(groups) - 1) / 2)
         share = np.array([100 * each.difference / abs(each.first) for each in mine])
         spans = np.array(
             [
@@ -436,8 +340,8 @@ def _picture(shown: list[Difference]) -> Picture:
                 for each in mine
             ]
         )
-        colour = colours.get(step) or next(spare)
-        label = _STEPS.get(step, step) or "all pairs"
+        colour = colours.get(group) or next(spare)
+        label = group or "all pairs"
         ax.hlines(y, spans[:, 0], spans[:, 1], color=colour, linewidth=1.6)
         ax.plot(share, y, "o", color=colour, markersize=5, label=theme.plain(label))
         described += [
@@ -451,7 +355,7 @@ def _picture(shown: list[Difference]) -> Picture:
     ax.set_axisbelow(True)
     ax.set_xlabel("second run against the first (% of the first run’s mean)")
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:+g}".replace("-", "−") if value else "0")
-    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=len(steps), borderaxespad=0.3)
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=min(len(groups), 4), borderaxespad=0.3)
     return theme.picture(fig, f"Paired differences as shares of the first run’s mean: {'; '.join(described)}.")
 
 

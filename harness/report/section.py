@@ -37,9 +37,9 @@ class Context:
     @classmethod
     def of(cls, result: Result) -> "Context":
         """What the report of a result is made from."""
-        planned = result.experiment.planned
-        methods = methods_of(result.outcomes, planned)
-        named = names_of(result.details.trials, planned)
+        planned, labels = result.experiment.planned, result.experiment.method_labels
+        methods = methods_of(result.outcomes, planned, labels)
+        named = names_of(result.details.trials, planned, labels)
         return cls(
             result=result,
             sweep=sweep_of(result),

@@ -1,7 +1,7 @@
 """A sweep as tables: its methods, its axes, and the figures of all its trials."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -13,7 +13,8 @@ from harness.display import shortened_labels
 from harness.report import theme
 from harness.report.method_styles import looks
 from harness.runs.analysis import law_condition, noise_condition
-from harness.runs.methods import METHOD_KEYS
+from harness.runs.cases import CASE
+from harness.runs.methods import METHOD_KEYS, MethodName
 from harness.runs.run import Result, Row
 from harness.runs.values import Settings, identity_of, shown, text_of
 
@@ -148,7 +149,9 @@ def sweep_of(result: Result) -> Sweep:
     """The tables of a run."""
     done = [row for row in result.rows if row.state == "done"]
     payloads = [row.payload for row in done]
-    varying = {key: values for key, values in values_of(result.rows).items() if key not in NOT_AN_AXIS}
+    labels = result.experiment.method_labels
+    not_axes = (*NOT_AN_AXIS, *([CASE] if labels else []))
+    varying = {key: values for key, values in values_of(result.rows).items() if key not in not_axes}
     axes = [Axis(key, _ordered(values)) for key, values in varying.items() if len(values) > 1]
     index = {axis.key: {identity_of(axis.key, value): i for i, value in enumerate(axis.values)} for axis in axes}
     records = []
@@ -166,7 +169,7 @@ def sweep_of(result: Result) -> Sweep:
         )
     trials = pd.DataFrame(records)
     return Sweep(
-        methods=_method_styles(trials),
+        methods=_method_styles(trials, labels),
         axes=axes,
         seeds=sorted(int(seed) for seed in trials["seed"].unique()),
         trials=trials,
@@ -223,11 +226,11 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value)
 
 
-def _method_styles(trials: pd.DataFrame) -> list[MethodStyle]:
+def _method_styles(trials: pd.DataFrame, labels: Mapping[MethodName, str]) -> list[MethodStyle]:
     pairs = list(dict.fromkeys(zip(trials["matcher"], trials["subpixel"], strict=True)))
     matchers, steps = (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True))
     methods = []
-    for (matcher, step), look in looks(pairs).items():
+    for (matcher, step), look in looks(pairs, labels).items():
         index = matchers.index(matcher)
         stroke, marker = _STROKES[index % len(_STROKES)]
         methods.append(MethodStyle(matcher, step, *look, stroke, marker, filled=index % 2 == 0))

@@ -17,6 +17,7 @@ from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
 from harness.report.method_styles import Named
 from harness.report.sweep import Axis, Sweep
+from harness.runs.cases import CASE
 from harness.runs.run import Result
 from harness.spec import as_table
 
@@ -136,7 +137,9 @@ def overview(result: Result, sweep: Sweep) -> Iterator[str]:
 
 
 def _varied(axis: Axis) -> str:
-    """An axis with its values: `window 7, 15 px`."""
+    """An axis with its values: `window 7, 15 px`. Cases are counted: their names would not be told from each other."""
+    if axis.key == CASE:
+        return f"{len(axis.values)} cases"
     texts = [
         f"{value:.3g}" if isinstance(value, float) else text
         for value, text in zip(axis.values, axis.texts, strict=True)

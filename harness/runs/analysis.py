@@ -35,7 +35,7 @@ def cell_table(done: Iterable[tuple[Planned, dict[str, Any]]]) -> pd.DataFrame:
             "seed": trial.seed,
             "baseline_m": trial.view_2.baseline_m,
             "condition": shown(law_condition(planned)),
-            "quiet": shown({key: value for key, value in planned.coordinates.items() if key != _NOISE}),
+            "quiet": shown(planned.coordinates_without(lambda key: key == _NOISE)),
             "sigma_grey": trial.noise.sigma_grey,
         }
         tables += [common | cell for cell in payload["cells"]]
@@ -51,12 +51,12 @@ def law_of(cells: pd.DataFrame) -> dict[str, Any] | None:
 
 def law_condition(planned: Planned) -> Settings:
     """The coordinates of a trial that the law is not tested across: each combination has an intercept of its own."""
-    return {key: value for key, value in planned.coordinates.items() if _is_condition(key)}
+    return planned.coordinates_without(lambda key: not _is_condition(key))
 
 
 def noise_condition(planned: Planned) -> Settings:
     """The coordinates of a trial without seed, noise and method: spreads over the noise are compared within it."""
-    return {key: value for key, value in planned.coordinates.items() if key not in _NOT_A_DRAW}
+    return planned.coordinates_without(lambda key: key in _NOT_A_DRAW)
 
 
 def _is_condition(key: str) -> bool:

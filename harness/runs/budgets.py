@@ -9,6 +9,7 @@ from harness.evaluation.regions import middle_of_range
 from harness.evaluation.statistics import SHARE, between, resampled
 from harness.geometry.angles import Array
 from harness.pipeline.error_budget import Z_EDGES
+from harness.runs.cases import CASE
 from harness.runs.experiment import Planned
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.values import shown
@@ -28,21 +29,26 @@ def budget_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, 
     Returns
     -------
     list of dict
-        `matcher`, `subpixel`, `condition`, `causes` (those beside the matcher's own), `seeds`, `range_m` (the middle of
-        a bin), `predicted_m` by cause, `total_m`, `measured_m` with `measured_ci95_m` (bootstrap over seeds), all
-        errors that 68.3 % of the pixels stay within; `over_drawn`, what was measured over what follows from the very
-        draws of these seeds, with its interval: 1 where the propagation is right, however few the seeds; and where
-        there are trials with each of the causes alone `alone_m`, the root of the sum of their squares.
+        `matcher`, `subpixel`, `condition`, `case` (its name; None without cases), `causes` (those beside the matcher's
+        own), `seeds`, `range_m` (the middle of a bin), `predicted_m` by cause, `total_m`, `measured_m` with
+        `measured_ci95_m` (bootstrap over seeds), all errors that 68.3 % of the pixels stay within; `over_drawn`, what
+        was measured over what follows from the very draws of these seeds, with its interval: 1 where the propagation
+        is right, however few the seeds; and where there are trials with each of the causes alone `alone_m`, the root
+        of the sum of their squares.
     """
     groups: dict[tuple[str, str, str, int], list[dict[str, Any]]] = {}
+    cases: dict[tuple[str, str, str, int], str | None] = {}
     for planned, payload in done:
-        settings = {key: v for key, v in planned.coordinates.items() if key not in ("seed", *METHOD_KEYS)}
+        settings = planned.coordinates_without(lambda key: key in ("seed", *METHOD_KEYS))
         for entry in payload.get("budget") or ():
-            groups.setdefault((*planned.method, shown(settings), entry["range_bin"]), []).append(entry)
-    entries = [_entry(*key, parts) for key, parts in groups.items()]
+            key = (*planned.method, shown(settings), entry["range_bin"])
+            groups.setdefault(key, []).append(entry)
+            cases[key] = planned.coordinates.get(CASE)
+    entries = [_entry(*key, parts) | {"case": cases[key]} for key, parts in groups.items()]
     for each in entries:
         each["alone_m"] = _of_causes_alone(each, entries)
-    return sorted(entries, key=lambda each: (each["matcher"], each["subpixel"], each["condition"], each["range_m"]))
+    order = {condition: number for number, condition in enumerate(dict.fromkeys(e["condition"] for e in entries))}
+    return sorted(entries, key=lambda e: (e["matcher"], e["subpixel"], order[e["condition"]], e["range_m"]))
 
 
 def _entry(matcher: str, subpixel: str, condition: str, range_bin: int, parts: list[dict[str, Any]]) -> dict[str, Any]:

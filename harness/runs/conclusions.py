@@ -1,14 +1,15 @@
 """What a sweep says, in sentences that say no more than their intervals allow."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
-from harness.runs.methods import METHOD_KEYS
+from harness.runs.cases import CASE
+from harness.runs.methods import METHOD_KEYS, MethodName
 from harness.runs.values import identity_of, shown, text_of
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ _LEAST = 0.02
 """A difference of less than 2 % is none worth a sentence, however sure it is."""
 
 
-def conclusions(rows: Sequence["Row"], law: dict[str, Any] | None) -> list[str]:
+def conclusions(
+    rows: Sequence["Row"], law: dict[str, Any] | None, labels: Mapping[MethodName, str] | None = None
+) -> list[str]:
     """A sentence about the methods, one for each axis, and one for each slope of the law.
 
     Each is about the median range error on walls (on all pixels where there are none), averaged as logarithms over
@@ -34,8 +37,10 @@ def conclusions(rows: Sequence["Row"], law: dict[str, Any] | None) -> list[str]:
         The trials that are done.
     law
         The test of the law, if there is one.
+    labels
+        What methods are called by the cases that name them.
     """
-    table, axes = _table(rows)
+    table, axes = _table(rows, labels or {})
     measured = [(place, name) for place, name in _FIGURES if not table.empty and (table[name] > 0).any()]
     if not measured or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
         return []
@@ -46,19 +51,20 @@ def conclusions(rows: Sequence["Row"], law: dict[str, Any] | None) -> list[str]:
     of_best = table[table["method"] == best]
     for key in axes:
         sentences += _about_axis(of_best, key, axes, figure, f"{best}, {where}")
-    sentences += _about_law(law)
+    sentences += _about_law(law, labels or {})
     seeds = table["seed"].nunique()
     if sentences and seeds < FEW_SEEDS:
         sentences.append(f"Intervals are over {seeds} seeds, and come out too short.")
     return sentences
 
 
-def _table(rows: Sequence["Row"]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
+def _table(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
     """A row a trial: its method, seed, figures, and for each axis the index of its value; and the axes' values."""
+    not_axes = ("seed", *METHOD_KEYS, *([CASE] if labels else []))
     known: dict[str, dict[str, Any]] = {}
     for row in rows:
         for key, value in row.coordinates.items():
-            if key != "seed" and key not in METHOD_KEYS:
+            if key not in not_axes:
                 known.setdefault(key, {}).setdefault(identity_of(key, value), value)
     axes = {key: list(values.values()) for key, values in known.items() if len(values) > 1}
     index = {key: {identity: i for i, identity in enumerate(known[key])} for key in axes}
@@ -66,14 +72,17 @@ def _table(rows: Sequence["Row"]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
     for row in rows:
         figures = row.payload["figures"]
         records.append(
-            {"method": _named(*row.planned.method), "seed": row.planned.trial.seed}
+            {"method": _named(row.planned.method, labels), "seed": row.planned.trial.seed}
             | {key: of_key[identity_of(key, row.coordinates[key])] for key, of_key in index.items()}
             | {name: math.nan if figures.get(name) is None else figures[name] for _, name in _FIGURES}
         )
     return pd.DataFrame(records), axes
 
 
-def _named(matcher: str, step: str) -> str:
+def _named(method: MethodName, labels: Mapping[MethodName, str]) -> str:
+    if method in labels:
+        return labels[method]
+    matcher, step = method
     word = _STEPS.get(step, step)
     return f"{matcher} ({word})" if word else matcher
 
@@ -140,14 +149,14 @@ def _about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figur
     yield f"{key}: the median range error ({who}) is {low}, and {_times(ratio)} that, {high}."
 
 
-def _about_law(law: dict[str, Any] | None) -> Iterator[str]:
+def _about_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> Iterator[str]:
     if law is None:
         return
     for fit in law["images"]:
         slope, ends = fit["slope"], fit["slope_ci95"]
         if fit["law"] != "exact" or slope is None or fit["surface"] != "wall":
             continue
-        method = _named(fit["matcher"], fit["subpixel"])
+        method = _named((fit["matcher"], fit["subpixel"]), labels)
         interval = f"{slope:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]" if ends and None not in ends else f"{slope:.2f}"
         if fit["r2"] is not None and fit["r2"] < 0.3:
             yield f"The law, {method} on walls: none to be seen (slope {interval}, R² {fit['r2']:.2f})."

@@ -23,12 +23,14 @@ from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.renamed import up_to_date
 from harness.runs import worker
+from harness.runs.cases import NAME, settings_of
+from harness.runs.dotted import changed
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodName
 from harness.runs.recorded import RecordedExperiment
 from harness.runs.store import Store
 from harness.simulation.fingerprint import fingerprint
-from harness.spec import as_table, parse
+from harness.spec import as_given, as_table, parse
 
 MOST_DETAILS = 6
 """The most methods shown in detail: their maps and profiles still fit a page."""
@@ -78,14 +80,22 @@ def details_of(
     methods: dict[MethodName, Trial] = {}
     for each in experiment.planned:
         methods.setdefault(each.method, each.trial)
-    chosen = list(methods.values())[:MOST_DETAILS]
+    # A case that names a method is shown with all that it says of the matcher.
+    matchings = {name: _matching_of_case(experiment, case) for name, case in experiment.method_labels.items()}
+    chosen = list(methods.items())[:MOST_DETAILS]
     beyond = [
-        LeftOut(_label(name), f"at most {MOST_DETAILS} methods are compared pixel by pixel; trials.csv has its figures")
+        LeftOut(
+            experiment.method_labels.get(name, _label(name)),
+            f"at most {MOST_DETAILS} methods are compared pixel by pixel; trials.csv has its figures",
+        )
         for name in list(methods)[MOST_DETAILS:]
     ]
     details = Details([], [], [], [], None)
     for base in dict.fromkeys((experiment.trial, done[0].trial)):
-        trials = [with_method(base, trial) for trial in chosen]
+        trials = [
+            base.model_copy(update={"matching": matchings[name]}) if name in matchings else with_method(base, trial)
+            for name, trial in chosen
+        ]
         attempts = [stored.outcome_of(trial, run_code=run_code) for trial in trials]
         shown = [attempt for attempt in attempts if not isinstance(attempt, LeftOut)]
         missing = [*(attempt for attempt in attempts if isinstance(attempt, LeftOut)), *beyond]
@@ -96,6 +106,12 @@ def details_of(
     if stored.comparison and (details.left_out or (store and store.other_code)):
         details = Details(details.trials, details.keys, details.outcomes, details.left_out, stored.comparison)
     return details
+
+
+def _matching_of_case(experiment: Experiment, name: str) -> Any:
+    """The matcher of the base trial with the settings of a case."""
+    case = next(case for case in experiment.cases if case[NAME] == name)
+    return parse(Trial, changed(as_given(experiment.trial), settings_of(case))).matching
 
 
 def _label(method: MethodName) -> str:

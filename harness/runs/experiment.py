@@ -1,10 +1,10 @@
-"""What an experiment is: a base trial, axes along which its settings vary, and lists of explicit cases."""
+"""What an experiment is: a base trial, axes along which its settings vary, and named cases."""
 
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -16,8 +16,9 @@ from harness.display import shortened
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys
+from harness.runs.cases import CASE, NAME, check_cases, keys_of, may_be_methods, method_labels, settings_of, without
 from harness.runs.dotted import changed, value_at, worked_out
-from harness.runs.methods import MethodName, method_id, method_names
+from harness.runs.methods import METHOD_KEYS, MethodName, method_id, method_names
 from harness.runs.named_files import SENSORS
 from harness.runs.values import Settings, shown
 from harness.simulation.fingerprint import fingerprint
@@ -34,12 +35,18 @@ class Planned:
     key: str
     """`Trial.key`."""
     coordinates: Settings
-    """The values of all keys that vary, in the order of the columns."""
+    """Its case's name, if there are cases, and the values of all axes, in the order of the columns."""
     trial: Trial
     method: MethodName
     """What its method is called in this experiment."""
     scene_file: str = ""
     """Where its scene was read from, for messages; empty for a shipped scene and for a table."""
+    case_keys: tuple[str, ...] = ()
+    """The keys that a case stands for: those that the cases set, or those of a method where each case is one."""
+
+    def coordinates_without(self, is_left_out: Callable[[str], bool]) -> Settings:
+        """The coordinates without some keys, and without the case where cases set none but these."""
+        return without(self.coordinates, self.case_keys, is_left_out)
 
 
 def _folder_name(text: str) -> str:
@@ -63,8 +70,10 @@ class Experiment(Spec):
         default_factory=dict
     )
     """Dotted keys of a trial, and the values that each takes: all combinations are run."""
-    cases: Annotated[list[Annotated[Settings, Field(min_length=1)]], DottedKeys(Trial)] = Field(default_factory=list)
-    """Explicit settings, instead of or beside axes; without any, one case that changes nothing."""
+    cases: Annotated[list[Settings], DottedKeys(Trial)] = Field(default_factory=list)
+    """Named cases: each has a `name` and dotted keys of a trial with values that replace the base trial's together.
+    A case is one line in tables and legends, under its name, and is run with all combinations of the axes; without
+    any, there is one case that changes nothing."""
 
     _scene_file: str = PrivateAttr(default="")
 
@@ -90,13 +99,16 @@ class Experiment(Spec):
         Raises
         ------
         InputError
-            When there are more than `MOST_TRIALS`, a key is no key of a trial, a value is not valid there, a
-            third-party matcher does not exist or does not take its parameters, or two trials are the same. `error.key`
-            is the key in the experiment.
+            When there are more than `MOST_TRIALS`, a case has no name of its own or the key of an axis, a key is no
+            key of a trial, a value is not valid there, a third-party matcher does not exist or does not take its
+            parameters, or two trials are the same. `error.key` is the key in the experiment.
         """
         self._check_count()
+        check_cases(self.cases, self.axes)
         base = as_given(self.trial)
-        columns = list(dict.fromkeys(itertools.chain(self.axes, *self.cases)))
+        of_methods = METHOD_KEYS if may_be_methods(self.cases, self.axes) else ()
+        columns = [*(key for key in keys_of(self.cases) if key in of_methods), *self.axes]
+        scenes: dict[str, str] = {}
         trials: dict[str, tuple[Settings, Trial]] = {}
         checked: dict[int, Any] = {}
         for case, settings in self._settings():
@@ -117,7 +129,8 @@ class Experiment(Spec):
             except InputError as error:
                 key = self._blame(f"matching.{error.key}", settings, case) or f"trial.matching.{error.key}"
                 raise InputError(error.problem, key=key) from error
-            coordinates = {
+            coordinates = {} if case is None else {CASE: self.cases[case][NAME]}
+            coordinates |= {
                 key: worked_out(settings[key] if key in settings else value_at(table, key), trial, key)
                 for key in columns
             }
@@ -128,11 +141,13 @@ class Experiment(Spec):
                     key="axes" if case is None else f"cases[{case}]",
                 )
             trials[key] = coordinates, trial
+            scenes[key] = self._scene_file_at(settings)
         names = method_names(trial.matching for _, trial in trials.values())
-        return tuple(
-            Planned(key, coordinates, trial, names[method_id(trial.matching)], self._scene_file_at(coordinates))
+        planned = tuple(
+            Planned(key, coordinates, trial, names[method_id(trial.matching)], scenes[key])
             for key, (coordinates, trial) in trials.items()
         )
+        return with_case_keys(planned, self.cases, self.axes)
 
     def with_scene_file(self, file: str) -> Self:
         """The same experiment, with the file that its base trial's scene was read from for messages."""
@@ -140,8 +155,13 @@ class Experiment(Spec):
         copy._scene_file = file  # noqa: SLF001 - of its own class
         return copy
 
-    def _scene_file_at(self, coordinates: Settings) -> str:
-        named = coordinates.get("scene", self._scene_file)
+    @cached_property
+    def method_labels(self) -> Mapping[MethodName, str]:
+        """What methods are called by the cases that name them; empty unless each case is a method of its own."""
+        return labels_in(self.planned, self.cases, self.axes)
+
+    def _scene_file_at(self, settings: Settings) -> str:
+        named = settings.get("scene", self._scene_file)
         return named if isinstance(named, str) and Path(named).is_absolute() else ""
 
     def _with_validated(self, table: Settings, base: Settings) -> Settings:
@@ -168,7 +188,7 @@ class Experiment(Spec):
 
     def _settings(self) -> Iterator[tuple[int | None, Settings]]:
         """The number of the case, if there are any, and what changes in the base trial."""
-        for number, case in enumerate(self.cases or [{}]):
+        for number, case in enumerate(map(settings_of, self.cases or [{}])):
             for values in itertools.product(*self.axes.values()):
                 yield number if self.cases else None, case | dict(zip(self.axes, values, strict=True))
 
@@ -187,6 +207,22 @@ class Experiment(Spec):
     def key_in_file(self, key: str, case: int | None) -> str:
         """Where in the experiment a key is given."""
         return f"axes.{key}" if key in self.axes or case is None else f"cases[{case}].{key}"
+
+
+def labels_in(
+    planned: Sequence[Planned], cases: Sequence[Settings], axes: Mapping[str, Any]
+) -> Mapping[MethodName, str]:
+    """What methods are called by the cases of some trials; see `method_labels`."""
+    named = [(str(each.coordinates[CASE]), each.method) for each in planned if CASE in each.coordinates]
+    return method_labels(cases, axes, named)
+
+
+def with_case_keys(
+    planned: tuple[Planned, ...], cases: Sequence[Settings], axes: Mapping[str, Any]
+) -> tuple[Planned, ...]:
+    """Trials that know what a case stands for."""
+    keys = METHOD_KEYS if labels_in(planned, cases, axes) else keys_of(cases)
+    return tuple(replace(each, case_keys=keys) for each in planned) if keys else planned
 
 
 def _changed(base: Settings, settings: Settings, experiment: Experiment, case: int | None) -> Any:

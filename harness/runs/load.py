@@ -5,15 +5,17 @@ from pathlib import Path
 from typing import Any
 
 from harness import shipped
+from harness.display import brief
 from harness.errors import InputError
 from harness.matching.interface import MatcherSettings
 from harness.matching.registry import Matcher
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys, dotted_up_to_date, give_notice
+from harness.runs.cases import NAME, check_cases, key_of_name, named
 from harness.runs.dotted import changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute, of_matcher, read_in
-from harness.runs.overrides import listed, plain, read_value, split, values_of, with_axes, with_sets
+from harness.runs.overrides import listed, plain, read_value, split, values_of, with_axes, with_cases, with_sets
 from harness.spec import Spec, parse
 from harness.toml import read_toml
 
@@ -22,7 +24,10 @@ Source = str | Path | Mapping[str, Any] | Experiment
 
 
 def load_experiment(
-    source: Source, sets: Sequence[str] | Mapping[str, Any] = (), axes: Sequence[str] | Mapping[str, Any] = ()
+    source: Source,
+    sets: Sequence[str] | Mapping[str, Any] = (),
+    axes: Sequence[str] | Mapping[str, Any] = (),
+    cases: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Experiment:
     """Read an experiment.
 
@@ -38,6 +43,8 @@ def load_experiment(
         `key=a,b,c`, or keys and lists of values: further axes, or other values of one that is there. In text, values
         are as in TOML, or plain words. With an axis over `matching.kind`, the experiment's own axes are dropped that
         one of those matchers does not know.
+    cases
+        Names and the keys and values of each: cases instead of the experiment's own.
 
     Raises
     ------
@@ -45,6 +52,8 @@ def load_experiment(
         Names the file or the option, the key and what would be right.
     """
     experiment, file = _read_experiment(source)
+    if cases is not None:
+        experiment = experiment.model_copy(update={"cases": []})
     set_option = "sets" if isinstance(sets, Mapping) else "--set"
     axis_option = "axes" if isinstance(axes, Mapping) else "--axis"
     if isinstance(sets, Mapping):
@@ -58,18 +67,62 @@ def load_experiment(
     settings = _up_to_date(DottedKeys(Trial), settings, set_option)
     values = _up_to_date(DottedKeys(Trial, listed=True), values, axis_option)
     changed = with_axes(with_sets(experiment, settings, set_option), values, axis_option)
+    if cases is not None:
+        changed = with_cases(changed, _cases_up_to_date(cases))
     try:
         _ = changed.planned
     except InputError as error:
-        if error.file is not None:  # a file of the scene is at fault
+        blamed = _blamed(error, changed, file, (set_option, settings), (axis_option, values), cases is not None)
+        if blamed is error:
             raise
-        if error.key in {f"axes.{key}" for key in values}:
-            raise InputError(error.problem, file=axis_option, key=error.key.removeprefix("axes.")) from error
-        for key in settings:
-            if f"{error.key}.".startswith(f"trial.{key}.") or f"trial.{key}" == f"{error.key}.file":
-                raise InputError(error.problem, file=set_option, key=key) from error
-        raise InputError(error.problem, file=file, key=error.key) from error
+        raise blamed from error
     return changed
+
+
+def _blamed(
+    error: InputError,
+    changed: Experiment,
+    file: Path | None,
+    sets: tuple[str, Mapping[str, Any]],
+    axes: tuple[str, Mapping[str, Any]],
+    has_own_cases: bool,
+) -> InputError:
+    """What is wrong with an experiment, said of the option and the key that are to blame, or else of its file.
+
+    Parameters
+    ----------
+    sets, axes
+        The name of the option, and what was given.
+    has_own_cases
+        Whether the cases are those of the call.
+    """
+    key = error.key or ""
+    if error.file is not None:  # a file of the scene is at fault
+        return error
+    if has_own_cases and key.startswith("cases["):
+        return InputError(error.problem, file="cases", key=key_of_name(key, changed.cases))
+    if key in {f"axes.{each}" for each in axes[1]}:
+        return InputError(error.problem, file=axes[0], key=key.removeprefix("axes."))
+    for each in sets[1]:
+        if f"{key}.".startswith(f"trial.{each}.") or f"trial.{each}" == f"{key}.file":
+            return InputError(error.problem, file=sets[0], key=each)
+    return InputError(error.problem, file=file, key=error.key)
+
+
+def _cases_up_to_date(cases: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Cases given in Python, as a file has them."""
+    if not isinstance(cases, Mapping):
+        raise InputError("must be a dictionary: for each name the keys and values of the case", key="cases")
+    for name, settings in cases.items():
+        if not isinstance(settings, Mapping):
+            raise InputError(f"must be a dictionary of keys and values; found {brief(settings)}", key=f"cases: {name}")
+        if NAME in settings:
+            raise InputError("unknown key; a case is named by the dictionary around it", key=f"cases: {name}: {NAME}")
+    up_to_date = {
+        name: _up_to_date(DottedKeys(Trial), {str(key): plain(value) for key, value in settings.items()}, "cases")
+        for name, settings in cases.items()
+    }
+    return named(up_to_date)
 
 
 def _up_to_date(keys: DottedKeys, given: dict[str, Any], option: str) -> dict[str, Any]:
@@ -101,11 +154,10 @@ def _read_experiment(source: Source) -> tuple[Experiment, Path | None]:
 
 
 def _with_absolute_paths(experiment: Experiment, folder: Path, file: str | Path) -> Experiment:
-    for number, case in enumerate(experiment.cases):
-        for key in case.keys() & experiment.axes.keys():
-            raise InputError(
-                "this key is also an axis; give it only once", file=file or None, key=f"cases[{number}].{key}"
-            )
+    try:
+        check_cases(experiment.cases, experiment.axes)
+    except InputError as error:
+        raise InputError(error.problem, file=file or None, key=error.key) from error
     axes = {
         key: [absolute(key, value, folder, file, f"axes.{key}") for value in values]
         for key, values in experiment.axes.items()

@@ -10,6 +10,7 @@ from harness.display import shortened
 from harness.errors import InputError
 from harness.matching import registry
 from harness.pipeline.specification import Trial
+from harness.runs.cases import check_cases, key_of_name, label, settings_of
 from harness.runs.dotted import KIND, MODEL_KINDS, changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute
@@ -102,8 +103,9 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
         When a case gives one of the keys, or a setting is not valid; names `option`.
     """
     for number, case in enumerate(experiment.cases):
-        for key in settings.keys() & case.keys():
-            raise InputError(f"cases[{number}] gives this key; a case cannot be overridden", file=option, key=key)
+        for key in settings.keys() & settings_of(case).keys():
+            said = f"{label(case, number)} gives this key; a case cannot be overridden"
+            raise InputError(said, file=option, key=key)
     if not settings:
         return experiment
     settings = {key: absolute(key, value, Path(), option) for key, value in settings.items()}
@@ -128,8 +130,9 @@ def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: st
         if not values:
             raise InputError("give at least one value", file=option, key=key)
         for number, case in enumerate(experiment.cases):
-            if key in case:
-                raise InputError(f"cases[{number}] gives this key; a case cannot be overridden", file=option, key=key)
+            if key in settings_of(case):
+                said = f"{label(case, number)} gives this key; a case cannot be overridden"
+                raise InputError(said, file=option, key=key)
     merged = experiment.axes | {
         key: [absolute(key, value, Path(), option) for value in values] for key, values in given.items()
     }
@@ -140,6 +143,29 @@ def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: st
         if key in given or all(_is_known(key, other, kind) for other, kinds in given.items() for kind in kinds)
     }
     return experiment.model_copy(update={"axes": merged})
+
+
+def with_cases(experiment: Experiment, cases: list[Settings]) -> Experiment:
+    """An experiment with other cases; paths in them are relative to the working folder.
+
+    Raises
+    ------
+    InputError
+        When a case has no name that can be shown, or the key of an axis; names the case.
+    """
+    try:
+        placed = [
+            {key: absolute(key, value, Path(), "cases", f"cases[{number}].{key}") for key, value in case.items()}
+            for number, case in enumerate(cases)
+        ]
+        # Read as those of a file are, so that a wrong type is refused in the same words.
+        changed_experiment = parse(type(experiment), as_given(experiment) | {"cases": placed})
+        check_cases(changed_experiment.cases, experiment.axes)
+    except InputError as error:
+        where = error.key or ""
+        key = key_of_name(where, cases) if where.startswith("cases[") else error.key
+        raise InputError(error.problem, file="cases", key=key) from error
+    return experiment.model_copy(update={"cases": changed_experiment.cases})
 
 
 def _is_known(key: str, other: str, kind: Any) -> bool:

@@ -14,7 +14,7 @@ from pydantic import PrivateAttr
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys, dotted_up_to_date, up_to_date
-from harness.runs.experiment import Experiment, Planned
+from harness.runs.experiment import Experiment, Planned, with_case_keys
 from harness.runs.store import Store
 from harness.spec import Spec, as_given, as_table, parse
 
@@ -101,4 +101,4 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
     if not planned:
         raise InputError("its plan has no trial", file=file)
     store.read_earlier(each.key for each in planned)
-    return experiment.with_plan(tuple(planned), scenes)
+    return experiment.with_plan(with_case_keys(tuple(planned), experiment.cases, experiment.axes), scenes)

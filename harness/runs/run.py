@@ -26,6 +26,8 @@ from harness.pipeline.trial import Outcome
 from harness.runs import executors
 from harness.runs.analysis import cell_table, law_of, limit_of
 from harness.runs.budgets import budget_of
+from harness.runs.case_figures import figures_of_cases
+from harness.runs.cases import CASE
 from harness.runs.conclusions import conclusions
 from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
@@ -90,8 +92,14 @@ class Result(OneLine):
     def coordinates(self) -> list[Settings]:
         """The coordinates of each of the `outcomes`."""
         columns = columns_of(self.experiment)
-        tables = [as_table(outcome.trial) for outcome in self.outcomes]
-        return [{key: value_at(table, key) for key in columns} for table in tables]
+        names = names_in([outcome.trial for outcome in self.outcomes], self.experiment.planned)
+        coordinates = []
+        for outcome in self.outcomes:
+            # The base trial is of no case, unless cases name methods.
+            case = self.experiment.method_labels.get(names[method_id(outcome.trial.matching)])
+            table = as_table(outcome.trial) | {CASE: case}
+            coordinates.append({key: value_at(table, key) for key in columns if key != CASE or case})
+        return coordinates
 
 
 @dataclass(frozen=True)
@@ -218,10 +226,20 @@ def result_from(
     budget = budget_of((row.planned, row.payload) for row in done)
     if budget:
         summary["budget"] = budget
+    if experiment.method_labels:
+        names = names_in(details.trials, experiment.planned)
+        summary["labels"] = {
+            key: experiment.method_labels[name]
+            for key, i in methods_in(details.trials, experiment.planned).items()
+            if (name := names[method_id(details.trials[i].matching)]) in experiment.method_labels
+        }
+    figures = figures_of_cases(experiment, [(row.planned, row.payload) for row in done])
+    if figures:
+        summary["cases"] = figures
     law = law_of(cells)
     if law is not None:
         summary["law"] = law
-    said = conclusions(done, law)
+    said = conclusions(done, law, experiment.method_labels)
     if said:
         summary["conclusions"] = said
     made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
@@ -395,7 +413,13 @@ def methods_in(trials: Sequence[Trial], planned: Sequence[Planned] = ()) -> dict
     kinds, steps = {kind for kind, _ in methods}, {step for _, step in methods}
     if windows and len(kinds) == 1 and steps <= METHODS.keys():
         return {METHODS[step]: i for (_, step), i in methods.items()}
-    return {kind if step == "own" else f"{kind} {step}": i for (kind, step), i in methods.items()}
+    return {key_of(method): i for method, i in methods.items()}
+
+
+def key_of(method: MethodName) -> str:
+    """What `summary.json` calls a method: the matcher, and its sub-pixel step unless it has its own."""
+    kind, step = method
+    return kind if step == "own" else f"{kind} {step}"
 
 
 def _comparison(outcomes: list[Outcome], planned: Sequence[Planned]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from harness.errors import InputError, nearest
 from harness.pipeline.specification import Trial
 from harness.renamed import up_to_date_key
+from harness.runs.cases import NAME, NAME_MEANING
 from harness.runs.experiment import Experiment
 from harness.spec import LARGEST, LARGEST_COEFFICIENT
 
@@ -65,7 +66,9 @@ def settings_reference() -> tuple[Setting, ...]:
     expanded: dict[Any, str] = {}
     trial = Experiment.model_fields["trial"].annotation
     keys = [*_of_spec(trial, "", (), expanded)]
-    return (*keys, *(each for each in _of_spec(Experiment, "", (), expanded) if not each.key.startswith("trial")))
+    own = (each for each in _of_spec(Experiment, "", (), expanded) if not each.key.startswith("trial"))
+    # A case is a table of any keys, so that no specification has its name.
+    return (*keys, *own, Setting(f"cases.{ITEM}.{NAME}", (), "text", "", _REQUIRED, NAME_MEANING))
 
 
 def find_settings(key: str | None = None) -> tuple[Setting, ...]:

@@ -18,6 +18,7 @@ import pandas as pd
 
 from harness.evaluation.statistics import mean_over_seeds
 from harness.pipeline.environment import environment
+from harness.runs.cases import CASE
 from harness.runs.load import load_experiment
 from harness.runs.run import run_experiment
 
@@ -43,12 +44,20 @@ def matchers() -> dict[str, Any]:
     """The main figures of every trial of the ladder, and the `limit` of `summary.json`."""
     result = run_experiment(load_experiment("matchers"))
     wanted = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "ause_px", "within_1_sigma")
-    ladder = [row.coordinates | {name: row.payload["figures"].get(name) for name in wanted} for row in result.rows]
+    ladder = [
+        without_case(row.coordinates) | {name: row.payload["figures"].get(name) for name in wanted}
+        for row in result.rows
+    ]
     for each in ladder:
         each["scene"] = Path(each["scene"]).stem
     with tempfile.TemporaryDirectory() as folder:
         limit = run_experiment(load_experiment("limit"), Path(folder)).summary["limit"]
     return {"ladder": ladder, "limit": limit}
+
+
+def without_case(coordinates: dict[str, Any]) -> dict[str, Any]:
+    """The values of keys alone: what a case is called is no part of a reference."""
+    return {key: value for key, value in coordinates.items() if key != CASE}
 
 
 def cameras(folder: Path | None = None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from harness.report.section import Declared
 from harness.report.sections import (
+    cases,
     comparison,
     confidence_curves,
     distributions,
@@ -28,6 +29,7 @@ SECTIONS: tuple[Declared, ...] = (
     perturbed_angles.section,
     fits.section,
     decomposition.section,
+    cases.section,
     error_curves.section,
     locking.section,
     regional_errors.section,

@@ -39,6 +39,7 @@ _COLOURS = {
     "alignment": theme.SUBPIXEL,
     "alignment, calibrated": SPARE[2],
 }
+_SPARE = (theme.PIXEL, theme.SUBPIXEL, *SPARE)
 _MARKS = {
     "rotation": "o",
     "t direction": "s",
@@ -81,8 +82,22 @@ def _between(values: list[float]) -> str:
 
 
 def _named(entry: Entry) -> str:
+    """The case's name, or else the cause."""
     causes = entry["causes"]
+    if entry.get("case"):
+        return str(entry["case"])
     return "the matcher alone" if not causes else causes[0] if len(causes) == 1 else "all together"
+
+
+def _look(entries: list[Entry], name: str, index: int) -> tuple[str, str]:
+    """Colour and mark of what is called so: a cause's own, where no other case has the same cause."""
+    causes = {_named(each): each["causes"][0] for each in entries if len(each["causes"]) == 1}
+    cause = causes.get(name)
+    if cause in _COLOURS and list(causes.values()).count(cause) == 1:
+        return _COLOURS[cause], _MARKS[cause]
+    if cause is None and len({_named(each) for each in entries} - causes.keys()) == 1:
+        return (FAINT, "o") if causes else (INK, "o")
+    return _SPARE[index % len(_SPARE)], "osv^DP"[index % 6]
 
 
 def _axes(entries: list[Entry]) -> tuple[Any, Any]:
@@ -117,9 +132,8 @@ def _draw(ax: Any, entries: list[Entry], colour: str, mark: str, label: str) -> 
 def _alone(entries: list[Entry]) -> Picture:
     fig, ax = _axes(entries)
     names = list(dict.fromkeys(_named(each) for each in entries))
-    for name in names:
-        part = [each for each in entries if _named(each) == name]
-        _draw(ax, part, _COLOURS.get(name, FAINT), _MARKS.get(name, "o"), name)
+    for index, name in enumerate(names):
+        _draw(ax, [each for each in entries if _named(each) == name], *_look(entries, name, index), theme.plain(name))
     theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
     ends = "; ".join(f"{name} {_last(entries, name):.1f} mm" for name in names)
     return theme.picture(
@@ -135,7 +149,8 @@ def _last(entries: list[Entry], name: str) -> float:
 def _together(entries: list[Entry]) -> Picture:
     joint = [each for each in entries if len(each["causes"]) > 1] or entries
     fig, ax = _axes(joint)
-    _draw(ax, joint, INK, "o", "all together")
+    for index, name in enumerate(dict.fromkeys(map(_named, joint))):
+        _draw(ax, [each for each in joint if _named(each) == name], *_look(joint, name, index), theme.plain(name))
     known = sorted((each for each in joint if each["alone_m"]), key=lambda each: each["range_m"])
     if known:
         x, y = [each["range_m"] for each in known], [1000 * each["alone_m"] for each in known]
@@ -151,7 +166,7 @@ def _together(entries: list[Entry]) -> Picture:
 def _table(entries: list[Entry]) -> Table:
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
-    for each in sorted(entries, key=lambda e: (len(e["causes"]), e["causes"], e["range_m"])):
+    for each in sorted(entries, key=lambda e: (len(e["causes"]), e["causes"], _named(e), e["range_m"])):
         low, high = each["measured_ci95_m"] or (None, None)
         ratio, of_draws = each["measured_m"] / each["total_m"], each["over_drawn"]
         below, above = each["over_drawn_ci95"] or (None, None)
@@ -171,7 +186,7 @@ def _table(entries: list[Entry]) -> Table:
         ]
         rows.append(
             [
-                words(_named(each)),
+                words(_named(each).replace(" ", "\u00a0")),
                 number(each["range_m"], ".2f"),
                 number(own, ".2f", 1000),
                 number(each["total_m"], ".2f", 1000),
@@ -210,6 +225,9 @@ def _table(entries: list[Entry]) -> Table:
         "low_m",
         "high_m",
         "ratio",
+        "over_drawn",
+        "over_drawn_low",
+        "over_drawn_high",
         "from_each_alone_m",
         "seeds",
     ]

@@ -20,6 +20,7 @@ from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, LineKey, Paragraph, section_of
 from harness.report.sweep import Axis, MethodStyle, Sweep
 from harness.report.theme import FAINT, HALF, Picture
+from harness.runs.cases import CASE
 
 SURFACES = {"wall": "walls", "floor": "floor, ceiling"}
 BASELINE = "view_2.baseline_m"
@@ -49,7 +50,12 @@ over settings of its own, which are a part of what differs.
 
 
 def _title(context: Context) -> str:
-    return "Errors over every axis" if context.sweep.axes else "Errors over the range"
+    return "Errors over every axis" if _drawn(context.sweep) else "Errors over the range"
+
+
+def _drawn(sweep: Sweep) -> list[Axis]:
+    """The axes that have a figure here: cases have a section of their own."""
+    return [axis for axis in sweep.axes if axis.key != CASE]
 
 
 @section_of(About.ALL_TRIALS, "sweeps", _title)
@@ -110,7 +116,7 @@ def swept_figures(sweep: Sweep, column_deg: float) -> list[Swept]:
     column_deg
         One pixel of disparity.
     """
-    figures = [_over_axis(sweep, axis) for axis in sweep.axes]
+    figures = [_over_axis(sweep, axis) for axis in _drawn(sweep)]
     if not sweep.cells.empty and sweep.cells["range_bin"].min() < sweep.cells["range_bin"].max():
         figures.append(_over_range(sweep, column_deg))
     return figures
