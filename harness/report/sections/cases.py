@@ -37,7 +37,7 @@ _CHANGES = """
 """
 _SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "range_rmse_m", "range_bias_m")
 _LETTERS = 34
-"""Of a line of a name beside its row."""
+"""Most letters in a line of a name beside its row."""
 
 Entry = dict[str, Any]
 
