@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import harness
 from harness.camera.central_fit import nearest_central
@@ -10,7 +11,7 @@ from harness.camera.reflection import project_points
 from harness.camera.sensor import Sensor, in_field, project
 from harness.errors import InputError
 from harness.evaluation.propagation import MOTION, Rig, range_errors
-from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
+from harness.evaluation.rig_uncertainty import Odometry, Uncertainty, uncertain
 from harness.geometry.angles import normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import Motion
@@ -65,13 +66,16 @@ def test_fixed_errors_are_added_to_what_is_true():
     assert wrong.motion.R_v2_from_v1 @ [1, 0, 0] == pytest.approx([np.cos(np.radians(3)), -np.sin(np.radians(3)), 0])
 
 
+MOVED = Motion(Rotation.from_euler("z", -40, degrees=True).as_matrix(), np.array([1.2, 1.6, 0.0]))
+
+
 def test_draws_have_their_standard_deviations_and_are_the_seeds():
     sigma = Uncertainty(rotation_deg=0.5, centre_px=2.0, alignment_mm=0.3)
     sensor = Sensor()
-    drawn = [draws_of(sensor, sigma, seed) for seed in range(400)]
-    assert draws_of(sensor, sigma, 7) == drawn[7]
+    drawn = [draws_of(sensor, sigma, MOVED, seed) for seed in range(400)]
+    assert draws_of(sensor, sigma, MOVED, 7) == drawn[7]
     assert drawn[7] != drawn[8]
-    assert set(drawn[0]) == {parameter.key for parameter, _ in uncertain(sensor, sigma)}
+    assert set(drawn[0]) == {parameter.key for parameter, _ in uncertain(sensor, sigma, MOVED)}
     for key, expected in (("rotation_x_deg", 0.5), ("camera.cx_px", 2.0), ("misalignment.z_mm", 0.3)):
         # 400 draws tell a standard deviation to 3.5 %.
         assert np.std([each[key] for each in drawn]) == pytest.approx(expected, rel=0.12)
@@ -80,7 +84,36 @@ def test_draws_have_their_standard_deviations_and_are_the_seeds():
     assert off.misalignment.rotation_z_deg == 0
     assert off.aligned == sensor
     # A larger standard deviation scales the same draw.
-    assert draws_of(sensor, Uncertainty(rotation_deg=1.0), 3)["rotation_y_deg"] == 2 * drawn[3]["rotation_y_deg"]
+    assert draws_of(sensor, Uncertainty(rotation_deg=1.0), MOVED, 3)["rotation_y_deg"] == 2 * drawn[3]["rotation_y_deg"]
+
+
+def test_the_odometrys_errors_grow_with_the_motion_and_leave_the_constant_draws_alone():
+    sensor, constant = Sensor(), Uncertainty(rotation_deg=0.5, t_direction_deg=0.3)
+    odometry = Odometry(along=0.02, across=0.01, rotation_deg_per_m=0.4, rotation_per_turn=0.03)
+    both = constant.model_copy(update={"odometry": odometry})
+    drawn = draws_of(sensor, both, MOVED, 5)
+    assert {key: drawn[key] for key in drawn if not key.startswith("odometry.")} == draws_of(sensor, constant, MOVED, 5)
+    # 0.4 degrees on each of 2 m, and 3 % of a turn of 40 degrees; a t that is 1 % off across is 0.573 degrees off.
+    sigmas = {parameter.key: sigma for parameter, sigma in uncertain(sensor, both, MOVED)}
+    for axis in "xyz":
+        assert sigmas[f"odometry.rotation_{axis}_deg"] == pytest.approx(np.hypot(0.8, 1.2))
+    assert sigmas["odometry.t_azimuth_deg"] == sigmas["odometry.t_elevation_deg"] == pytest.approx(0.57296, rel=1e-4)
+    assert sigmas["odometry.t_length"] == 0.02
+    # Twice as far, and not turned: the same draws in proportion.
+    further = draws_of(sensor, both, Motion(np.eye(3), 2 * MOVED.t_v1), 5)
+    ratio = further["odometry.rotation_x_deg"] / drawn["odometry.rotation_x_deg"]
+    assert ratio == pytest.approx(1.6 / np.hypot(0.8, 1.2))
+    assert further["odometry.t_length"] == drawn["odometry.t_length"]
+    rig = Rig((sensor, sensor), MOVED)
+    wrong = believed_rig(rig, Believed(), {"odometry.t_length": 0.1, "odometry.rotation_z_deg": 2.0}).motion
+    assert wrong.baseline_m == pytest.approx(1.1 * MOVED.baseline_m)
+    turned = Rotation.from_matrix(wrong.R_v2_from_v1 @ MOVED.R_v2_from_v1.T)
+    assert np.degrees(turned.magnitude()) == pytest.approx(2)
+
+
+def test_a_trial_without_odometry_keeps_its_key():
+    assert trial("believed.sigma.rotation_deg=0.5").key == "6336c179a495902d"
+    assert trial("believed.sigma.odometry.along=0.01").key != trial().key
 
 
 @pytest.mark.slow
@@ -112,23 +145,29 @@ def test_a_wrong_belief_shifts_ranges_as_the_closed_form_says(key, value, size):
 
 
 @pytest.mark.slow
-def test_a_budget_predicts_what_is_measured():
+@pytest.mark.parametrize(
+    ("key", "value", "cause"),
+    # The twelve seeds draw 1.14 and 0.70 standard deviations, root of the mean square.
+    [("t_length", 0.01, "t length"), ("odometry.along", 0.03, "odometry")],
+    ids=["constant", "odometry"],
+)
+def test_a_budget_predicts_what_is_measured(key, value, cause):
     """Errors are those that follow from the very numbers that the seeds have drawn."""
     experiment = load_experiment(
         {
             "name": "b",
-            "trial": trial("scoring.budget=true", "believed.sigma.t_length=0.01").model_dump(mode="json"),
+            "trial": trial("scoring.budget=true", f"believed.sigma.{key}={value}").model_dump(mode="json"),
             "axes": {"seed": list(range(12))},
         }
     )
     done = [(planned, row_of(run_trial(planned.trial))) for planned in experiment.planned]
     entries = budget_of(done)
-    assert {tuple(each["causes"]) for each in entries} == {("t length",)}
+    assert {tuple(each["causes"]) for each in entries} == {(cause,)}
     for each in entries:
         assert each["seeds"] >= 10  # a bin counts where a view has enough of it
-        assert each["predicted_m"]["t length"] == pytest.approx(0.01 * each["range_m"], rel=0.25)
+        assert each["predicted_m"][cause] == pytest.approx(value * each["range_m"], rel=0.25)
         assert each["measured_ci95_m"][0] < each["measured_m"] < each["measured_ci95_m"][1]
-    # The matcher's own part, which is not all predicted, is small beside 1 % of the range where walls are near.
+    # The matcher's own part, which is not all predicted, is small beside so much where walls are near.
     ratios = [each["over_drawn"] for each in entries if 1.5 < each["range_m"] < 4]
     assert np.median(ratios) == pytest.approx(1, abs=0.1)
 
@@ -151,6 +190,23 @@ def test_a_pooled_histogram_gives_its_share():
     assert result["over_drawn_ci95"][0] < 1.3 < result["over_drawn_ci95"][1] * 1.01
     assert result["alone_m"] is None
     assert [parameter.key for parameter in MOTION][-1] == "t_length"
+
+
+def test_causes_alone_count_where_they_are_of_the_same_size():
+    counts = np.histogram(np.abs(np.random.default_rng(5).standard_normal(20_000)), Z_EDGES)[0].tolist()
+    sizes = {"own": {}, "small": {"rotation": 0.03}, "large": {"rotation": 0.3}, "length": {"t length": 0.04}}
+    sizes["together"] = {"rotation": 0.03, "t length": 0.04}
+    done = []
+    for name, causes in sizes.items():
+        predicted = {"matching": 0.01} | causes
+        total = float(np.sqrt(sum(each**2 for each in predicted.values())))
+        entry = {"range_bin": 2, "pixels": 20_000, "predicted_m": predicted, "total_m": total}
+        planned = Planned("", {"case": name}, trial(), ("slanted", "own"))
+        done.append((planned, {"budget": [entry | {"z": counts, "z_drawn": counts}]}))
+    result = {each["case"]: each for each in budget_of(done)}
+    assert list(result) == list(sizes)
+    # Of the two rotations the small one; the histogram of 20,000 draws has its share at 1 to a per cent.
+    assert result["together"]["alone_m"] == pytest.approx(np.sqrt(0.01**2 + 0.03**2 + 0.04**2), rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from harness.design.rig import RigDesign
 from harness.design.verify import drawn, verify
 from harness.errors import InputError
 from harness.evaluation.propagation import range_errors
-from harness.evaluation.rig_uncertainty import Uncertainty
+from harness.evaluation.rig_uncertainty import Odometry, Uncertainty
 from harness.evaluation.statistics import central_68
 from harness.geometry.angles import angle_between, normalise
 from harness.simulation.texture import BundledTexture, NoiseTexture, texels_of
@@ -46,6 +46,20 @@ def test_rotation_follows_the_law_and_t_the_range():
         tilted = budget(RigDesign(uncertainty=Uncertainty(t_direction_deg=0.1)), point).sigma_m
         # d cot(alpha_2): here alpha_2 is 90 degrees and the angle that |t| takes of it.
         assert tilted["t direction"] == pytest.approx([range_m * 0.5 / range_m * np.radians(0.1)], rel=1e-5)
+
+
+def test_odometry_grows_with_the_path_and_the_turn():
+    point = np.array([[0.0, 4.0, 0.0]])
+    for baseline_m, turn_deg in ((0.25, 0.0), (1.0, 40.0), (1.0, -40.0)):
+        known = Uncertainty(odometry=Odometry(rotation_deg_per_m=0.3, rotation_per_turn=0.01))
+        rig = RigDesign(baseline_m=baseline_m, turn_deg=turn_deg, uncertainty=known)
+        turned = np.hypot(np.radians(0.3) * baseline_m, 0.01 * np.radians(turn_deg))
+        expected = (16 + baseline_m**2) / baseline_m * turned
+        assert budget(rig, point).sigma_m["odometry"] == pytest.approx([expected], rel=1e-6)
+    # A mirror looks alike all around, so that a turned view 2 knows as much of a surface as one that is not.
+    straight, turned = (budget(RigDesign(turn_deg=turn, uncertainty=ALL), point).sigma_m for turn in (0.0, 70.0))
+    for cause in ("noise", "matching", "rotation", "t direction", "t length"):
+        assert turned[cause] == pytest.approx(straight[cause], rel=1e-6)
 
 
 def test_causes_add_as_variances_and_what_is_exact_costs_nothing():

@@ -24,6 +24,7 @@ _HEADINGS = {
     "rotation": "rota-\ntion",
     "t direction": "t's di-\nrection",
     "t length": "t's\nlength",
+    "odometry": "odo-\nmetry",
     "calibration": "cali-\nbration",
     "alignment": "align-\nment",
 }

@@ -14,7 +14,7 @@ from harness.geometry.angles import Array, angle_between, normalise
 from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
 from harness.simulation.chip import grey_variance
 
-CAUSES = ("noise", "matching", "rotation", "t direction", "t length", "calibration", "alignment")
+CAUSES = ("noise", "matching", "rotation", "t direction", "t length", "odometry", "calibration", "alignment")
 """Causes of range errors: noise of the images, fixed errors of the matcher, and what is wrongly believed of the rig."""
 
 _GREY = 110.0
@@ -61,7 +61,7 @@ def budget(rig: RigDesign, points_m: Array, normals: Array | None = None) -> Bud
     visible = in_field(rig.sensor, points_m) & in_field(rig.sensor, believed.motion.apply(points_m))
     noise, fixed = _matching(rig, points_m, normals)
     sigma = {"noise": noise, "matching": fixed}
-    for cause, parameters, covariance in covariances(rig.sensor, rig.uncertainty):
+    for cause, parameters, covariance in covariances(rig.sensor, rig.uncertainty, believed.motion):
         if covariance.any():
             sigma[cause] = propagated(sensitivities(points_m, believed, parameters, normals), covariance)
         else:
@@ -83,7 +83,7 @@ def _matching(rig: RigDesign, points_m: Array, normals: Array | None) -> tuple[A
     ranges = [np.linalg.norm(each, axis=-1) for each in views]
     window_m2, noise, aliased, along = np.ones(ranges[0].shape), 0.0, 0.0, np.ones(ranges[0].shape)
     for view, (points, t) in enumerate(zip(views, (motion.t_v1, motion.R_v2_from_v1 @ motion.t_v1), strict=True)):
-        normal = facing if view == 0 or normals is None else normals @ motion.R_v2_from_v1.T
+        normal = facing if view == 0 else facing @ motion.R_v2_from_v1.T
         slant = np.maximum(np.abs(np.sum(normalise(normal) * normalise(points), axis=-1)), 0.02)
         side_m = ranges[view] / np.sqrt(_density(rig, points))  # of a pixel, across the ray
         per_m2 = slant / side_m**2

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from harness.camera.sensor import Sensor
 from harness.evaluation.propagation import Rig
@@ -30,6 +31,8 @@ class RigDesign(Spec):
     """Direction of the baseline in view 1's frame: azimuth from x towards y, degrees."""
     elevation_deg: Finite = 0.0
     """Direction of the baseline in view 1's frame: elevation, degrees."""
+    turn_deg: Finite = 0.0
+    """View 2's turn about z between the views, degrees: what `uncertainty.odometry.rotation_per_turn` is a share of."""
     noise_grey: Annotated[float, Field(ge=0, le=255)] = 2.0
     """White noise of the images, grey levels of 0 .. 255."""
     chip: Chip = Chip()
@@ -71,10 +74,11 @@ class RigDesign(Spec):
 
     @property
     def believed(self) -> Rig:
-        """The rig itself, views turned alike."""
+        """The rig itself, view 2 turned about z."""
         azimuth, elevation = np.radians(self.azimuth_deg), np.radians(self.elevation_deg)
         t_hat = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-        return Rig((self.sensor, self.sensor), Motion(np.eye(3), self.baseline_m * np.array(t_hat)))
+        R_v1_from_v2 = Rotation.from_euler("z", self.turn_deg, degrees=True).as_matrix() if self.turn_deg else np.eye(3)
+        return Rig((self.sensor, self.sensor), Motion(R_v1_from_v2.T, self.baseline_m * np.array(t_hat)))
 
 
 def load_rig(file: Path) -> RigDesign:

@@ -106,7 +106,7 @@ def drawn(rig: RigDesign, draws: int, random: np.random.Generator) -> list[Rig]:
     Where there are more draws than numbers, the draws are made to have exactly the covariance that they are drawn from:
     a few then tell as much of the range's as many would.
     """
-    parameters = uncertain(rig.sensor, rig.uncertainty)
+    parameters = uncertain(rig.sensor, rig.uncertainty, rig.believed.motion)
     units = random.standard_normal((draws, len(parameters)))
     if draws > len(parameters) > 0:
         units = np.linalg.qr(units)[0] * np.sqrt(draws) * random.choice([-1.0, 1.0], len(parameters))

@@ -1,14 +1,24 @@
 """How well a rig is known: standard deviations of its numbers, and the covariances that errors are propagated from."""
 
+import math
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
-from harness.evaluation.propagation import MISALIGNMENT, MOTION, Parameter, calibration_parameters, diagonal
+from harness.evaluation.propagation import (
+    MISALIGNMENT,
+    MOTION,
+    ODOMETRY,
+    Parameter,
+    calibration_parameters,
+    diagonal,
+)
 from harness.geometry.angles import Array
+from harness.geometry.pose import Motion
 from harness.spec import Spec
 
 Deviation = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
@@ -20,6 +30,30 @@ Share = Annotated[float, Field(ge=0, le=0.1)]
 
 ALIGNMENT = MISALIGNMENT[:5]
 """Without the turn about the mirror's axis, which is the believed rotation's."""
+
+
+class Odometry(Spec):
+    """Standard deviations that grow with the motion between the views, as of wheels and gyroscopes; zero for exact."""
+
+    along: Share = 0.0
+    """Standard deviation of t along the path, as a share of |t|: 0.01 is 1 cm on a metre."""
+    across: Share = 0.0
+    """Standard deviation of t across the path, sideways and upwards each, as a share of |t|."""
+    rotation_deg_per_m: Deviation = 0.0
+    """Standard deviation of the rotation about each axis, degrees per metre of |t|."""
+    rotation_per_turn: Share = 0.0
+    """Standard deviation of the rotation about each axis, as a share of the angle that view 2 is turned by: radians per
+    radian, so that 0.01 is 0.9 degrees on a turn of 90."""
+
+    def sigmas(self, motion: Motion) -> dict[str, float]:
+        """Standard deviations of `propagation.ODOMETRY`, by key, for a motion: independent parts add as variances."""
+        turned = float(Rotation.from_matrix(motion.R_v2_from_v1).magnitude())
+        rotation_deg = math.hypot(
+            self.rotation_deg_per_m * motion.baseline_m, math.degrees(self.rotation_per_turn * turned)
+        )
+        t_deg = math.degrees(self.across)  # a t that is off by a share across points elsewhere by as many radians
+        sigmas = (rotation_deg, rotation_deg, rotation_deg, t_deg, t_deg, self.along)
+        return dict(zip((each.key for each in ODOMETRY), sigmas, strict=True))
 
 
 class Uncertainty(Spec):
@@ -43,15 +77,19 @@ class Uncertainty(Spec):
     mirrors."""
     alignment_deg: Misaligned = 0.0
     """Standard deviation of the camera's tilt against its mirror about each axis, degrees."""
+    odometry: Odometry = Odometry()
+    """What grows with the motion between the views, beside the constant parts above."""
 
 
-def covariances(sensor: Sensor, known: Uncertainty) -> list[tuple[str, tuple[Parameter, ...], Array]]:
+def covariances(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tuple[str, tuple[Parameter, ...], Array]]:
     """What is uncertain of a rig: causes, with their parameters and the covariance of these.
 
     Parameters
     ----------
     sensor
         Of both views.
+    motion
+        Between them, with which the odometry's errors grow.
     """
     calibration = calibration_parameters(sensor)
     of_part = {"camera.focal_px": known.focal, "camera.cx_px": known.centre_px, "camera.cy_px": known.centre_px}
@@ -62,17 +100,18 @@ def covariances(sensor: Sensor, known: Uncertainty) -> list[tuple[str, tuple[Par
         ("rotation", MOTION[:3], {each.key: known.rotation_deg for each in MOTION[:3]}),
         ("t direction", MOTION[3:5], {each.key: known.t_direction_deg for each in MOTION[3:5]}),
         ("t length", MOTION[5:], {"t_length": known.t_length}),
+        ("odometry", ODOMETRY, known.odometry.sigmas(motion)),
         ("calibration", calibration, of_calibration),
         ("alignment", aligned, of_alignment),
     ]
     return [(name, parameters, diagonal(parameters, sigmas)) for name, parameters, sigmas in causes]
 
 
-def uncertain(sensor: Sensor, known: Uncertainty) -> list[tuple[Parameter, float]]:
+def uncertain(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tuple[Parameter, float]]:
     """The parameters that are not exact, with their standard deviations."""
     return [
         (parameter, float(np.sqrt(variance)))
-        for _, parameters, covariance in covariances(sensor, known)
+        for _, parameters, covariance in covariances(sensor, known, motion)
         for parameter, variance in zip(parameters, np.diag(covariance), strict=True)
         if variance
     ]

@@ -10,8 +10,9 @@ from harness.camera.misalignment import Misalignment
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
-from harness.evaluation.propagation import MOTION, Parameter, Rig, calibration_parameters
+from harness.evaluation.propagation import MOTION, ODOMETRY, Parameter, Rig, calibration_parameters
 from harness.evaluation.rig_uncertainty import Uncertainty, uncertain
+from harness.geometry.pose import Motion
 from harness.simulation.noise import generator
 from harness.spec import Spec, parse
 
@@ -58,10 +59,16 @@ class Believed(Spec):
         return self == Believed()
 
 
-def draws_of(sensor: Sensor, sigma: Uncertainty, seed: int) -> dict[str, float]:
-    """The errors that a seed draws, by the key of `propagation.Parameter`, in proportion to the standard deviations."""
+def draws_of(sensor: Sensor, sigma: Uncertainty, motion: Motion, seed: int) -> dict[str, float]:
+    """The errors that a seed draws, by the key of `propagation.Parameter`, in proportion to the standard deviations.
+
+    Parameters
+    ----------
+    motion
+        The true one, with which the odometry's errors grow.
+    """
     errors = {}
-    for parameter, deviation in uncertain(sensor, sigma):
+    for parameter, deviation in uncertain(sensor, sigma, motion):
         unit = generator(seed, "believed", parameter.key).standard_normal()
         errors[parameter.key] = deviation * float(unit)
     return errors
@@ -96,7 +103,7 @@ def believed_rig(true: Rig, believed: Believed, draws: dict[str, float]) -> Rig:
         From `draws_of`.
     """
     rig = true
-    for parameter in (*MOTION, *calibration_parameters(true.sensors[0])):
+    for parameter in (*MOTION, *ODOMETRY, *calibration_parameters(true.sensors[0])):
         error = _fixed(believed, parameter, true.sensors[0]) + draws.get(parameter.key, 0.0)
         if error:
             rig = parameter.changed(rig, error)

@@ -57,7 +57,7 @@ def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
     rig, draws = Rig(assumed.sensors, assumed.motion), trial.belief_draws
     noise = generator(trial.seed, "error budget").standard_normal(len(points))
     follows = sigma["matching"] * noise
-    for cause, parameters, covariance in covariances(assumed.sensors[0], trial.believed.sigma):
+    for cause, parameters, covariance in covariances(assumed.sensors[0], trial.believed.sigma, trial.true_motion):
         if not covariance.any():
             continue
         name, base, follow = cause, rig, None

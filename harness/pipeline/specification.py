@@ -13,6 +13,7 @@ from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
 from harness.camera.visible_rows import is_open, with_rows
 from harness.errors import InputError, with_article
+from harness.evaluation.rig_uncertainty import Odometry
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.matching.registry import Matcher
@@ -239,15 +240,12 @@ class Trial(Spec):
         if self.sensors[0] == self.sensors[1]:
             del settings["sensor_2"]  # the same trial, whether or not it is given
         for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
-            if given.misalignment.is_zero:
-                sensor.pop("misalignment", None)  # as before there was one
-            if given.profile is None:
-                sensor.pop("profile", None)
-            if mask := sensor.pop("mask", None):
-                sensor["mask"] = mask["sha256"]
+            _without_what_is_new_of_sensors(sensor, given)
         for name in ("optics", "optics_2", "chip", "motion", "believed"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as before there was one
+        if self.believed.sigma.odometry == Odometry():
+            settings.get("believed", {}).get("sigma", {}).pop("odometry", None)
         if self.optics_2 == self.optics:
             settings.pop("optics_2", None)
         if not self.scoring.budget:
@@ -282,7 +280,7 @@ class Trial(Spec):
     @property
     def belief_draws(self) -> dict[str, float]:
         """The errors of what is believed that the seed draws, by parameter."""
-        return draws_of(self.sensor, self.believed.sigma, self.seed)
+        return draws_of(self.sensor, self.believed.sigma, self.true_motion, self.seed)
 
     @property
     def lenses(self) -> tuple[Optics, Optics]:
@@ -315,3 +313,13 @@ class Trial(Spec):
     def true_motion(self) -> Motion:
         """From view 1 to view 2."""
         return relative_motion(*self.poses)
+
+
+def _without_what_is_new_of_sensors(settings: dict[str, Any], given: Sensor) -> None:
+    """Take out of a key's settings of a sensor what it has had for less long, where it is at its default."""
+    if given.misalignment.is_zero:
+        settings.pop("misalignment", None)  # as before there was one
+    if given.profile is None:
+        settings.pop("profile", None)
+    if mask := settings.pop("mask", None):
+        settings["mask"] = mask["sha256"]

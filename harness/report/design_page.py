@@ -16,8 +16,9 @@ from harness.report.sensor_page import image_panel, resolution_panel
 from harness.report.theme import FAINT, HALF, INK, SPARE, Picture
 from harness.spec import dump_toml
 
-_COLOURS = dict(zip(CAUSES, (theme.SUBPIXEL, SPARE[2], theme.PIXEL, SPARE[3], SPARE[1], SPARE[0], FAINT), strict=True))
-_STROKES = dict(zip(CAUSES, ("-", "-", "--", "--", "--", "-.", ":"), strict=True))
+_OF_CAUSES = (theme.SUBPIXEL, SPARE[2], theme.PIXEL, SPARE[3], SPARE[1], theme.OCHRE, SPARE[0], FAINT)
+_COLOURS = dict(zip(CAUSES, _OF_CAUSES, strict=True))
+_STROKES = dict(zip(CAUSES, ("-", "-", "--", "--", "--", (0, (1, 1)), "-.", ":"), strict=True))
 _HEIGHT = 400
 _PLAN_M = 8.0
 
