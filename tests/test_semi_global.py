@@ -22,12 +22,13 @@ from harness.matching.semi_global.match import (
     PER_BIT,
     SemiGlobal,
     View,
-    aggregate,
     geometry_of,
     jumps,
     match,
+    rules_of,
     search,
 )
+from harness.matching.semi_global.paths import aggregate, aggregate_in_bands
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
 
@@ -110,7 +111,7 @@ def test_sums_over_paths_are_those_of_the_definition(paths, seed, p1, more, labe
     matcher = SemiGlobal(p1_bits=p1 / PER_BIT, p2_bits=(p1 + more) / PER_BIT, paths=paths)
     p2 = draws.integers(p1, p1 + more + 1, (4, 5, 7)).astype(np.uint8)
     sums = np.zeros(costs.shape, np.uint16)
-    best, nearby, second = aggregate(costs, 0, first, last, p2, matcher, 1, sums)
+    best, nearby, second = aggregate(costs, (0, first, last), rules_of(matcher, p2), 1, sums)
     expected = sums_by_definition(costs, p1, p2, ACROSS if paths == 4 else ACROSS + DIAGONAL)
     np.testing.assert_array_equal(sums, expected)
     for i, j in np.ndindex(best.shape):
@@ -125,6 +126,26 @@ def test_sums_over_paths_are_those_of_the_definition(paths, seed, p1, more, labe
         assert second[i, j] == min(rivals, default=np.iinfo(np.uint16).max)
 
 
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("rows", [1, 2, 3, 7])
+def test_costs_in_bands_give_the_same_sums(paths, rows):
+    """Bands of one row, bands of which a half is no multiple, and one band for each half."""
+    costs, first, last, draws = any_costs(8, (7, 9, 32))
+    matcher = SemiGlobal(p1_bits=2, p2_bits=30, paths=paths)
+    rules = rules_of(matcher, draws.integers(4, 61, (4, 7, 9)).astype(np.uint8))
+    made = []
+
+    def compare(begin, end, top, memory):
+        memory[begin - top : end - top] = costs[begin:end]
+        made.append(end - begin)
+
+    whole = aggregate(costs, (0, first, last), rules, 1)
+    parts = aggregate_in_bands(compare, costs.shape, (0, first, last), rules, 1, rows * costs[0].size)
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert max(made) == min(rows, 4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("paths", [4, 8])
 @pytest.mark.parametrize("columns", [1, 17])
@@ -132,10 +153,12 @@ def test_the_seam_is_no_border_for_paths(paths, columns):
     costs, first, last, draws = any_costs(3, (6, 40, 32))
     matcher = SemiGlobal(p1_bits=2, p2_bits=30, paths=paths)
     p2 = draws.integers(4, 61, (4, 6, 40)).astype(np.uint8)
-    straight = aggregate(costs, 0, first, last, p2, matcher, 1)
+    straight = aggregate(costs, (0, first, last), rules_of(matcher, p2), 1)
     turned = [np.roll(a, columns, axis=1) for a in (costs, first, last)]
     for a, b in zip(
-        straight, aggregate(turned[0], 0, *turned[1:], np.roll(p2, columns, axis=2), matcher, 1), strict=True
+        straight,
+        aggregate(turned[0], (0, *turned[1:]), rules_of(matcher, np.roll(p2, columns, axis=2)), 1),
+        strict=True,
     ):
         np.testing.assert_array_equal(np.roll(a, columns, axis=1), b)
 
@@ -148,7 +171,7 @@ def test_a_path_runs_around_the_row_until_it_repeats_itself():
     costs[1, 3, 20] = 0
     matcher = SemiGlobal(p1_bits=1, p2_bits=60)
     first, last = np.zeros((3, 50), np.int32), np.full((3, 50), 31, np.int32)
-    best, _, _ = aggregate(costs, 0, first, last, jumps(None, (3, 50), matcher), matcher, 1)
+    best, _, _ = aggregate(costs, (0, first, last), rules_of(matcher, jumps(None, (3, 50), matcher)), 1)
     assert set(best[1]) == {20}
 
 
@@ -157,7 +180,7 @@ def test_without_penalties_every_pixel_is_on_its_own():
     costs, first, last, _ = any_costs(4)
     matcher = SemiGlobal(p1_bits=0, p2_bits=0)
     sums = np.zeros(costs.shape, np.uint16)
-    best, _, _ = aggregate(costs, 0, first, last, jumps(None, costs.shape[:2], matcher), matcher, 1, sums)
+    best, _, _ = aggregate(costs, (0, first, last), rules_of(matcher, jumps(None, costs.shape[:2], matcher)), 1, sums)
     np.testing.assert_array_equal(sums, 4 * costs.astype(int))
     for pixel in np.argwhere(best >= 0):
         i, j = pixel
@@ -219,7 +242,9 @@ def test_matching_costs_are_those_of_the_definition(blur, box_px):
     costs = np.zeros((*grid.shape, g.labels), np.uint8)
     multiplier = round(PER_BIT * 2**16 / box_px**2)
     for rows in ((0, 2), (2, 5)):
-        kernels.matching_costs(*made, g.around, g.along, margin, g.k_0, box_px // 2, multiplier, *rows, costs)
+        kernels.matching_costs(
+            *made, g.around, g.along, margin, g.k_0, box_px // 2, multiplier, *rows, rows[0], costs[slice(*rows)]
+        )
 
     def bits(i, j, k):
         i, j = min(max(i, 0), grid.height_px - 1), j % grid.width_px
@@ -447,7 +472,7 @@ def test_the_largest_path_costs_fit_into_their_numbers():
         matcher = SemiGlobal(p1_bits=p1, p2_bits=p2, paths=8)
         sums = np.zeros(costs.shape, np.uint16)
         table = jumps(None, (5, 7), matcher)
-        aggregate(costs, 0, *limits, table, matcher, 1, sums)
+        aggregate(costs, (0, *limits), rules_of(matcher, table), 1, sums)
         np.testing.assert_array_equal(sums, sums_by_definition(costs, round(PER_BIT * p1), table, ACROSS + DIAGONAL))
 
 

@@ -99,7 +99,7 @@ def _bits_of_row(codes_1, codes_2, around, along, margin, k_0, row, bits, slot):
 
 
 @kernel
-def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplier, first, end, costs):
+def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplier, first, end, top, costs):
     """Matching costs of rows first .. end: the mean of a box of differing bits.
 
     codes_1, codes_2 : `[around, along + 2 margin]`, from `census`.
@@ -107,9 +107,10 @@ def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplie
     k_0 : offset of the first label from that column.
     half : the box has 2 half + 1 pixels a side; around the seam, the first and last row going on outwards.
     multiplier : cost of a bit in 2^-16, over the pixels of a box.
-    costs : written, `[height, width, labels]`.
+    top : the panorama's row that is the first of `costs`.
+    costs : written, `[rows, width, labels]`.
     """
-    height, width, labels = costs.shape
+    height, width, labels = around.shape[0], costs.shape[1], costs.shape[2]
     size = 2 * half + 1
     bits = np.empty((size, width, labels), np.uint8)
     columns = np.zeros((width, labels), np.uint16)  # sums of the box's rows
@@ -136,7 +137,7 @@ def matching_costs(codes_1, codes_2, around, along, margin, k_0, half, multiplie
                 value = np.uint16(total[k] + columns[ahead, k])
                 total[k] = np.uint16(value - columns[behind, k])
                 scaled = np.uint32(np.uint32(value) * np.uint32(multiplier) + np.uint32(1 << 15))
-                costs[row, column, k] = np.uint8(scaled >> np.uint32(16))
+                costs[row - top, column, k] = np.uint8(scaled >> np.uint32(16))
 
 
 @kernel
@@ -262,24 +263,26 @@ def _add(paths, path, sums, row):
 
 
 @kernel
-def first_half(costs, start, count, downwards, sideways, p1, jumps, state, least, half_sums):
+def first_half(costs, start, count, done, downwards, sideways, p1, jumps, state, least, half_sums):
     """The paths that come from above, or from below, for `count` rows from `start` on.
 
     costs : `[height, width, labels]`.
+    done : how many rows the paths have covered before; they begin where there are none.
     sideways : `[paths]`, how many columns each path moves with every row: 0, and then 1 and -1 or nothing.
     jumps : `[4, height, width]`, P2 between the pixel and the one to the left of it, above it, to the upper left
         and to the upper right.
-    state, least : written, `[2, paths, width, labels + 2]` and `[2, paths, width]`; the last row's at `count` modulo 2.
+    state, least : written, `[2, paths, width, labels + 2]` and `[2, paths, width]`; the last row's at `done + count`
+        modulo 2.
     half_sums : written, `[height, width, labels]`; the sums of their costs.
     """
     for number in range(count):
         row = start + number if downwards else start - number
-        old, new = number % 2, (number + 1) % 2
+        old, new = (done + number) % 2, (done + number + 1) % 2
         before, after, old_least, new_least = state[old], state[new], least[old], least[new]
         for path in range(sideways.size):
             _descend(
-                costs, row, number == 0, downwards, sideways[path], p1, jumps, before, after, old_least, new_least,
-                np.uint64(path),
+                costs, row, done + number == 0, downwards, sideways[path], p1, jumps, before, after, old_least,
+                new_least, np.uint64(path),
             )  # fmt: skip
         _put(after, np.uint64(row), half_sums)
 

@@ -24,11 +24,10 @@ Labels outside a pixel's search interval cost what they cost and cannot win; to 
 """
 
 import math
-import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +42,10 @@ from harness.geometry.panorama import directions
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
+from harness.matching.semi_global.paths import LARGE_BYTES, Rules, aggregate, aggregate_in_bands, reused
 from harness.matching.window.subpixel import refine
 from harness.spec import Positive
-from harness.threads import in_bands, in_threads
+from harness.threads import in_bands
 
 PER_BIT = 2
 """Costs are counted in halves of a bit."""
@@ -293,12 +293,11 @@ class SearchResult:
 def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, threads: int) -> SearchResult:
     """Costs, paths, and the best label of every pixel; a tie goes to the one nearer to infinity."""
     curves, margin = geometry.curves, geometry.labels + abs(geometry.k_0)
-    shape, rows_and_columns = curves.grid.shape, views[0].values.shape
+    shape, rows_and_columns = (*curves.grid.shape, geometry.labels), views[0].values.shape
     codes = [
-        _memory(f"codes {view}", (rows_and_columns[0], rows_and_columns[1] + 2 * margin), np.uint32) for view in (1, 2)
+        reused(f"codes {view}", (rows_and_columns[0], rows_and_columns[1] + 2 * margin), np.uint32) for view in (1, 2)
     ]
-    blurred = _memory("blurred", rows_and_columns, np.int32)
-    costs = _memory("costs", (*shape, geometry.labels), np.uint8)
+    blurred = reused("blurred", rows_and_columns, np.int32)
 
     def transform(first: int, end: int) -> None:
         # View 1 last: its blurred image is what stays.
@@ -306,7 +305,7 @@ def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, th
             values, valid = views[view].values, views[view].valid
             kernels.census(values, valid, matcher.blur, margin, first, end, blurred, codes[view])
 
-    def compare(first: int, end: int) -> None:
+    def compare(first: int, end: int, top: int, costs: NDArray[np.uint8]) -> None:
         kernels.matching_costs(
             codes[0],
             codes[1],
@@ -318,36 +317,30 @@ def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, th
             round(PER_BIT * 2**16 / matcher.box_px**2),
             first,
             end,
+            top,
             costs,
         )
 
     in_bands(transform, rows_and_columns[0], threads, threads)
-    in_bands(compare, shape[0], threads, threads)
     grey = blurred[geometry.around, geometry.along] / (16.0 * _PER_GREY) if matcher.edge_grey else None
-    p2 = jumps(grey, shape, matcher)
-    best, nearby, second = aggregate(costs, geometry.k_0, curves.k_first, curves.k_last, p2, matcher, threads)
-    valid_1, valid_2 = np.empty((2, *shape), dtype=bool)
+    p2 = jumps(grey, shape[:2], matcher)
+    interval = geometry.k_0, curves.k_first, curves.k_last
+    rules = rules_of(matcher, p2)
+    if math.prod(shape) <= LARGE_BYTES:
+        costs = reused("costs", shape, np.uint8)
+        in_bands(lambda first, end: compare(first, end, 0, costs), shape[0], threads, threads)
+        best, nearby, second = aggregate(costs, interval, rules, threads)
+    else:
+        best, nearby, second = aggregate_in_bands(compare, shape, interval, rules, threads)
+    valid_1, valid_2 = np.empty((2, *curves.grid.shape), dtype=bool)
     ahead = np.maximum(best, 0) + geometry.k_0
     kernels.valid_in_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, valid_1, valid_2)
     return SearchResult(best, nearby, second, valid_1, valid_2)
 
 
-class _Memory(threading.local):
-    """Arrays that a thread reuses for its next pair: fresh memory takes longer to get than to fill."""
-
-    def __init__(self) -> None:
-        self.arrays: dict[str, NDArray[Any]] = {}
-
-
-_reused = _Memory()
-
-
-def _memory(name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> NDArray[Any]:
-    """An uninitialised array, valid until this thread asks for one of this name again."""
-    array = _reused.arrays.get(name)
-    if array is None or array.shape != shape or array.dtype != dtype:
-        array = _reused.arrays[name] = np.empty(shape, dtype)
-    return array
+def rules_of(matcher: SemiGlobal, p2: NDArray[np.uint8]) -> Rules:
+    """The matcher's penalties, `p2` as `jumps` makes it."""
+    return Rules(p2, round(PER_BIT * matcher.p1_bits), matcher.paths)
 
 
 def jumps(grey: Array | None, shape: tuple[int, int], matcher: SemiGlobal) -> NDArray[np.uint8]:
@@ -364,86 +357,6 @@ def jumps(grey: Array | None, shape: tuple[int, int], matcher: SemiGlobal) -> ND
         return np.full((4, *shape), round(p2), dtype=np.uint8)
     steps = np.stack([np.abs(grey - np.roll(grey, shift, axis=(0, 1))) for shift in ((0, 1), (1, 0), (1, 1), (1, -1))])
     return np.rint(np.maximum(p1, p2 / (1 + steps / matcher.edge_grey))).astype(np.uint8)
-
-
-def aggregate(
-    costs: NDArray[np.uint8],
-    k_0: int,
-    k_first: NDArray[np.int32],
-    k_last: NDArray[np.int32],
-    p2: NDArray[np.uint8],
-    matcher: SemiGlobal,
-    threads: int,
-    sums: NDArray[np.uint16] | None = None,
-) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]:
-    """Follow the paths, add up their costs, and take the best label of each pixel.
-
-    The paths from above and those from below are followed at the same time, each first through its own half of the
-    rows, then through the other's, where all sums become complete: two threads help.
-
-    Parameters
-    ----------
-    costs
-        `[height, width, labels]`, halves of a bit.
-    k_first, k_last
-        `[height, width]`: the samples to choose from, the first label being sample k_0.
-    p2
-        From `jumps`.
-    sums
-        Written if given, `[height, width, labels]`: the sums over all paths.
-
-    Returns
-    -------
-    best, nearby, second
-        As in `SearchResult`.
-    """
-    height, width, labels = costs.shape
-    p1 = np.uint8(round(PER_BIT * matcher.p1_bits))
-    guard = 255 - int(p1)
-    sideways = np.array([0] if matcher.paths == 4 else [0, 1, -1])
-    # A path cost fits into 8 bits, the sum of three does not.
-    half_sums = _memory("half sums", costs.shape, np.uint8 if sideways.size == 1 else np.uint16)
-    best = np.empty((height, width), np.int32)
-    nearby = np.zeros((height, width, 3), np.uint16)
-    second = np.zeros((height, width), np.uint16)
-    state = np.full((2, 2, sideways.size, width, labels + 2), guard, np.uint8)
-    least = np.zeros((2, 2, sideways.size, width), np.uint8)
-    first_rows = height // 2, height - height // 2
-    # How many rows each side covers in the first pass, from above and from below.
-
-    def begin_from(side: int) -> None:
-        start = (0, height - 1)[side]
-        kernels.first_half(
-            costs, start, first_rows[side], side == 0, sideways, p1, p2, state[side], least[side], half_sums
-        )
-
-    def continue_from(side: int) -> None:
-        kernels.second_half(
-            costs,
-            (first_rows[0], first_rows[0] - 1)[side],
-            first_rows[1 - side],
-            first_rows[side],
-            side == 0,
-            sideways,
-            p1,
-            p2,
-            state[side],
-            least[side],
-            half_sums,
-            np.full((2, width, labels + 2), guard, np.uint8),
-            np.full((1, 1, labels + 2), guard, np.uint8),
-            np.empty((1, width, labels), np.uint16) if sums is None else sums,
-            k_0,
-            k_first,
-            k_last,
-            best,
-            nearby,
-            second,
-        )
-
-    in_threads(begin_from, (0, 1), threads)
-    in_threads(continue_from, (0, 1), threads)
-    return best, nearby, second
 
 
 # -- Answer ------------------------------------------------------------------------------------------------------------
