@@ -28,7 +28,7 @@ from harness.matching.semi_global.match import (
     rules_of,
     search,
 )
-from harness.matching.semi_global.paths import aggregate, aggregate_in_bands
+from harness.matching.semi_global.paths import aggregate
 from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.trial import run_trial
 
@@ -124,26 +124,6 @@ def test_sums_over_paths_are_those_of_the_definition(paths, seed, p1, more, labe
         np.testing.assert_array_equal(nearby[i, j], expected[i, j, k - 1 : k + 2])
         rivals = [expected[i, j, other] for other in ks if abs(other - k) > 1]
         assert second[i, j] == min(rivals, default=np.iinfo(np.uint16).max)
-
-
-@pytest.mark.parametrize("paths", [4, 8])
-@pytest.mark.parametrize("rows", [1, 2, 3, 7])
-def test_costs_in_bands_give_the_same_sums(paths, rows):
-    """Bands of one row, bands of which a half is no multiple, and one band for each half."""
-    costs, first, last, draws = any_costs(8, (7, 9, 32))
-    matcher = SemiGlobal(p1_bits=2, p2_bits=30, paths=paths)
-    rules = rules_of(matcher, draws.integers(4, 61, (4, 7, 9)).astype(np.uint8))
-    made = []
-
-    def compare(begin, end, top, memory):
-        memory[begin - top : end - top] = costs[begin:end]
-        made.append(end - begin)
-
-    whole = aggregate(costs, (0, first, last), rules, 1)
-    parts = aggregate_in_bands(compare, costs.shape, (0, first, last), rules, 1, rows * costs[0].size)
-    for one, other in zip(whole, parts, strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert max(made) == min(rows, 4)
 
 
 @pytest.mark.slow

@@ -16,7 +16,9 @@ from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.matching.slanted.refine import Slanted, _centre_of_spline, _smoothed, _warp, refine_slanted
+from harness.matching.slanted.field import Part, warp_between
+from harness.matching.slanted.refine import Slanted, refine_slanted
+from harness.matching.slanted.sigma import centre_of_spline, smoothed_noise
 
 SENSOR = Sensor(
     camera=Camera(width_px=220, height_px=220, focal_px=560.0, cx_px=109.5, cy_px=109.5),
@@ -122,7 +124,8 @@ def test_holes_in_the_start_are_filled():
 
 
 def warped(sensor, there, image, w):
-    warp = _warp((sensor, sensor), (0, 0), there, pixel_directions(sensor)[1])
+    whole = Part(sensor, 0, *(slice(0, size) for size in w.shape))
+    warp = warp_between(whole, whole, there, pixel_directions(sensor)[1])
     coefficients = ndimage.spline_filter(image, 3, output=np.float64, mode="mirror")
     known = np.zeros(w.shape, bool)
     value, slope, moved = np.zeros((3, *w.shape))
@@ -192,7 +195,9 @@ def test_slope_is_the_derivative(lens):
 def test_a_window_is_the_least_squares_solution(far):
     """Against numpy's solver, sample by sample, on random fields with holes."""
     draws = np.random.default_rng(5)
-    warp = _warp((SENSOR, SENSOR), (0, 0), motion(), pixel_directions(SENSOR)[1])
+    known = pixel_directions(SENSOR)[1]
+    whole = Part(SENSOR, 0, *(slice(0, size) for size in known.shape))
+    warp = warp_between(whole, whole, motion(), known)
     shape, half = warp.valid.shape, 5
     w = draws.uniform(0.4, 0.8, shape)
     known = warp.valid & (draws.random(shape) < 0.8)
@@ -250,6 +255,28 @@ def test_threads_change_nothing(threads):
     one, other = (refine(pair(), there, threads=n) for n in (2, threads))
     for field in ("alpha_2", "sigma_alpha_2", "reason"):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+
+
+def test_what_lies_around_the_field_does_not_matter():
+    """The same images within larger ones, which the sensor does not see."""
+    there, (left, top) = motion(), (37, 80)  # running sums begin anew every 40 rows, at the same ones then
+    height, width = pair()[0].shape
+    camera = SENSOR.camera.model_copy(
+        update={
+            "width_px": width + left + 50,
+            "height_px": height + top + 30,
+            "cx_px": SENSOR.camera.cx_px + left,
+            "cy_px": SENSOR.camera.cy_px + top,
+        }
+    )
+    larger = SENSOR.model_copy(update={"camera": camera})
+    images = [np.pad(image, ((top, 30), (left, 50)), constant_values=77) for image in pair()]
+    here = refine(pair(), there)
+    same = refine_slanted((images[0], images[1]), (larger, larger), there, GRID, start(there), settings=SETTINGS)
+    np.testing.assert_array_equal(same.reason, here.reason)
+    # The spline's coefficients are rounded to single precision, 1e-5 of 128 grey levels, over slopes of some ten.
+    np.testing.assert_allclose(same.alpha_2, here.alpha_2, rtol=0, atol=1e-5 * GRID.phi_pitch)
+    np.testing.assert_allclose(same.sigma_alpha_2, here.sigma_alpha_2, rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -369,7 +396,7 @@ def bound_px(there):
 
 def test_centres_of_splines():
     # Cubic: 2/3; quintic: 11/20 (Schoenberg).
-    assert [_centre_of_spline(m) for m in (2, 3, 4, 6)] == pytest.approx([1, 3 / 4, 2 / 3, 11 / 20], abs=1e-14)
+    assert [centre_of_spline(m) for m in (2, 3, 4, 6)] == pytest.approx([1, 3 / 4, 2 / 3, 11 / 20], abs=1e-14)
 
 
 @pytest.mark.parametrize("f", [0.2, 0.6, 0.9])
@@ -384,7 +411,7 @@ def test_noise_that_steps_leave(f):
         field = (1 - part) / (1 - f) * plane + part * ndimage.uniform_filter(field, 17)
     # Windows of 17 samples for a continuum: 1/17², a few times over.
     expected = np.sum(field**2) / np.sum(plane**2)
-    assert np.polynomial.polynomial.polyval(f, _smoothed(8, 2)) == pytest.approx(expected, rel=0.01)
+    assert np.polynomial.polynomial.polyval(f, smoothed_noise(8, 2)) == pytest.approx(expected, rel=0.01)
 
 
 def test_noise_of_interpolation():

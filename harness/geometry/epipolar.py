@@ -116,6 +116,11 @@ def _curves(grid: Grid, t_bytes: bytes, d_min_m: float, d_max_m: float, sampling
     return curves
 
 
+def forget_curves() -> None:
+    """Give back the memory of the curves that are kept."""
+    _curves.cache_clear()
+
+
 def alpha_2_at(curves: Curves, k: ArrayLike, where: tuple[Any, ...] = ()) -> Array:
     """Angle alpha_2 (radians) of sample k, fractions allowed, of every pixel (or of the pixels `where` selects)."""
     k = np.asarray(k, dtype=np.float64)

@@ -103,6 +103,7 @@ def find_features(image: Image, sensor: Sensor, *, flip: bool = False) -> Featur
     image, known = without_gaps(image, pixel_directions(sensor)[1])
     filled = image[nearest_known(known)]  # black beyond the rim would make keypoints of its own
     levels = np.clip(np.rint(filled[:, ::-1] if flip else filled), 0, 255).astype(np.uint8)
+    del filled  # SIFT's pyramids take 230 bytes a pixel
     sift = cv2.SIFT_create(nfeatures=MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
     keypoints, descriptors = sift.detectAndCompute(np.ascontiguousarray(levels), None)
     pixels = np.array([each.pt for each in keypoints], dtype=np.float64).reshape(-1, 2)

@@ -28,6 +28,7 @@ from harness.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair, Share, sharing
 from harness.matching.ranges import ranges_of
+from harness.matching.semi_global.match import forget_large
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.geometry_check import GeometryCheck, check_geometry, geometry_share
 from harness.pipeline.match_check import moved, without, without_unlike
@@ -196,6 +197,7 @@ def estimate(
     geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
     range_m, reason, matching_m = _ranges(pair, matcher, matches)
+    forget_large(pair.grid)
     geometry_m = geometry_share(geometry, pair) * range_m
     motion_m = np.where(np.isfinite(range_m), 0.0, np.nan)
     if motion_error is not None:

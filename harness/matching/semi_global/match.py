@@ -37,12 +37,12 @@ from scipy import ndimage
 from harness.camera.fill import closed_image, touches
 from harness.camera.sensor import Sensor, project, seam_px
 from harness.geometry.angles import Array
-from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves
-from harness.geometry.panorama import directions
+from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves, forget_curves
+from harness.geometry.panorama import Grid, directions
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
-from harness.matching.semi_global.paths import LARGE_BYTES, Rules, aggregate, aggregate_in_bands, reused
+from harness.matching.semi_global.paths import LARGE_BYTES, Rules, aggregate, aggregate_in_bands, forget_reused, reused
 from harness.matching.window.subpixel import refine
 from harness.spec import Positive
 from harness.threads import in_bands
@@ -141,6 +141,19 @@ def match_semi_global(pair: Pair, matcher: SemiGlobal) -> Matches:
     searched = matcher.search
     result = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
     return pair.shared("sub-pixel", matcher, lambda: match(result, geometry, matcher))
+
+
+_LARGE_PX = 1_000_000
+"""Pixels of a panorama from which a pair's geometry is not kept for the next pair: it takes 150 bytes for each."""
+
+
+def forget_large(grid: Grid) -> None:
+    """Give back the memory of a large panorama's geometry; to make it again takes a fiftieth of the matching."""
+    if grid.width_px * grid.height_px > _LARGE_PX:
+        forget_curves()
+        geometry_of.cache_clear()
+        _sampling_table.cache_clear()
+        forget_reused()
 
 
 # -- Geometry: depends on the pose and the limits alone, and is cached for the next pair of images ---------------------

@@ -73,6 +73,11 @@ def reused(name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> NDArra
     return array
 
 
+def forget_reused() -> None:
+    """Give back what this thread reuses."""
+    _reused.arrays.clear()
+
+
 def aggregate(
     costs: NDArray[np.uint8], interval: Interval, rules: Rules, threads: int, sums: NDArray[np.uint16] | None = None
 ) -> Found:

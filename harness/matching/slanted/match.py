@@ -2,7 +2,7 @@
 
 from harness.matching.interface import Matches
 from harness.matching.pair import Pair
-from harness.matching.semi_global.match import SemiGlobal
+from harness.matching.semi_global.match import SemiGlobal, forget_large
 from harness.matching.slanted.refine import refine_slanted
 from harness.matching.slanted.settings import Slanted
 
@@ -12,13 +12,14 @@ def match_slanted(pair: Pair, matcher: Slanted) -> Matches:
     start = SemiGlobal(d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m)
 
     def refined() -> Matches:
-        coarse = pair.shared("start", start, lambda: start.match(pair))
+        alpha_2 = pair.shared("start", start, lambda: start.match(pair)).alpha_2
+        forget_large(pair.grid)
         return refine_slanted(
             pair.images,
             pair.sensors,
             pair.motion,
             pair.grid,
-            coarse.alpha_2,
+            alpha_2,
             settings=matcher,
             threads=pair.available_threads,
         )

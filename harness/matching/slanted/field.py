@@ -1,0 +1,224 @@
+"""The field of planes over a mirror image, and its Gauss-Newton steps.
+
+A field takes 128 bytes a pixel. Only the part of the image that the sensor sees has one.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.camera._field_kernels import FieldLimits
+from harness.camera.fill import across_seam, nearest_known
+from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions
+from harness.geometry.angles import Array
+from harness.geometry.pose import Motion
+from harness.matching.slanted import _slanted_kernels as _kernels
+from harness.matching.slanted.settings import Slanted
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_BAND = 40
+"""Rows that are worked on at a time; fixed, as a running sum begins anew in each."""
+
+_LEAST_SHARE = 0.35
+"""The least share of a window's pixels that must be there: a straight border through its middle leaves half."""
+
+_SLOPE_WEIGHT = 0.0025
+"""A weak prior: slopes of inverse range are 0 ± 2 (1/m per radian), at a noise of a tenth of the contrast."""
+
+_APART_PX = 0.3
+"""Planes closer than this count as one surface in the choice between windows."""
+
+_CENTRE_BONUS = 0.8
+"""A moved window has to fit better by a fifth: a patch's mean square has a relative standard deviation of a quarter."""
+
+_RESIDUAL_WEIGHT = 0.5
+"""Weight of a window's own residual, beside that of the patch, in the choice."""
+
+_MEDIAN_REACH = 2
+"""Reach of the median over the start, pixels: it removes single outliers and pairs of them."""
+
+
+# -- Geometry and images -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Part:
+    """The rows and columns of an image, continued across its seam, that a field is of."""
+
+    sensor: Sensor
+    seam: int
+    """Columns by which the image is continued on both sides."""
+    rows: slice
+    """From a multiple of the bands' height on: running sums then begin where they do on the whole image."""
+    columns: slice
+
+    @property
+    def at(self) -> tuple[slice, slice]:
+        """The index of the part."""
+        return self.rows, self.columns
+
+
+def part_of(sensor: Sensor, seam: int, known: Mask) -> Part:
+    """The part of an image that is known, and a pixel more, since pixels are compared with the next ones."""
+    if not known.any():
+        return Part(sensor, seam, slice(0, known.shape[0]), slice(0, known.shape[1]))
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    first = max(int(rows[0]) - 1, 0) // _BAND * _BAND
+    return Part(
+        sensor,
+        seam,
+        slice(first, min(int(rows[-1]) + 2, known.shape[0])),
+        slice(max(int(columns[0]) - 1, 0), min(int(columns[-1]) + 2, known.shape[1])),
+    )
+
+
+@dataclass(frozen=True)
+class Warp:
+    """How points map from one view to the other, for the kernels: pixels of the one, the camera of the other."""
+
+    t: Array
+    R: Array
+    s: Array
+    """-R t: the derivative of q = R x + w s by the inverse range w."""
+    camera: tuple[Any, FieldLimits, float, float]
+    """The other view's camera model and limits of its field; if its image is periodic, the number of columns that it is
+    continued by, and of those in a turn; else 0."""
+    x: Array
+    """`[rows, columns, 3]`, unit directions of the first of the two views' mirror pixels, of its part."""
+    valid: Mask
+    """`[rows, columns]`: pixels of the first of the two that the sensor sees, and that are finite."""
+
+
+def warp_between(part: Part, other: Part, motion: Motion, known: Mask) -> Warp:
+    """The warp from the part of one view to the other view; `known` are the pixels of the part's whole image."""
+    x = np.ascontiguousarray(across_seam(pixel_directions(part.sensor)[0], part.seam)[part.at])
+    t, R = (np.ascontiguousarray(a, dtype=np.float64) for a in (motion.t_v1, motion.R_v2_from_v1))
+    turn = float(other.sensor.camera.width_px) if other.seam else 0.0
+    camera = (parameters_of(other.sensor), field_of(other.sensor), float(other.seam), turn)
+    return Warp(t, R, -R @ t, camera, x, np.ascontiguousarray(known[part.at]))
+
+
+@dataclass(frozen=True)
+class View:
+    """A view's image, as what is explained and as what explains."""
+
+    image: Image
+    """Its part."""
+    coefficients: Image
+    """Coefficients of the whole image's interpolating cubic B-spline; NaN where the sensor sees nothing."""
+
+
+def view_of(image: Image, valid: Mask, part: Part) -> View:
+    """The view of an image without gaps."""
+    spline = ndimage.spline_filter(image[nearest_known(valid)], 3, output=np.float32, mode="mirror")
+    return View(np.ascontiguousarray(image[part.at], dtype=np.float32), np.where(valid, spline, np.float32(np.nan)))
+
+
+# -- Gauss-Newton ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Field:
+    """Every mirror pixel's window, and the window that it takes its plane from; all `[height, width]`."""
+
+    plane: Array
+    """`[..., 3]`, m."""
+    covariance: Array
+    """`[..., 6]`: the inverse normal matrix in tangent coordinates, upper triangle by rows."""
+    residual: Array
+    """Variance in grey levels squared; infinite where there is no plane."""
+    gain: Array
+    offset: Array
+    share: Array
+    """How much of the sum of g² is noise."""
+    w: Array
+    """1/m, NaN where there is none."""
+    chosen: NDArray[np.int64]
+    """Flat index of the window; -1 where there is none."""
+    rival: Array
+    """How much worse the next best plane fits, as a ratio."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """View 2 at the field; all `[height, width]`."""
+
+    known: Mask
+    value: Image
+    slope: Image
+    motion: Image
+
+
+def in_rows(pool: ThreadPoolExecutor, height: int, work: Callable[..., None], *arguments: object) -> None:
+    """Run a kernel on all bands of rows."""
+    list(pool.map(lambda first: work(first, min(first + _BAND, height), *arguments), range(0, height, _BAND)))
+
+
+def sample(w: Array, second: View, warp: Warp, samples: Samples, pool: ThreadPoolExecutor) -> None:
+    """Write view 2's samples at a field of inverse ranges."""
+    in_rows(
+        pool, len(w), _kernels.warp_rows, warp.valid, warp.x, w, warp.R, warp.s, warp.camera, second.coefficients,
+        samples.known, samples.value, samples.slope, samples.motion,
+    )  # fmt: skip
+
+
+def no_samples(shape: tuple[int, ...]) -> Samples:
+    """Memory for samples."""
+    return Samples(np.zeros(shape, bool), *np.zeros((3, *shape), np.float32))
+
+
+def fit(
+    first: View,
+    second: View,
+    warp: Warp,
+    start: Array,
+    settings: Slanted,
+    iterations: int,
+    pixel: float,
+    pool: ThreadPoolExecutor,
+) -> Field:
+    """The planes after some steps from a start.
+
+    Parameters
+    ----------
+    start
+        `[rows, columns]`, 1/m; NaN where there is none.
+    pixel
+        Angle of a pixel of the panorama, radians.
+    """
+    shape, half = start.shape, settings.window_px // 2
+    samples = no_samples(shape)
+    field = Field(
+        plane=np.zeros((*shape, 3)),
+        covariance=np.zeros((*shape, 6)),
+        residual=np.full(shape, np.inf),
+        gain=np.ones(shape),
+        offset=np.zeros(shape),
+        share=np.ones(shape),
+        w=np.empty(shape),
+        chosen=np.full(shape, -1, np.int64),
+        rival=np.full(shape, np.inf),
+    )
+    in_rows(pool, len(start), _kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
+    for iteration in range(iterations):
+        sample(field.w, second, warp, samples, pool)
+        sharp = iteration >= iterations - settings.sharp_iterations
+        in_rows(
+            pool, len(start), _kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT, not sharp,
+            warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope, samples.motion,
+            field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
+        )  # fmt: skip
+        in_rows(
+            pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,
+            _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, warp.valid, warp.x, warp.t,
+            warp.R, warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
+            field.offset, field.w, field.chosen, field.rival,
+        )  # fmt: skip
+    return field

@@ -1,0 +1,101 @@
+"""The standard deviation of what slanted windows find: that of least squares, corrected; see `sigma_of`."""
+
+from concurrent.futures import ThreadPoolExecutor
+from math import comb
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.geometry.angles import Array
+from harness.matching.slanted import _slanted_kernels as _kernels
+from harness.matching.slanted.field import Field, Samples, View, Warp, in_rows
+from harness.matching.slanted.settings import Slanted
+
+_CORRELATED_PX = 33
+"""Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
+
+
+def sigma_of(
+    field: Field, inflation: Array, x: Array, window: NDArray[np.int64], warp: Warp, settings: Slanted
+) -> Array:
+    """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
+
+    - What adds up in a window is not white; see `inflation_of`.
+    - The gradient g holds noise too. It adds to the normal matrix, not to what the normal equations say, so a step goes
+      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f² when taken 1 + f times as
+      far. What is left of the field before, f or f² of it, is smoothed over a window. So the field is the sum of the
+      planes that noise alone would give, smoothed n times and less and less of each; see `smoothed_noise`.
+    """
+    # Tangents at the middle of the window, as in the kernel.
+    c = warp.x.reshape(-1, 3)[window]
+    sideways = np.stack([-c[..., 1], c[..., 0], np.zeros_like(c[..., 0])], axis=-1)
+    cosine = np.linalg.norm(sideways, axis=-1, keepdims=True)
+    e = np.where(cosine > 1e-9, sideways / np.maximum(cosine, 1e-9), [0.0, 1.0, 0.0])
+    one, a, b = (np.sum(x * axis, axis=-1) for axis in (c, e, np.cross(c, e)))
+    c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
+    spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
+    smoothed = polyval(field.share.ravel()[window], smoothed_noise(settings.iterations, settings.sharp_iterations))
+    # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
+    residual = field.residual.ravel()[window] + 1e-10
+    with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
+        return np.sqrt(spread * residual * smoothed * inflation.ravel()[window])
+
+
+def smoothed_noise(iterations: int, sharp_iterations: int) -> Array:
+    """Coefficients of the variance, in units of s² C, as a polynomial of f.
+
+    Two planes, one smoothed k times over a window and one l times, correlate as (b_n+2(0)/b_2(0))², n = k + l: planes
+    of neighbouring windows share pixels, which is smoothing too, and b_m is the density of the sum of m evenly
+    distributed numbers, the centred B-spline of degree m - 1.
+    """
+    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f), p = 0 for the last.
+    powers = [1 if k < sharp_iterations else 2 for k in range(iterations)]
+    weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(iterations)]
+    total = np.zeros(2 * sum(powers) - 1)
+    for k, one in enumerate(weights):
+        for m, other in enumerate(weights):
+            product = np.convolve(one, other)
+            total[: len(product)] += product * centre_of_spline(k + m + 2) ** 2
+    return total
+
+
+def centre_of_spline(m: int) -> float:
+    """b_m(0) = sum_k (-1)^k C(m, k) max(m/2 - k, 0)^(m-1)/(m-1)!; 1 for m = 2."""
+    total = 0.0
+    for k in range((m + 1) // 2):
+        term = 1.0
+        for j in range(1, m):
+            term *= (m / 2 - k) / j
+        total += (-1) ** k * comb(m, k) * term
+    return total
+
+
+def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: ThreadPoolExecutor) -> Array:
+    """How much larger the variance is of a window's sums than if residuals were white, `[height, width]`.
+
+    The larger of two. Where pixels of view 2 are larger than those of view 1, by the factor A in area, neighbouring
+    samples share their noise: per sample it counts as A, where the residual shows only the spline's VALUE_NOISE². And
+    what the model leaves out, the finest texture above all, is measured: the sum of g_i r_i g_j r_j over neighbours
+    i, j against that over i = j (Newey and West 1987).
+    """
+    shape = field.w.shape
+    score, area = np.zeros(shape), np.ones(shape)
+    in_rows(
+        pool, len(score), _kernels.judge_rows, warp.valid, warp.x, warp.R, warp.s, warp.camera, first.image,
+        samples.known, samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
+    )  # fmt: skip
+    visible = _kernels.VALUE_NOISE**2
+    shared = np.maximum(area, visible, out=area)  # in place: these are as large as the image
+    shared += 1
+    shared /= 1 + visible
+    around = ndimage.uniform_filter(score, 3, mode="constant")
+    around *= 9
+    around *= score
+    measured = ndimage.uniform_filter(around, _CORRELATED_PX, mode="constant")
+    del around
+    score *= score
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured /= ndimage.uniform_filter(score, _CORRELATED_PX, mode="constant")
+    return np.clip(np.fmax(shared, measured, out=measured), 1.0, 9.0, out=measured)
