@@ -5,19 +5,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from harness.camera.coverage import Coverage, coverage
 from harness.design.answers import Answer, Candidate, Cost, answers, candidates, height_m, mirror_diameter_m
 from harness.design.budget import CAUSES
+from harness.design.ellipsoid import Ellipsoid, abeam, ellipsoids
 from harness.design.rig import RigDesign, load_rig
-from harness.display import OneLine
+from harness.display import OneLine, brief
 from harness.errors import InputError
 from harness.files import write
+from harness.geometry.angles import Array
 from harness.report.sensor_words import facts_of, title_of
 from harness.spec import parse
 
 if TYPE_CHECKING:
     import pandas as pd
 
+FARTHEST_M = 1e6
+"""The most that a point may be away: a parallax of millionths of a degree has no digits left."""
 RANGES_M = (1.0, 2.0, 4.0, 8.0)
 """At which a rig is described."""
 
@@ -33,6 +40,8 @@ class RigDescription(OneLine):
     """A range each."""
     coverage: Coverage
     """What its sensor sees, in figures."""
+    ellipsoids: tuple[Ellipsoid, ...]
+    """How well the positions of chosen points are known."""
 
     @property
     def table(self) -> "pd.DataFrame":
@@ -62,14 +71,16 @@ class RigDescription(OneLine):
 
         if Path(path).suffix.lower() not in (".html", ".htm"):
             raise InputError("must end in .html", file=path)
-        write(Path(path), build_page(self.rig, self.facts, self.answers, self.coverage))
+        write(Path(path), build_page(self.rig, self.facts, self.answers, self.coverage, self.ellipsoids))
 
     def _repr_html_(self) -> str:
         return str(self.table.to_html(float_format="{:.3g}".format))
 
 
 def describe_rig(
-    rig: str | Path | Mapping[str, Any] | RigDesign | None = None, ranges_m: Sequence[float] = RANGES_M
+    rig: str | Path | Mapping[str, Any] | RigDesign | None = None,
+    ranges_m: Sequence[float] = RANGES_M,
+    points_m: ArrayLike | None = None,
 ) -> RigDescription:
     """What range errors to expect of a rig, by cause, without rendering anything.
 
@@ -79,6 +90,8 @@ def describe_rig(
         A TOML file, a table, or a `RigDesign`; the default sensor on half a metre when None.
     ranges_m
         Where to say it, metres.
+    points_m
+        `[n, 3]`: points in view 1's frame whose position is asked for; when None, abeam of view 1 at these ranges.
 
     Returns
     -------
@@ -95,11 +108,14 @@ def describe_rig(
     >>> described = harness.describe_rig({"baseline_m": 0.3, "uncertainty": {"rotation_deg": 0.05}})
     >>> described.table.leading.tolist()
     ['rotation', 'rotation', 'rotation', 'rotation']
+    >>> (1000 * described.ellipsoids[2].semi_axes_m).round(1)  # of a point 4 m abeam, millimetres
+    array([47. ,  0.2,  0.2])
     """
     loaded = loaded_rig(rig)
     for range_m in ranges_m:
         if not 0 < range_m < float("inf"):
             raise InputError(f"must be above 0; found {range_m:g}", key="ranges_m")
+    points = abeam(loaded, ranges_m) if points_m is None else _points(points_m)
     covered = coverage(loaded.sensor)
     facts = {"sensor": title_of(covered), **facts_of(covered), "baseline": f"{loaded.baseline_m:g} m"}
     if loaded.has_mirror:
@@ -107,7 +123,20 @@ def describe_rig(
             f"mirror {1000 * mirror_diameter_m(loaded.sensor):.0f} mm across; from the camera's centre to its rim "
             f"{1000 * height_m(loaded.sensor):.0f} mm"
         )
-    return RigDescription(loaded, facts, answers(loaded, ranges_m), covered)
+    return RigDescription(loaded, facts, answers(loaded, ranges_m), covered, ellipsoids(loaded, points))
+
+
+def _points(points_m: ArrayLike) -> Array:
+    points = np.asarray(points_m)
+    if points.ndim != 2 or points.shape[1:] != (3,) or points.dtype.kind not in "iuf":
+        raise InputError(f"must be numbers [n, 3]; found {brief(points)}", key="points_m")
+    points = points.astype(np.float64)
+    for point in points:
+        if not (np.isfinite(point).all() and 0 < np.linalg.norm(point) <= FARTHEST_M):
+            raise InputError(
+                f"must be up to {FARTHEST_M:g} m from view 1, and not in it; found {point}", key="points_m"
+            )
+    return points
 
 
 def find_rigs(

@@ -15,6 +15,7 @@ from harness.errors import InputError
 if TYPE_CHECKING:
     from harness.api.designing import RigDescription
     from harness.design.answers import Candidate
+    from harness.geometry.angles import Array
 
 _PAGE = Path("design.html")
 _DRAWS = 16
@@ -49,6 +50,15 @@ def add(commands: Commands) -> None:
     completers.offer(rig, completers.files(".toml"))
     command.add_argument(
         "--at", type=positive, nargs="+", metavar="M", default=[1.0, 2.0, 4.0, 8.0], help="ranges, metres (1 2 4 8)"
+    )
+    command.add_argument(
+        "--point",
+        type=float,
+        nargs=3,
+        action="append",
+        metavar=("X", "Y", "Z"),
+        help="a point in view 1's frame, metres, whose error ellipsoid is printed and drawn; repeatable (default: "
+        "abeam, at the ranges of --at)",
     )
     command.add_argument(
         "--accuracy", type=_accuracy, metavar="M@M", help="such as 0.03@4: 68 %% of estimates within 30 mm at 4 m"
@@ -92,8 +102,9 @@ def run(options: Namespace) -> int:
 def _describe(options: Namespace) -> int:
     import harness
 
-    described = harness.describe_rig(options.rig, options.at)
+    described = harness.describe_rig(options.rig, options.at, _points(options))
     _print_table(described)
+    _print_ellipsoids(described)
     page = options.out or _PAGE
     described.write(page)
     print(f"page: {page}")
@@ -127,6 +138,40 @@ def _print_table(described: "RigDescription") -> None:
     print()
 
 
+def _points(options: Namespace) -> "list[list[float]] | None":
+    """The points that are asked for, if any are."""
+    for point in options.point or ():
+        if not (all(map(math.isfinite, point)) and any(point)):
+            text = " ".join(f"{each:g}" for each in point)
+            raise InputError(f"must be three numbers, a place other than view 1's; found {text}", key="--point")
+    points: list[list[float]] | None = options.point
+    return points
+
+
+def _print_ellipsoids(described: "RigDescription") -> None:
+    from rich.console import Console
+
+    from harness.cli.tables import plain_table
+
+    print("one standard deviation of the position of points: range, and semi-axes with their directions")
+    rows = []
+    for each in described.ellipsoids:
+        place = [f"{value:.4g}" for value in each.point_m + 0.0]
+        if not each.is_seen:
+            rows.append([*place, "unseen", "", ""])
+            continue
+        for number, (size, direction) in enumerate(zip(each.semi_axes_m, each.directions, strict=True)):
+            first = [*place, _mm(each.sigma_range_m)] if number == 0 else [""] * 4
+            rows.append([*first, _mm(float(size)), _direction(direction)])
+    headings = ["x\nm", "y\nm", "z\nm", "range\nmm", "semi-axis\nmm", "direction\nx      y      z"]
+    Console().print(plain_table(headings, rows))
+    print()
+
+
+def _direction(unit: "Array") -> str:
+    return " ".join(f"{0.0 if abs(each) < 5e-4 else each:+6.3f}" for each in unit)
+
+
 def _find(options: Namespace) -> int:
     import harness
     from harness.design.answers import Cost
@@ -150,7 +195,7 @@ def _find(options: Namespace) -> int:
         return FAILED
     _print_found(rigs, accuracy_m, range_m)
     if options.out is not None:
-        harness.describe_rig(rigs[0].rig, options.at).write(options.out)
+        harness.describe_rig(rigs[0].rig, options.at, _points(options)).write(options.out)
         print(f"page of the first: {options.out}")
     if options.verify:
         _verify([each.rig for each in rigs[: options.verify]], range_m)

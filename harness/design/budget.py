@@ -77,28 +77,63 @@ def _matching(rig: RigDesign, points_m: Array, normals: Array | None) -> tuple[A
     views' add up; the law takes the angle to the range. What is aliased acts as noise does.
     """
     motion = rig.believed.motion
-    variance = float(grey_variance(np.full((1, 1), _GREY, dtype=np.float32), rig.chip, rig.noise_grey)[0, 0])
+    variance = _noise_variance(rig)
     views = [points_m, motion.apply(points_m)]
     facing = points_m if normals is None else normals
     ranges = [np.linalg.norm(each, axis=-1) for each in views]
-    window_m2, noise, aliased, along = np.ones(ranges[0].shape), 0.0, 0.0, np.ones(ranges[0].shape)
+    window_m2, along = np.ones(ranges[0].shape), np.ones(ranges[0].shape)
+    noise, aliased = np.zeros(ranges[0].shape), np.zeros(ranges[0].shape)
     for view, (points, t) in enumerate(zip(views, (motion.t_v1, motion.R_v2_from_v1 @ motion.t_v1), strict=True)):
-        normal = facing if view == 0 else facing @ motion.R_v2_from_v1.T
-        slant = np.maximum(np.abs(np.sum(normalise(normal) * normalise(points), axis=-1)), 0.02)
-        side_m = ranges[view] / np.sqrt(_density(rig, points))  # of a pixel, across the ray
-        per_m2 = slant / side_m**2
+        seen = _seen(rig, points, facing if view == 0 else facing @ motion.R_v2_from_v1.T)
         if view == 0:
-            window_m2 = rig.window_px**2 / per_m2
+            window_m2 = rig.window_px**2 / seen.per_m2
         along = _along_epipolar(rig, points, t)
         # A shift in view 1 has another angle in view 2: the same length on the surface.
-        of_shift = 1 / (gradient_grey(rig.texture, 1 / np.sqrt(per_m2)) ** 2 * window_m2 * per_m2) / along**2
+        of_shift = 1 / (seen.gradient_grey**2 * window_m2 * seen.per_m2) / along**2
         of_shift = of_shift if view else of_shift * (ranges[0] / ranges[1]) ** 2
         noise = noise + variance * of_shift
-        aliased = aliased + aliased_grey(rig.texture, side_m / slant) ** 2 * of_shift
+        aliased = aliased + seen.aliased_grey**2 * of_shift
     alpha_1 = angle_between(points_m, motion.t_v1)
     law = np.abs(sensitivity_to_alpha_2(alpha_1, exact_alpha_2(points_m, motion.t_v1), motion.baseline_m))
     fixed = np.hypot(_OF_ALIASING * np.sqrt(aliased), rig.fixed_error_px / along)
     return law * _OF_NOISE * np.sqrt(noise), law * fixed
+
+
+def pixel_sigma(rig: RigDesign, points_m: Array) -> Array:
+    """Standard deviation of where in image 1 a point is, in each of the image's directions, pixels `[...]`.
+
+    View 1's share of a match's: what noise, aliasing and the matcher's fixed errors leave of a window's place, on a
+    surface that faces view 1.
+    """
+    seen = _seen(rig, points_m, points_m)
+    of_grey = _OF_NOISE**2 * _noise_variance(rig) + (_OF_ALIASING * seen.aliased_grey) ** 2
+    return np.asarray(np.sqrt(of_grey / (seen.gradient_grey * rig.window_px) ** 2 + rig.fixed_error_px**2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What the pixels of a view show of the texture at points, `[...]` each."""
+
+    per_m2: Array
+    """Pixels per square metre of the surface."""
+    gradient_grey: Array
+    """Grey levels per pixel, RMS."""
+    aliased_grey: Array
+    """Grey levels, RMS."""
+
+
+def _seen(rig: RigDesign, points_m: Array, normals: Array) -> _Seen:
+    """As a view sees points, all in its own frame."""
+    slant = np.maximum(np.abs(np.sum(normalise(normals) * normalise(points_m), axis=-1)), 0.02)
+    side_m = np.linalg.norm(points_m, axis=-1) / np.sqrt(_density(rig, points_m))  # of a pixel, across the ray
+    per_m2 = slant / side_m**2
+    gradient = gradient_grey(rig.texture, 1 / np.sqrt(per_m2))
+    return _Seen(per_m2, gradient, aliased_grey(rig.texture, side_m / slant))
+
+
+def _noise_variance(rig: RigDesign) -> float:
+    """Grey levels squared."""
+    return float(grey_variance(np.full((1, 1), _GREY, dtype=np.float32), rig.chip, rig.noise_grey)[0, 0])
 
 
 def _density(rig: RigDesign, points_m: Array) -> Array:

@@ -236,6 +236,20 @@ def sensitivities(
     return np.stack(columns, axis=-1)
 
 
+def point_sensitivities(points_m: Array, rig: Rig, parameters: Sequence[Parameter]) -> Array:
+    """Derivatives of where points are found by errors of parameters, `[..., 3, parameters]`, metres per unit of each.
+
+    By central differences around the believed rig, as `sensitivities`, whose range errors are what these are along the
+    ray.
+    """
+    columns = []
+    for each in parameters:
+        found = [believed_points(points_m, each.changed(rig, side * each.step), rig) for side in (1, -1)]
+        above, below = (at.range_m[..., None] * at.x_1 for at in found)
+        columns.append((above - below) / (2 * each.step))
+    return np.stack(columns, axis=-1)
+
+
 def propagated(sensitivity: Array, covariance: Array) -> Array:
     """Standard deviation of the range, `sqrt(j C jᵀ)`, metres `[...]`.
 

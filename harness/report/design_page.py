@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter
 
 from harness.camera.coverage import Coverage
 from harness.design.answers import Answer, answers, rim_m
 from harness.design.budget import CAUSES, budget
+from harness.design.ellipsoid import Ellipsoid, level_elevation_deg
 from harness.design.rig import RigDesign
 from harness.report import theme
 from harness.report.markup import template
@@ -23,7 +25,13 @@ _HEIGHT = 400
 _PLAN_M = 8.0
 
 
-def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer], covered: Coverage) -> str:
+def build_page(
+    rig: RigDesign,
+    facts: dict[str, str],
+    expected: Sequence[Answer],
+    covered: Coverage,
+    chosen: Sequence[Ellipsoid] = (),
+) -> str:
     """The page, one self-contained HTML file.
 
     Parameters
@@ -34,9 +42,12 @@ def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer]
         What to expect at some ranges.
     covered
         What its sensor sees, in figures.
+    chosen
+        How well the positions of some points are known.
     """
+    magnified = magnification(chosen)
     with theme.style():
-        errors = [_by_cause(rig), _plan(rig)]
+        errors = [_by_cause(rig), _plan(rig, chosen, magnified)]
         sensor = [*([_profile(rig)] if rig.has_mirror else []), image_panel(covered), resolution_panel(covered)]
     return template("design.html.j2").render(
         rig=rig,
@@ -46,6 +57,8 @@ def build_page(rig: RigDesign, facts: dict[str, str], expected: Sequence[Answer]
         errors=errors,
         sensor=sensor,
         settings=dump_toml(rig),
+        chosen=chosen,
+        magnified=magnified,
     )
 
 
@@ -81,13 +94,32 @@ def _by_cause(rig: RigDesign) -> Picture:
     return theme.picture(fig, alt, "(a) by cause, directions within 30° of the baseline left out")
 
 
+def magnification(chosen: Sequence[Ellipsoid]) -> int:
+    """How many times larger than they are ellipsoids are drawn: 1, 2 or 5 times a power of ten, so that the largest
+    has about a sixth of the plan's half as its semi-axis; 1 where none is seen.
+    """
+    sizes = [float(each.semi_axes_m[0]) for each in chosen if each.is_seen]
+    if not sizes or max(sizes) <= 0:
+        return 1
+    most = _half_of_plan(chosen) / 6 / max(sizes)
+    decade = 10 ** np.floor(np.log10(most))
+    return max(1, int(max(step for step in (1, 2, 5) if step * decade <= most) * decade))
+
+
+def _half_of_plan(chosen: Sequence[Ellipsoid]) -> float:
+    """Half the side of the plan, metres: enough for all points and what is drawn around them."""
+    farthest = max((float(np.abs(each.point_m[:2]).max()) for each in chosen), default=0.0)
+    return max(_PLAN_M, 1.2 * farthest)
+
+
 @theme.panel
-def _plan(rig: RigDesign) -> Picture:
-    """Standard deviation of the range in the horizontal plane through the viewpoint."""
+def _plan(rig: RigDesign, chosen: Sequence[Ellipsoid], magnified: int) -> Picture:
+    """Standard deviation of the range in the horizontal plane through the viewpoint, and ellipsoids seen from above."""
     fig = theme.figure(HALF, _HEIGHT)
     side = min(HALF - 150, _HEIGHT - 70)
     ax = theme.axes(fig, 54, 16, side, side)
-    axis = np.linspace(-_PLAN_M, _PLAN_M, 81)
+    half = _half_of_plan(chosen)
+    axis = np.linspace(-half, half, 81)
     x, y = np.meshgrid(axis, axis)
     points = np.stack([x, y, np.full_like(x, _height_of_plan(rig, x, y))], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -100,7 +132,7 @@ def _plan(rig: RigDesign) -> Picture:
     image = ax.imshow(
         np.clip(sigma, low, high),
         origin="lower",
-        extent=(-_PLAN_M, _PLAN_M, -_PLAN_M, _PLAN_M),
+        extent=(-half, half, -half, half),
         norm=LogNorm(low, high),
         cmap="cividis",
     )
@@ -109,6 +141,11 @@ def _plan(rig: RigDesign) -> Picture:
     ax.clabel(lines, fmt=lambda value: f"{value:g}", fontsize=8.5)
     t = rig.believed.motion.t_v1
     ax.plot([0, t[0]], [0, t[1]], "o-", color=theme.PIXEL, markersize=4, markerfacecolor=theme.PAPER, linewidth=1.2)
+    for each in chosen:
+        if each.is_seen:
+            _draw_from_above(ax, each, magnified)
+    ax.set_xlim(-half, half)
+    ax.set_ylim(-half, half)
     ax.set_xlabel("$x$ (m)")
     ax.set_ylabel("$y$ (m)")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
@@ -118,16 +155,39 @@ def _plan(rig: RigDesign) -> Picture:
     bar.outline.set_visible(False)
     alt = (
         f"Standard deviation of the range in the plane around the rig: {np.nanmin(sigma):.2g} mm at its smallest, and "
-        "largest along the baseline and far away."
+        f"largest along the baseline and far away. {_in_words(chosen, magnified)}"
     )
-    return theme.picture(fig, alt, "(b) seen from above: both viewpoints, and lines of equal standard deviation (mm)")
+    title = "(b) seen from above: both viewpoints, and lines of equal standard deviation (mm)"
+    if any(each.is_seen for each in chosen):
+        title += f"; ellipses {magnified:,} times as large".replace(",", "\u202f")
+    return theme.picture(fig, alt, title)
+
+
+def _in_words(chosen: Sequence[Ellipsoid], magnified: int) -> str:
+    """What ellipses are drawn, for whoever does not see them."""
+    said = [
+        f"at ({', '.join(f'{value + 0.0:.3g}' for value in each.point_m)}) m {1000 * each.semi_axes_m[0]:.3g} mm by "
+        f"{1000 * each.semi_axes_m[1]:.3g} by {1000 * each.semi_axes_m[2]:.3g}"
+        for each in chosen
+        if each.is_seen
+    ]
+    return f"Ellipsoids of one standard deviation, {magnified} times as large: {'; '.join(said)}." if said else ""
+
+
+def _draw_from_above(ax: Axes, ellipsoid: Ellipsoid, magnified: int) -> None:
+    """An ellipsoid's shadow on the plane: the ellipse of the horizontal part of its covariance."""
+    variances, columns = np.linalg.eigh(ellipsoid.covariance_m2[:2, :2])
+    angle = np.linspace(0, 2 * np.pi, 73)
+    semi_axes = magnified * np.sqrt(np.maximum(variances, 0.0))
+    outline = ellipsoid.point_m[:2] + (np.stack([np.cos(angle), np.sin(angle)], axis=-1) * semi_axes) @ columns.T
+    ax.fill(*outline.T, facecolor=theme.PAPER, alpha=0.55, linewidth=0)
+    ax.plot(*outline.T, color=theme.PIXEL, linewidth=1.3)
+    ax.plot(*ellipsoid.point_m[:2], "+", color=INK, markersize=4, markeredgewidth=0.8)
 
 
 def _height_of_plan(rig: RigDesign, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Height of points so that the sensor sees them: the horizon, or the elevation in its field that is nearest."""
-    low, high = rig.sensor.field.elevation_min_deg, rig.sensor.field.elevation_max_deg
-    elevation = min(max(0.0, low + 0.5), high - 0.5)
-    return np.asarray(np.hypot(x, y) * np.tan(np.radians(elevation)))
+    return np.asarray(np.hypot(x, y) * np.tan(np.radians(level_elevation_deg(rig))))
 
 
 @theme.panel
