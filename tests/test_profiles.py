@@ -15,8 +15,8 @@ from harness.camera.misalignment import Misalignment
 from harness.camera.models import Mirror, Unified
 from harness.camera.mount import Mount
 from harness.camera.profile import AnyProfile, Cone, Equiangular, Paraboloid, Sphere, Table
-from harness.camera.profile_reflection import profile_heights, viewpoint_of
-from harness.camera.reflection import project_points, reflect, reflected_pixels
+from harness.camera.profile_reflection import profile_camera, profile_heights, viewpoint_of
+from harness.camera.reflection import project_points, reflect, reflected_pixels, reflected_rays
 from harness.camera.sensor import Sensor, lens_from_sensor, model_from_sensor, unproject
 from harness.errors import InputError
 from harness.evaluation.propagation import Rig
@@ -224,6 +224,43 @@ def test_rays_obey_the_law_of_reflection(profile: AnyProfile, misalignment: Misa
     for part in (0.3, 0.9, 0.99):
         between = centre + part * (p - centre)
         assert (between[:, 2] < profile_heights(sensor, np.hypot(*between[:, :2].T))[0]).all()
+
+
+@pytest.mark.parametrize("misalignment", [Misalignment(), SLIGHT], ids=["aligned", "misaligned"])
+@profiles
+def test_a_ray_does_not_depend_on_which_others_are_computed_with_it(profile, misalignment):
+    """To the last bit: blocks, and the rays that are left to one-by-one iteration, are no part of the result."""
+    sensor = Sensor(profile=profile, misalignment=misalignment, field=ALL_ROUND)
+    u, v = all_pixels(17).reshape(-1, 2).T.copy()
+    together, _, _ = reflected_rays(sensor, u, v)
+    some = np.arange(3, u.size, 7)
+    apart, _, _ = reflected_rays(sensor, u[some], v[some])
+    np.testing.assert_array_equal(together[:, some], apart)
+
+
+def test_points_of_a_table_may_be_close_in_places():
+    """Where its radius cannot be looked up in even parts of one point each, every ray is iterated by itself."""
+    r = np.sort(np.append(np.linspace(0, 34, 400), 20 + 1e-6 * np.arange(1, 9)))
+    mirror, pixels = Mirror(), all_pixels(19)
+
+    def table(r: np.ndarray) -> Table:
+        z = 28.1 * np.hypot(1, r / 23.4) - 28.1
+        return Table(camera_m=mirror.a_m + mirror.e_m, r_mm=r.tolist(), z_mm=z.tolist())
+
+    even, uneven = table(np.linspace(0, 34, 400)), table(r)
+    assert profile_camera(Sensor(profile=even)).sparse
+    assert not profile_camera(Sensor(profile=uneven)).sparse
+    given = {"viewpoint_m": 0.0}
+    rays = [
+        in_mirror(Sensor(profile=each.model_copy(update=given), field=ALL_ROUND), pixels) for each in (even, uneven)
+    ]
+    (p, first, valid), (_, second, also) = rays
+    np.testing.assert_array_equal(valid, also)
+    apart = np.linalg.norm(first - second, axis=-1)[valid]
+    beside = np.abs(np.hypot(p[..., 0], p[..., 1])[valid] - 0.02) > 3e-4
+    assert 0 < np.count_nonzero(~beside) < 0.1 * beside.size
+    assert apart[beside].max() < 1e-12  # roundings: PCHIP's slopes follow from a point's neighbours alone
+    assert apart.max() < 3e-3  # of slopes that are taken from one side, 0.09 mm of a bend of 30 mm
 
 
 def test_a_mirror_that_is_not_convex():

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, PPoly
 
-from harness.camera._profile_kernels import ProfileCamera, heights, reflect_at_profile
+from harness.camera._profile_kernels import ProfileCamera, heights, meet_pieces, reflect_at_profile
 from harness.camera.lens import fold_radius
 from harness.camera.profile import Cone, Equiangular, Paraboloid, Profile, Sphere, Table
 from harness.camera.sensor import Sensor, field_of, model_from_sensor
@@ -15,10 +15,14 @@ from harness.geometry.angles import Array
 
 _PIECES = 2000
 """Cubics of an equiangular profile: of the fourth order, they are right to 1e-13 of its radius."""
-_PARTS = 2
-"""Parts in which a radius is looked up, per piece."""
-_STARTS = 1000
-"""Points of the profile from which the compiled iteration begins: right to 1e-6, so that two steps suffice."""
+_MOST_PARTS = 1 << 16
+"""Most parts in which a radius is looked up."""
+_STARTS = 1 << 12
+"""Points of the profile from which the compiled iteration begins."""
+_MOST_STEPS = 4
+"""Most of its steps."""
+_PIECEWISE = 3
+"""Kind of a profile of pieces."""
 _COMPARED = 10_000
 """Approximate number of pixels whose rays determine the sensor's origin."""
 
@@ -76,10 +80,12 @@ def _nearest_to_rays(sensor: Sensor) -> float:
 def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
     profile, lens, misalignment = profile_of(sensor), sensor.lens, sensor.misalignment
     kind, size, pieces, rim = _shape_of(profile)
-    parts = _PARTS * (pieces.x.size - 1)
-    starts = np.arange(parts) / parts * rim
+    # So many that each holds one knot at most, if that is not too many.
+    parts = min(_MOST_PARTS, math.ceil(1.01 * pieces.x[-1] / np.diff(pieces.x).min()))
+    edges = np.arange(parts + 1) / parts * pieces.x[-1]
+    piece = np.searchsorted(pieces.x, edges, side="right")
     # One piece earlier than it may be, since a radius can be rounded into the part before its own.
-    first = np.clip(np.searchsorted(pieces.x, starts, side="right") - 2, 0, pieces.x.size - 2)
+    first = np.clip(piece[:-1] - 2, 0, pieces.x.size - 2)
     c_x, c_y, c_z = (np.array([0.0, 0.0, -profile.camera_m]) + misalignment.offset_m).tolist()
     rows = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
     R, M = misalignment.R_mirror_from_camera, model_from_sensor(sensor)
@@ -96,9 +102,11 @@ def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
         rim=rim,
         knots=pieces.x,
         cubics=np.ascontiguousarray(pieces.c),
-        first=first.astype(np.int64),
+        first=first.astype(np.int32),
+        sparse=bool((np.diff(piece) <= 1).all()),
         depths=np.zeros(2),
         widest=0.0,
+        steps=1,
         viewpoint=viewpoint_m,
         c_x=c_x,
         c_y=c_y,
@@ -107,14 +115,32 @@ def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
         **{f"m_{name}": each for name, each in zip(rows, M.ravel().tolist(), strict=True)},
         field=field_of(sensor),
     )
-    r, z = np.linspace(0, 1.1 * rim, 20 * _STARTS), np.empty((2, 20 * _STARTS))
+    r, z = np.linspace(0, 1.1 * rim, 4 * _STARTS), np.empty((2, 4 * _STARTS))
     heights(r, camera, z[0], z[1])
     depth = z[0] + profile.camera_m
     slope = r / depth
     if not (np.diff(slope) > 0).all():  # the camera does not see all of the mirror
         return camera
     widest = float(slope[-1])
-    return camera._replace(depths=np.interp(np.linspace(0, widest, _STARTS + 1), slope, depth), widest=widest)
+    depths = np.interp(np.linspace(0, widest, _STARTS + 1), slope, depth)
+    camera = camera._replace(depths=depths, widest=widest)
+    if kind != _PIECEWISE or not camera.sparse:
+        return camera
+    return camera._replace(steps=_steps_that_suffice(camera, R, sensor))
+
+
+def _steps_that_suffice(camera: ProfileCamera, R_mirror_from_camera: Array, sensor: Sensor) -> int:
+    """The least number of steps after which all but a hundredth as many rays of pixels are found as after the most."""
+    width, height = sensor.camera.width_px, sensor.camera.height_px
+    v, u = np.mgrid[0 : height - 1 : 40j, 0 : width - 1 : 40j].reshape(2, -1)
+    y = (v - camera.cv) / camera.fv
+    rays = R_mirror_from_camera @ np.stack([(u - camera.cu - camera.skew * y) / camera.fu, y, np.ones(y.size)])
+    s, slope, met = np.empty(y.size), np.empty(y.size), np.empty(y.size, dtype=np.bool_)
+    found = []
+    for steps in range(1, _MOST_STEPS + 1):
+        meet_pieces(camera._replace(steps=steps), np.ascontiguousarray(rays), s, slope, met)
+        found.append(np.count_nonzero(met))
+    return 1 + int(np.argmax(np.array(found) >= 0.99 * max(found)))
 
 
 _NO_PIECES = PPoly(np.zeros((4, 1)), np.array([0.0, 1.0]))
@@ -129,10 +155,10 @@ def _shape_of(profile: Profile) -> tuple[int, float, PPoly, float]:
     if isinstance(profile, Paraboloid):
         return 2, 1 / (4 * profile.focal_length_m), _NO_PIECES, profile.rim_m
     if isinstance(profile, Equiangular):
-        return 3, 0.0, _equiangular(profile), profile.rim_m
+        return _PIECEWISE, 0.0, _equiangular(profile), profile.rim_m
     if isinstance(profile, Table):
         z = np.asarray(profile.z_mm)
-        return 3, 0.0, PchipInterpolator(np.asarray(profile.r_mm) / 1000, (z - z[0]) / 1000), profile.rim_m
+        return _PIECEWISE, 0.0, PchipInterpolator(np.asarray(profile.r_mm) / 1000, (z - z[0]) / 1000), profile.rim_m
     raise TypeError(f"no such profile: {type(profile).__name__}")
 
 

@@ -38,7 +38,7 @@ def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray
 
     For a hyperboloid closed form except for lens distortion; equations in `harness.camera._reflection_kernels`. Without
     misalignment the directions are those of `unproject`, and the line of each ray passes through the inner focus. For a
-    mirror of a `[profile]` Newton's method; equations in `harness.camera._profile_kernels`.
+    mirror of a `[profile]` see `harness.camera._profile_kernels`.
 
     Parameters
     ----------

@@ -25,20 +25,30 @@ def world_rays(rays, rotation, viewpoint, origins, directions):
 
 
 @kernel
-def points_on_faces(rays, face, normals, distances, offset, points):
+def points_on_faces(chosen, samples, rays, face, normals, distances, offset, points):
     """Write `points [3, n]`: where rays meet the planes of their faces, from `offset`, a point of the sensor's frame.
 
-    `normals [faces, 3]` are in the sensor's frame, `distances [faces]` those of the planes from its origin. A ray
-    without a face has its direction.
+    Only for the samples of chosen pixels, of which each has `samples` in a row. `normals [faces, 3]` are in the
+    sensor's frame, `distances [faces]` those of the planes from its origin. A ray without a face has its direction.
     """
     ox, oy, oz = offset
-    for i in range(face.size):
-        px, py, pz = rays[0, i], rays[1, i], rays[2, i]
-        x, y, z = rays[3, i], rays[4, i], rays[5, i]
-        f = face[i]
-        if f < 0:
-            points[0, i], points[1, i], points[2, i] = x, y, z
-            continue
-        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
-        s = (distances[f] - (nx * px + ny * py + nz * pz)) / (nx * x + ny * y + nz * z)
-        points[0, i], points[1, i], points[2, i] = px + s * x - ox, py + s * y - oy, pz + s * z - oz
+    for pixel in chosen:
+        first, end = pixel * samples, (pixel + 1) * samples
+        while first < end:
+            f = face[first]
+            last = first + 1
+            while last < end and face[last] == f:
+                last += 1
+            # Runs of samples on one face, without a branch within.
+            x_of, y_of, z_of = rays[3, first:last], rays[4, first:last], rays[5, first:last]
+            x_out, y_out, z_out = points[0, first:last], points[1, first:last], points[2, first:last]
+            if f < 0:
+                x_out[:], y_out[:], z_out[:] = x_of, y_of, z_of
+            else:
+                px_of, py_of, pz_of = rays[0, first:last], rays[1, first:last], rays[2, first:last]
+                nx, ny, nz, distance = normals[f, 0], normals[f, 1], normals[f, 2], distances[f]
+                for i in range(last - first):
+                    px, py, pz, x, y, z = px_of[i], py_of[i], pz_of[i], x_of[i], y_of[i], z_of[i]
+                    s = (distance - (nx * px + ny * py + nz * pz)) / (nx * x + ny * y + nz * z)
+                    x_out[i], y_out[i], z_out[i] = px + s * x - ox, py + s * y - oy, pz + s * z - oz
+            first = last

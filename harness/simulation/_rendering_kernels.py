@@ -277,8 +277,8 @@ def sample_positions(pixels, width, offsets, u, v):
 
 
 @kernel
-def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_layout, background, pixels, image):
-    """Write the mean grey of each pixel's samples into the flat `image`.
+def shade(chosen, rays, samples, face_of_sample, H, texture_of_face, texels, texture_layout, background, pixels, image):
+    """Write the mean grey of the samples of chosen pixels, indices into `pixels`, into the flat `image`.
 
     `rays [3, pixels * samples]` are in the sensor's frame. `face_of_sample` has an entry for each ray, or one
     for each pixel. `H [faces, 3, 3]` maps a ray to (u w, v w, w), with u and v in repetitions from the first
@@ -294,7 +294,7 @@ def shade(rays, samples, face_of_sample, H, texture_of_face, texels, texture_lay
     right_weight = np.empty(samples)
     below_weight = np.empty(samples)
     grey = np.empty(samples)
-    for i in range(pixels.size):
+    for i in chosen:
         first = 0
         while first < samples:
             face = face_of_sample[i] if one_face else face_of_sample[i * samples + first]

@@ -143,11 +143,12 @@ class ReflectedShading(Shading):
             face[missed] = view.geometry.face_of_triangle[hits.triangle]
         return face
 
-    def _shade(self, pixels: np.ndarray, rays: Array, face: Ints, per_side: int) -> None:
+    def _shade(self, pixels: np.ndarray, chosen: np.ndarray, rays: Array, face: Ints, per_side: int) -> None:
         geometry, tiles = self.view.geometry, self.view.tiles
         points = np.empty((3, face.size))
-        points_on_faces(rays, face, self.normals, self.distances, self.offset, points)
+        points_on_faces(chosen, per_side**2, rays, face, self.normals, self.distances, self.offset, points)
         shade(
+            chosen,
             points,
             per_side**2,
             face,

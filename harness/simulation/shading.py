@@ -118,16 +118,15 @@ class Shading:
             faces_in_pixels(face, per_side**2, self.view.geometry.texture_of_face, several, differ)
             of_pixel = face.reshape(pixels.size, -1)
             level = np.where(several, differ, self._levels(pixels, of_pixel[:, 0], per_side))
-            done = level == 0
-            its_rays = rays.reshape(len(rays), pixels.size, -1)[:, done].reshape(len(rays), -1)
-            self._shade(pixels[done], its_rays, of_pixel[done].ravel(), per_side)
+            self._shade(pixels, np.flatnonzero(level == 0), rays, face, per_side)
         else:
             level = self._levels(pixels, self.face[pixels], per_side)
         for each in (1, 2) if traced else (0, 1, 2):
             finer = max(per_side, min(per_side * 2**each, _MOST_PER_SIDE))
             for some in _in_pieces(pixels[level == each], finer):
                 rays = self._rays(some, finer)
-                self._shade(some, rays, self._faces(rays) if traced else self.face[some], finer)
+                face = self._faces(rays) if traced else self.face[some]
+                self._shade(some, np.arange(some.size), rays, face, finer)
 
     def _levels(self, pixels: NDArray[np.int64], face: Ints, per_side: int) -> NDArray[np.int64]:
         """How many times the samples of pixels are doubled, if one face `[pixels]` fills each."""
@@ -153,9 +152,13 @@ class Shading:
         sample_positions(pixels, self.sensor.camera.width_px, offsets, u, v)
         return rays_of(self.sensor, u, v)
 
-    def _shade(self, pixels: NDArray[np.int64], rays: Array, face: Ints, per_side: int) -> None:
+    def _shade(
+        self, pixels: NDArray[np.int64], chosen: NDArray[np.int64], rays: Array, face: Ints, per_side: int
+    ) -> None:
+        """Write the grey of those pixels that are chosen, by their places among them; `rays` are the samples of all."""
         geometry, tiles = self.view.geometry, self.view.tiles
         shade(
+            chosen,
             rays,
             per_side**2,
             face,
