@@ -221,6 +221,12 @@ def jacobian(sensor: Sensor, directions: ArrayLike) -> Array:
     return out
 
 
+def pixels_per_steradian(sensor: Sensor, directions: ArrayLike) -> Array:
+    """The image's pixels in a unit of solid angle `[...]`, around unit directions `[..., 3]` of the sensor's frame."""
+    J = jacobian(sensor, directions)
+    return np.asarray(np.linalg.norm(np.cross(J[..., 0, :], J[..., 1, :]), axis=-1))
+
+
 def unproject(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, np.ndarray]:
     """The directions of pixels from the effective viewpoint, and whether the sensor uses them.
 

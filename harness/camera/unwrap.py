@@ -14,6 +14,7 @@ from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, cylinder
 
 Interpolation = Literal["bilinear", "cubic"]
+_ORDERS: dict[Interpolation, int] = {"bilinear": 1, "cubic": 3}
 
 
 def unwrap(
@@ -42,27 +43,57 @@ def unwrap(
     ValueError
         When the image has not the sensor's size.
     """
+    rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
+    order = _ORDERS[interpolation]
+    _check_size(image, sensor)
+    values, valid = _sampled(image, sensor, *_sampling_table(sensor, grid, rotation.tobytes(), order), order)
+    values.flags.writeable = False
+    valid.flags.writeable = False
+    return Panorama(grid, values, valid)
+
+
+def sample(
+    image: NDArray[np.float32], sensor: Sensor, directions: Array, interpolation: Interpolation = "cubic"
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Grey levels of a mirror image in directions `[rows, columns, 3]` of the sensor's frame, and whether they are
+    valid; as `unwrap`.
+
+    Raises
+    ------
+    ValueError
+        When the image has not the sensor's size.
+    """
+    _check_size(image, sensor)
+    order = _ORDERS[interpolation]
+    coordinates, in_view = _coordinates(sensor, directions)
+    return _sampled(
+        image, sensor, coordinates, in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order), order
+    )
+
+
+def _check_size(image: NDArray[np.float32], sensor: Sensor) -> None:
     camera = sensor.camera
     if image.shape != (camera.height_px, camera.width_px):
         raise ValueError(
             f"the image is {image.shape}, the sensor {(camera.height_px, camera.width_px)} (rows, columns)"
         )
-    rotation = np.eye(3) if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, dtype=np.float64)
-    order = {"bilinear": 1, "cubic": 3}[interpolation]
-    coordinates, valid = _sampling_table(sensor, grid, rotation.tobytes(), order)
+
+
+def _sampled(
+    image: NDArray[np.float32], sensor: Sensor, coordinates: Array, valid: NDArray[np.bool_], order: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Samples at `coordinates` of an image that is continued across its seam, and which of them are valid."""
     image, known, gaps = closed_image(image, sensor, seam_px(sensor))
     if gaps is not None:
         valid = valid & ~touches(gaps, coordinates, order)
-        valid.flags.writeable = False
     if order == 1:
-        values = np.empty(grid.shape, dtype=np.float32)
+        values = np.empty(valid.shape, dtype=np.float32)
         _sampling_kernels.bilinear(image, coordinates[0].reshape(-1), coordinates[1].reshape(-1), values.reshape(-1))
     else:
         # The B-spline's prefilter reaches beyond its 4x4 taps.
         extended = image[nearest_known(known)]
         values = ndimage.map_coordinates(extended, coordinates, order=order, mode="nearest", output=np.float32)
-    values.flags.writeable = False
-    return Panorama(grid, values, valid)
+    return values, valid
 
 
 def can_be_sampled(sensor: Sensor, directions: Array, order: int = 3) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.camera.sensor import in_field, jacobian
+from harness.camera.sensor import in_field, jacobian, pixels_per_steradian
 from harness.design.gradients import aliased_grey, gradient_grey
 from harness.design.rig import RigDesign
 from harness.display import OneLine
@@ -125,7 +125,8 @@ class _Seen:
 def _seen(rig: RigDesign, points_m: Array, normals: Array) -> _Seen:
     """As a view sees points, all in its own frame."""
     slant = np.maximum(np.abs(np.sum(normalise(normals) * normalise(points_m), axis=-1)), 0.02)
-    side_m = np.linalg.norm(points_m, axis=-1) / np.sqrt(_density(rig, points_m))  # of a pixel, across the ray
+    density = pixels_per_steradian(rig.sensor, normalise(points_m))
+    side_m = np.linalg.norm(points_m, axis=-1) / np.sqrt(density)  # of a pixel, across the ray
     per_m2 = slant / side_m**2
     gradient = gradient_grey(rig.texture, 1 / np.sqrt(per_m2))
     return _Seen(per_m2, gradient, aliased_grey(rig.texture, side_m / slant))
@@ -134,12 +135,6 @@ def _seen(rig: RigDesign, points_m: Array, normals: Array) -> _Seen:
 def _noise_variance(rig: RigDesign) -> float:
     """Grey levels squared."""
     return float(grey_variance(np.full((1, 1), _GREY, dtype=np.float32), rig.chip, rig.noise_grey)[0, 0])
-
-
-def _density(rig: RigDesign, points_m: Array) -> Array:
-    """Pixels per steradian in the directions of points."""
-    J = jacobian(rig.sensor, normalise(points_m))
-    return np.asarray(np.linalg.norm(np.cross(J[..., 0, :], J[..., 1, :]), axis=-1))
 
 
 def _along_epipolar(rig: RigDesign, points_m: Array, t: Array) -> Array:

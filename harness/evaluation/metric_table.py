@@ -108,6 +108,12 @@ METRICS: dict[str, Metric] = _metrics(
     Metric("motion_range_predicted", "Range by the motion", "predicted σ", "%", 100, ".3f", "lower", geometric=True),
     Metric("motion_range_measured", "Range by the motion", "measured", "%", 100, ".3f", "lower", geometric=True),
     Metric("motion_range_z", "Range by the motion", "error over σ", "", 1, ".2f", "near zero"),
+    Metric("view_psnr_db", "New views", "PSNR", "dB", 1, ".2f", "higher"),
+    Metric("view_ws_psnr_db", "New views", "WS-PSNR", "dB", 1, ".2f", "higher"),
+    Metric("view_ssim", "New views", "SSIM", "", 1, ".3f", "higher"),
+    Metric("view_holes", "New views", "holes", "%", 100, ".2f", "lower"),
+    Metric("view_ceiling_psnr_db", "New views", "PSNR, true ranges", "dB", 1, ".2f", "higher"),
+    Metric("view_floor_psnr_db", "New views", "PSNR, nearest image", "dB", 1, ".2f", "higher"),
     Metric("refined", "Refined", "", "%", 100, ".1f", "higher"),
 )
 """All metrics by name, in the order of the columns. An entry with `of` needs nothing else: rows have it, and all that

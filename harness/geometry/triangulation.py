@@ -59,6 +59,14 @@ def sensitivity_to_alpha_2(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: f
     return -(d_2**2) / (baseline_m * np.sin(np.asarray(alpha_1, dtype=np.float64)))
 
 
+def sigma_of_range(alpha_1: ArrayLike, alpha_2: ArrayLike, sigma_alpha_2: ArrayLike, baseline_m: float) -> Array:
+    """Standard deviation of the range from view 1, metres, to first order, by that of alpha_2 in radians; NaN where
+    there is no match.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.abs(sensitivity_to_alpha_2(alpha_1, alpha_2, baseline_m)) * sigma_alpha_2)
+
+
 def sensitivity_to_baseline(d_1_m: ArrayLike, baseline_m: float) -> Array:
     """∂d_1/∂|t| = d_1/|t| (eq. 10), metres per metre."""
     return np.asarray(d_1_m, dtype=np.float64) / baseline_m

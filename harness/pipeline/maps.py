@@ -14,7 +14,7 @@ from harness.display import OneLine, coloured, grey, html_figure
 from harness.files import make_folder, write
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
-from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.geometry.triangulation import sigma_of_range
 from harness.matching.interface import Reason
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.environment import code_hash
@@ -135,9 +135,9 @@ class TrialMaps(OneLine):
     @property
     def sigma_range_m(self) -> Array:
         """Predicted standard deviation of the range, metres, to first order."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            law = np.abs(sensitivity_to_alpha_2(self.alpha_1, self.alpha_2, self.trial.true_motion.baseline_m))
-        return np.where(self.valid, law * self.sigma_alpha_2, np.nan)
+        baseline_m = self.trial.true_motion.baseline_m
+        sigma_m = sigma_of_range(self.alpha_1, self.alpha_2, self.sigma_alpha_2, baseline_m)
+        return np.where(self.valid, sigma_m, np.nan)
 
     def to_xarray(self) -> Any:
         """The maps as an `xarray.Dataset` over `z` and `phi`, with units; errors and `sigma_range_m` among them.

@@ -23,7 +23,7 @@ from harness.geometry.epipolar import alpha_1
 from harness.geometry.motion_error import MotionError, range_sigma
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
-from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.geometry.triangulation import sigma_of_range
 from harness.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair, Share, sharing
@@ -233,9 +233,8 @@ def _ranges(pair: Pair, matcher: MatcherSettings, matches: Matches) -> tuple[Arr
     """Range, `Reason` and the matching's standard deviation of the range, each `[height, width]`."""
     a_1, baseline_m = alpha_1(pair.grid, pair.t_v1), pair.motion.baseline_m
     range_m, reason = ranges_of(matches, a_1, baseline_m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        law = np.abs(sensitivity_to_alpha_2(a_1, matches.alpha_2, baseline_m))
-    return range_m, reason, np.where(np.isfinite(range_m), law * sigma_alpha_2(pair, matcher, matches), np.nan)
+    sigma_m = sigma_of_range(a_1, matches.alpha_2, sigma_alpha_2(pair, matcher, matches), baseline_m)
+    return range_m, reason, np.where(np.isfinite(range_m), sigma_m, np.nan)
 
 
 def _matched(pair: Pair, matcher: MatcherSettings, sharpness: Sharpness) -> Matches:

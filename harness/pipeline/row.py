@@ -1,5 +1,6 @@
 """The stored row of a trial: its figures, cells and histograms, small enough to store thousands."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
 from harness.pipeline.error_budget import error_budget
+from harness.pipeline.novel_views import figures_of
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
 from harness.pipeline.trial import Outcome
 
@@ -33,12 +35,14 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
-        `remark`, the matcher's, if it has one; `motion`, the status of an estimated one and why.
+        `remark`, the matcher's, if it has one; `motion`, the status of an estimated one and why; `novel_views`: see
+        `novel_views.figures_of`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
     regions = measure_regions(errors)
-    optional = {
+    views = figures_of(outcome)
+    optional: dict[str, Any] = {
         "sample": sampled(outcome),
         "noise_grey": noise_grey(outcome) if trial.scoring.sample_px else None,
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
@@ -46,6 +50,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "budget": error_budget(outcome) if trial.scoring.budget else None,
         "remark": outcome.matches.remark or None,
         "motion": _status(outcome),
+        "novel_views": views or None,
     }
     return {
         "figures": {
@@ -57,6 +62,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             "refined": None if refined is None else share_of_estimates(errors, refined),
             **_of_confidence(optional),
             **_of_motion(outcome),
+            **_of_novel_views(views),
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
@@ -93,6 +99,22 @@ def _of_motion(outcome: Outcome) -> dict[str, float | None]:
     estimated = outcome.estimated
     figures = motion_figures(outcome.trial.true_motion, estimated.motion, estimated.error, looking, range_m)
     return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+
+def _of_novel_views(views: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Means over the distances; none without such views."""
+    if not views:
+        return {}
+    kinds = {"view": "warped", "view_ceiling": "ceiling", "view_floor": "floor"}
+    figures: dict[str, float | None] = {
+        f"{name}_psnr_db": _mean(view[kind]["psnr_db"] for view in views) for name, kind in kinds.items()
+    }
+    own = {f"view_{name}": _mean(view["warped"][name] for view in views) for name in ("ws_psnr_db", "ssim", "holes")}
+    return figures | own
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
 
 
 def _status(outcome: Outcome) -> dict[str, Any] | None:

@@ -25,6 +25,7 @@ from harness.simulation.noise import generator
 from harness.simulation.optics import Optics
 from harness.simulation.scene import Scene
 from harness.spec import Finite, Positive, Spec, as_table
+from harness.warping.settings import NovelViews
 
 
 class SecondView(Spec):
@@ -183,6 +184,8 @@ class Trial(Spec):
     """What the matcher is given less what is true: errors of the motion and the calibration."""
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""
+    novel_views: NovelViews = NovelViews()
+    """Views from other viewpoints, warped from the pair with the matcher's ranges."""
     scoring: Scoring = Scoring()
     """What is stored of the trial beyond its figures."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
@@ -241,7 +244,7 @@ class Trial(Spec):
             del settings["sensor_2"]  # the same trial, whether or not it is given
         for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
             _without_what_is_new_of_sensors(sensor, given)
-        for name in ("optics", "optics_2", "chip", "motion", "believed"):
+        for name in ("optics", "optics_2", "chip", "motion", "believed", "novel_views"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as before there was one
         if self.believed.sigma.odometry == Odometry():

@@ -9,7 +9,8 @@ import pandas as pd
 
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
 from harness.runs.cases import CASE
-from harness.runs.methods import METHOD_KEYS, MethodName
+from harness.runs.methods import METHOD_KEYS, MethodName, named
+from harness.runs.novel_views import views_conclusions
 from harness.runs.values import identity_of, shown, text_of
 
 if TYPE_CHECKING:
@@ -17,13 +18,15 @@ if TYPE_CHECKING:
 
 _FIGURES = (("wall", "wall_range_median_abs_m"), ("all", "range_median_abs_m"))
 """Median |range error| of walls, where square windows fit; of everything where there are no walls."""
-_STEPS = {"none": "whole pixels", "own": ""}
 _LEAST = 0.02
 """A difference of less than 2 % is none worth a sentence, however sure it is."""
 
 
 def conclusions(
-    rows: Sequence["Row"], law: dict[str, Any] | None, labels: Mapping[MethodName, str] | None = None
+    rows: Sequence["Row"],
+    law: dict[str, Any] | None,
+    labels: Mapping[MethodName, str] | None = None,
+    views: list[dict[str, Any]] | None = None,
 ) -> list[str]:
     """A sentence about the methods, one for each axis, and one for each slope of the law.
 
@@ -39,6 +42,8 @@ def conclusions(
         The test of the law, if there is one.
     labels
         What methods are called by the cases that name them.
+    views
+        The scores of warped views, if there are any: `novel_views.novel_views_of`.
     """
     table, axes = _table(rows, labels or {})
     measured = [(place, name) for place, name in _FIGURES if not table.empty and (table[name] > 0).any()]
@@ -52,6 +57,7 @@ def conclusions(
     for key in axes:
         sentences += _about_axis(of_best, key, axes, figure, f"{best}, {where}")
     sentences += _about_law(law, labels or {})
+    sentences += views_conclusions(views or [], labels or {})
     seeds = table["seed"].nunique()
     if sentences and seeds < FEW_SEEDS:
         sentences.append(f"Intervals are over {seeds} seeds, and come out too short.")
@@ -72,19 +78,11 @@ def _table(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.
     for row in rows:
         figures = row.payload["figures"]
         records.append(
-            {"method": _named(row.planned.method, labels), "seed": row.planned.trial.seed}
+            {"method": named(row.planned.method, labels), "seed": row.planned.trial.seed}
             | {key: of_key[identity_of(key, row.coordinates[key])] for key, of_key in index.items()}
             | {name: math.nan if figures.get(name) is None else figures[name] for _, name in _FIGURES}
         )
     return pd.DataFrame(records), axes
-
-
-def _named(method: MethodName, labels: Mapping[MethodName, str]) -> str:
-    if method in labels:
-        return labels[method]
-    matcher, step = method
-    word = _STEPS.get(step, step)
-    return f"{matcher} ({word})" if word else matcher
 
 
 def _pivot(table: pd.DataFrame, columns: str, axes: dict[str, list[Any]], figure: str) -> pd.DataFrame:
@@ -156,7 +154,7 @@ def _about_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> 
         slope, ends = fit["slope"], fit["slope_ci95"]
         if fit["law"] != "exact" or slope is None or fit["surface"] != "wall":
             continue
-        method = _named((fit["matcher"], fit["subpixel"]), labels)
+        method = named((fit["matcher"], fit["subpixel"]), labels)
         interval = f"{slope:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]" if ends and None not in ends else f"{slope:.2f}"
         if fit["r2"] is not None and fit["r2"] < 0.3:
             yield f"The law, {method} on walls: none to be seen (slope {interval}, R² {fit['r2']:.2f})."

@@ -15,6 +15,18 @@ METHOD_KEYS = ("matching.kind", "matching.subpixel", "matching.command")
 """The keys of a trial that distinguish methods; they are neither axes nor conditions."""
 
 
+_STEPS = {"none": "whole pixels", "own": ""}
+
+
+def named(method: MethodName, labels: Mapping[MethodName, str]) -> str:
+    """What a method is called in a sentence: as the cases name it, if they do."""
+    if method in labels:
+        return labels[method]
+    matcher, step = method
+    word = _STEPS.get(step, step)
+    return f"{matcher} ({word})" if word else matcher
+
+
 def method_id(matcher: MatcherSettings) -> MethodId:
     """The identity of the method."""
     return matcher.kind, matcher.step, matcher.command_words

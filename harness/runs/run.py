@@ -33,6 +33,7 @@ from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
+from harness.runs.novel_views import novel_views_of
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
 from harness.runs.scheduler import run_batches
@@ -219,33 +220,35 @@ def result_from(
         keep(details, comparison, experiment, store)
     summary = {"schema": SCHEMA, "experiment": experiment.name} | comparison
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
-    cells = cell_table((row.planned, row.payload) for row in done)
-    limit = limit_of((row.planned, row.payload) for row in done)
-    if limit:
-        summary["limit"] = limit
-    budget = budget_of((row.planned, row.payload) for row in done)
-    if budget:
-        summary["budget"] = budget
-    if experiment.method_labels:
-        names = names_in(details.trials, experiment.planned)
-        summary["labels"] = {
-            key: experiment.method_labels[name]
-            for key, i in methods_in(details.trials, experiment.planned).items()
-            if (name := names[method_id(details.trials[i].matching)]) in experiment.method_labels
-        }
-    figures = figures_of_cases(experiment, [(row.planned, row.payload) for row in done])
-    if figures:
-        summary["cases"] = figures
-    law = law_of(cells)
-    if law is not None:
-        summary["law"] = law
-    said = conclusions(done, law, experiment.method_labels)
-    if said:
-        summary["conclusions"] = said
+    trials = [(row.planned, row.payload) for row in done]
+    cells = cell_table(trials)
+    law, views = law_of(cells), novel_views_of(trials)
+    optional = {
+        "limit": limit_of(trials),
+        "budget": budget_of(trials),
+        "labels": _labels(details, experiment),
+        "cases": figures_of_cases(experiment, trials),
+        "law": law,
+        "novel_views": views,
+        "conclusions": conclusions(done, law, experiment.method_labels, views),
+    }
+    summary |= {name: value for name, value in optional.items() if value}
     made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
     if store and store.other_code:
         made["trials_made_by"] = f"other code or libraries than these, {store.other_code}"
     return Result(experiment, rows, cells, details, summary, made)
+
+
+def _labels(details: Details, experiment: Experiment) -> dict[str, str]:
+    """What methods are called by the cases that name them, by their keys in the summary."""
+    if not experiment.method_labels:
+        return {}
+    names = names_in(details.trials, experiment.planned)
+    return {
+        key: experiment.method_labels[name]
+        for key, i in methods_in(details.trials, experiment.planned).items()
+        if (name := names[method_id(details.trials[i].matching)]) in experiment.method_labels
+    }
 
 
 def run_experiment(experiment: Experiment, folder: Path | None = None, *, workers: int | None = None) -> Result:

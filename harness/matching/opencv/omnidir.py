@@ -24,7 +24,7 @@ from harness.camera.fill import closed_image
 from harness.camera.model_fitting import Conversion, Target, compared_pixels, convert
 from harness.camera.models import Mirror, Unified
 from harness.camera.optics import optics_of
-from harness.camera.sensor import Sensor, in_use, jacobian, pixel_directions, project, seam_px
+from harness.camera.sensor import Sensor, in_use, pixel_directions, pixels_per_steradian, project, seam_px
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.panorama import directions
@@ -127,9 +127,7 @@ def _pixels_per_radian(sensor: Sensor) -> float:
     rays, valid = pixel_directions(sensor)
     every = max(1, math.isqrt(int(valid.sum()) // 10_000))
     seen = rays[::every, ::every][valid[::every, ::every]]
-    slopes = jacobian(sensor, seen)
-    area = np.abs(np.einsum("ni,ni->n", np.cross(slopes[:, 0], slopes[:, 1]), seen))
-    return float(np.sqrt(np.median(area)))
+    return float(np.sqrt(np.median(pixels_per_steradian(sensor, seen))))
 
 
 def _stereographic(side: int, gamma: float) -> Array:

@@ -1,0 +1,151 @@
+"""Views from other viewpoints, warped from a trial's pair with its ranges, beside what they are compared with.
+
+The *ceiling* is the same warp with the true ranges, and the *floor* the nearest of the two images untouched, turned to
+the new view's orientation: a warp is worth its while between the two.
+"""
+
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.camera.fill import nearest_known
+from harness.camera.sensor import Sensor, in_use
+from harness.camera.unwrap import sample
+from harness.display import OneLine
+from harness.evaluation.view_scores import ViewScore, score_view
+from harness.geometry.angles import Array
+from harness.geometry.epipolar import alpha_1
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.geometry.triangulation import sigma_of_range
+from harness.matching.uncertainty import sigma_alpha_2
+from harness.pipeline.trial import Outcome
+from harness.simulation.fingerprint import fingerprint
+from harness.simulation.render import render
+from harness.simulation.scene import Scene
+from harness.simulation.truth import truth
+from harness.warping.surface import RangeSurface
+from harness.warping.warp import Image, PixelState, Source, WarpedView, untouched, warp
+
+Grey = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_HERE = Motion(R_v2_from_v1=np.eye(3), t_v1=np.zeros(3))
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class NovelView(OneLine):
+    """A new view on view 1's panorama, and the views that it is compared with."""
+
+    distance_m: float
+    """From the first viewpoint."""
+    expected: Grey
+    """The rendered view, without noise; NaN where the sensor does not see."""
+    compared: Mask
+    """The pixels that count: those that the sensor sees from there."""
+    disoccluded: Mask
+    """What view 1 has not seen, by the truth."""
+    warped: WarpedView
+    """With the matcher's ranges; holes are filled."""
+    ceiling: WarpedView
+    """With the true ranges; holes are filled."""
+    floor: Grey
+    """The nearest image untouched."""
+
+    def scores(self, grid: Grid) -> dict[str, ViewScore]:
+        """By `warped`, `ceiling` and `floor`."""
+        nothing = np.zeros(grid.shape, dtype=bool)
+        views = {
+            "warped": (self.warped.grey, self.warped.holes),
+            "ceiling": (self.ceiling.grey, self.ceiling.holes),
+            "floor": (self.floor, nothing),
+        }
+        return {
+            name: score_view(grid, grey, self.expected, self.compared, holes, self.disoccluded)
+            for name, (grey, holes) in views.items()
+        }
+
+
+def novel_views(outcome: Outcome) -> list[NovelView]:
+    """The views that `trial.novel_views` asks for; none where there is no range to warp with."""
+    trial, pair = outcome.trial, outcome.pair
+    poses = trial.novel_views.poses(trial.poses[0])
+    if not poses or not outcome.valid.any():
+        return []
+    images = [Image(pair.images[0], pair.sensors[0], _HERE), Image(pair.images[1], pair.sensors[1], pair.motion)]
+    estimated = Source(RangeSurface(trial.panorama, outcome.range_m, _sigma_m(outcome)), _HERE)
+    true_images = [images[0], Image(pair.images[1], pair.sensors[1], trial.true_motion)]
+    exact = Source(RangeSurface(trial.panorama, outcome.truth.range_m, np.zeros(trial.panorama.shape)), _HERE)
+    return [
+        _novel_view(outcome, distance, pose, (estimated, images), (exact, true_images))
+        for distance, pose in zip(trial.novel_views.distances_m, poses, strict=True)
+    ]
+
+
+def figures_of(outcome: Outcome) -> list[dict[str, Any]]:
+    """The scores of all new views, JSON-able: `distance_m`, and a table for each of `NovelView.scores`."""
+    grid = outcome.trial.panorama
+    return [
+        {"distance_m": view.distance_m} | {name: asdict(score) for name, score in view.scores(grid).items()}
+        for view in novel_views(outcome)
+    ]
+
+
+def _novel_view(
+    outcome: Outcome,
+    distance_m: float,
+    pose: Pose,
+    estimated: tuple[Source, list[Image]],
+    exact: tuple[Source, list[Image]],
+) -> NovelView:
+    trial = outcome.trial
+    looking = directions(trial.panorama)
+    viewpoint = relative_motion(trial.poses[0], pose).t_v1
+    expected, compared, disoccluded = _expected(
+        trial.scene, fingerprint(trial.scene), trial.assumed_sensors[0], trial.poses[0], pose, trial.panorama,
+        trial.render.samples,
+    )  # fmt: skip
+    warped, ceiling = (warp([source], images, viewpoint, looking, fill=True) for source, images in (estimated, exact))
+    return NovelView(
+        distance_m, expected, compared, disoccluded, warped, ceiling, _nearest(exact[1], viewpoint, looking)
+    )
+
+
+@lru_cache(maxsize=32)
+def _expected(
+    scene: Scene,
+    _contents: str,  # of the scene's files
+    sensor: Sensor,
+    pose_1: Pose,
+    pose: Pose,
+    grid: Grid,
+    samples: int,
+) -> tuple[Grey, Mask, Mask]:
+    """The rendered view on the panorama, the pixels that count, and what view 1 has not seen."""
+    looking = directions(grid)
+    grey, valid = sample(render(scene, sensor, pose, samples), sensor, looking)
+    seen = truth(scene, pose, looking, in_use(sensor, looking), pose_2=pose_1, sensor_2=sensor)
+    return np.where(valid, grey, np.float32(np.nan)), valid, valid & ~seen.visible
+
+
+def _nearest(images: list[Image], viewpoint: Array, looking: Array) -> Grey:
+    """The nearest image, its gaps filled."""
+    grey = untouched(images, viewpoint, looking)
+    return np.asarray(grey[nearest_known(np.isfinite(grey))])
+
+
+def _sigma_m(outcome: Outcome) -> Array:
+    """The predicted standard deviation of the range; 0 where there is none."""
+    pair, matches = outcome.pair, outcome.matches
+    sigma = sigma_alpha_2(pair, outcome.trial.matching, matches)
+    sigma_m = sigma_of_range(alpha_1(pair.grid, pair.t_v1), matches.alpha_2, sigma, pair.motion.baseline_m)
+    return np.where(np.isfinite(sigma_m), sigma_m, 0.0)
+
+
+def holes_by_state(view: WarpedView, compared: Mask) -> dict[str, float]:
+    """Share of the compared pixels in each state, by its name."""
+    total = max(int(compared.sum()), 1)
+    return {state.name.lower(): float((compared & (view.state == state)).sum() / total) for state in PixelState}

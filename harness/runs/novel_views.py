@@ -1,0 +1,106 @@
+"""How good views warped from a run's ranges are, against their distance, over seeds."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.evaluation.statistics import between, resampled
+from harness.geometry.angles import Array
+from harness.runs.experiment import Planned
+from harness.runs.methods import METHOD_KEYS, MethodName, named
+from harness.runs.values import shown
+
+_VIEWS = ("warped", "ceiling", "floor")
+
+
+def novel_views_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The `novel_views` of `summary.json`: for each method, condition and distance, means over seeds.
+
+    Parameters
+    ----------
+    done
+        Trials and what `row.row_of` made of them; those without such views are left out.
+
+    Returns
+    -------
+    list of dict
+        `matcher`, `subpixel`, `condition`, `distance_m`, `seeds`; `psnr_db` and `psnr_ci95_db` (bootstrap over seeds)
+        of the `warped` view, the `ceiling` (true ranges) and the `floor` (nearest image), tables by these names;
+        `gain_db`, warped less floor, with `gain_ci95_db`; and of the warped view `ws_psnr_db`, `ssim`, `holes`,
+        `disoccluded` (a share) and `disoccluded_rmse_grey`.
+    """
+    groups: dict[tuple[str, str, str, float], list[dict[str, Any]]] = {}
+    for planned, payload in done:
+        settings = {key: v for key, v in planned.coordinates.items() if key not in ("seed", *METHOD_KEYS)}
+        for view in payload.get("novel_views") or ():
+            groups.setdefault((*planned.method, shown(settings), view["distance_m"]), []).append(view)
+    return [_entry(*key, views) for key, views in sorted(groups.items(), key=lambda each: each[0])]
+
+
+def views_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
+    """For each method, how far a warped view is better than the nearest image beyond doubt; nothing from one seed.
+
+    Parameters
+    ----------
+    entries
+        Those of `novel_views_of`; the first condition's are spoken of.
+    labels
+        What methods are called by the cases that name them.
+    """
+    mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["gain_ci95_db"]]
+    methods = dict.fromkeys((each["matcher"], each["subpixel"]) for each in mine)
+    return [
+        _reach_of(named(method, labels), [each for each in mine if (each["matcher"], each["subpixel"]) == method])
+        for method in methods
+    ]
+
+
+def _reach_of(method: str, entries: list[dict[str, Any]]) -> str:
+    entries = sorted(entries, key=lambda each: each["distance_m"])
+    sure = [each for each in entries if each["gain_ci95_db"][0] > 0]
+    if not sure:
+        return f"Views warped with {method} are not certain to be better than the nearest image at any distance."
+    low, high = (f"{pick(each['gain_db'] for each in sure):.1f}" for pick in (min, max))
+    said = f"Views warped with {method} are better than the nearest image at {_distances(sure)}, by "
+    said += f"{low} dB" if low == high else f"{low} to {high} dB"
+    unsure = [each for each in entries if each not in sure]
+    return f"{said}; at {_distances(unsure)} that is not certain." if unsure else f"{said}."
+
+
+def _distances(entries: list[dict[str, Any]]) -> str:
+    *first, last = (f"{each['distance_m']:g}" for each in entries)
+    return f"{', '.join(first)} and {last} m" if first else f"{last} m"
+
+
+def _entry(
+    matcher: str, subpixel: str, condition: str, distance_m: float, views: list[dict[str, Any]]
+) -> dict[str, Any]:
+    psnr = {name: np.array([view[name]["psnr_db"] for view in views]) for name in _VIEWS}
+    own = {name: [view["warped"][name] for view in views] for name in views[0]["warped"]}
+    gain, gain_ends = _mean(psnr["warped"] - psnr["floor"])
+    means = {name: _mean(values) for name, values in psnr.items()}
+    unseen = [each for each in own["disoccluded_rmse_grey"] if each is not None]
+    return {
+        "matcher": matcher,
+        "subpixel": subpixel,
+        "condition": condition,
+        "distance_m": distance_m,
+        "seeds": len(views),
+        "psnr_db": {name: mean for name, (mean, _) in means.items()},
+        "psnr_ci95_db": {name: ends for name, (_, ends) in means.items()},
+        "gain_db": gain,
+        "gain_ci95_db": gain_ends,
+        **{name: float(np.mean(own[name])) for name in ("ws_psnr_db", "ssim", "holes", "disoccluded")},
+        "disoccluded_rmse_grey": float(np.mean(unseen)) if unseen else None,
+    }
+
+
+def _mean(values: Array) -> tuple[float, list[float] | None]:
+    """The mean, and its 95 % interval by bootstrap over seeds; None of one seed."""
+    weights = resampled(len(values))
+    means = (weights @ values) / weights.sum(axis=1)
+    if len(values) < 2:
+        return float(means[0]), None
+    low, high = between(means[1:, None], len(values))
+    return float(means[0]), [float(low[0]), float(high[0])]

@@ -1,0 +1,1 @@
+"""Views from other viewpoints, warped from images and their ranges."""
