@@ -13,7 +13,7 @@ import pytest
 from browser import chromium, visit
 
 from harness.evaluation.metric_table import METRICS
-from harness.report import theme, words
+from harness.report import theme, typography, words
 from harness.report.build import build_report
 from harness.report.method_styles import methods_of
 from harness.report.sections import error_maps, profiles
@@ -197,9 +197,9 @@ def test_abstract_follows_the_numbers(before, after, expected):
 
 
 def test_a_number_that_rounds_to_zero_has_no_sign():
-    assert words.figure(-0.04, "+.1f") == "0.0"
-    assert words.figure(-0.06, "+.1f") == "−0.1"
-    assert words.figure(0.06, "+.1f") == "+0.1"
+    assert typography.figure(-0.04, "+.1f") == "0.0"
+    assert typography.figure(-0.06, "+.1f") == "−0.1"
+    assert typography.figure(0.06, "+.1f") == "+0.1"
 
 
 def test_worked_example_of_the_law():

@@ -18,7 +18,7 @@ from harness.report.build import build_report
 from harness.report.section import About, Context, Figure
 from harness.report.sections import SECTIONS, error_curves, locking, measures, regional_errors
 from harness.report.sweep import Axis, sweep_of, value_text
-from harness.report.words import symbols
+from harness.report.typography import symbols
 from harness.runs.experiment import Experiment
 from harness.runs.run import Result, run_experiment
 from harness.simulation.scene import load_scene

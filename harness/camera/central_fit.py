@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.optimize import least_squares
 
 from harness.camera.reflection import project_points
 from harness.camera.sensor import Sensor, in_field, project
@@ -54,6 +53,8 @@ def nearest_central(sensor: Sensor, distance_m: float = DISTANCE_M) -> CentralFi
             return np.full(pixels.size, 1e3)
         off = project(made, points)[0] - pixels
         return np.nan_to_num(off, nan=1e3).ravel()
+
+    from scipy.optimize import least_squares
 
     fit = least_squares(residuals, np.zeros(8), x_scale=[1e-3, 1e-3, 1, 1, 1e-3, 1e-3, 1e-4, 1e-4], method="lm")
     return CentralFit(_made(begin, fit.x), float(np.sqrt(np.mean(np.sum(fit.fun.reshape(-1, 2) ** 2, axis=1)))))

@@ -122,12 +122,13 @@ def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
     """
     R = _axis_frame(sensor)
 
-    def is_visible(angle_rad: float) -> bool:
-        rays = _cone(angle_rad, 72)[0] @ R
-        return bool((in_field(sensor, rays) & np.isfinite(project(sensor, rays)[0]).all(axis=-1)).any())
+    def are_visible(angles_rad: list[float]) -> list[bool]:
+        rays = np.stack([_cone(each, 72)[0] for each in angles_rad]) @ R
+        seen = in_field(sensor, rays) & np.isfinite(project(sensor, rays)[0]).all(axis=-1)
+        return [bool(each) for each in np.atleast_1d(seen.any(axis=-1))]
 
     angles = np.linspace(0, math.pi, 721).tolist()
-    visible = [is_visible(angle) for angle in angles]
+    visible = are_visible(angles)
     first, last = visible.index(True), len(visible) - 1 - visible[::-1].index(True)
 
     def edge(outside: int, inside: int) -> float:
@@ -136,7 +137,7 @@ def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
         out, into = angles[outside], angles[inside]
         for _ in range(48):
             middle = (out + into) / 2
-            out, into = (out, middle) if is_visible(middle) else (middle, into)
+            out, into = (out, middle) if are_visible([middle])[0] else (middle, into)
         return into
 
     return edge(first - 1, first), edge(last + 1, last)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.optimize import least_squares
 
 from harness.camera.equivalents import equivalent
 from harness.camera.intrinsics import Camera
@@ -292,6 +291,8 @@ class _Problem:
 
     def descended(self, begin: Array, steps: int) -> tuple[Array, float]:
         """The vector reached from a start in at most `steps` steps, and its sum of squares."""
+        from scipy.optimize import least_squares  # loading it takes long
+
         low, high = np.array(list(self._bounds().values())).T
         begin = np.clip(begin, low + 1e-9, high - 1e-9)
         minimum = least_squares(

@@ -2,10 +2,10 @@
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, PPoly
 
 from harness.camera._profile_kernels import ProfileCamera, heights, meet_pieces, reflect_at_profile
 from harness.camera.lens import fold_radius
@@ -79,13 +79,13 @@ def _nearest_to_rays(sensor: Sensor) -> float:
 
 def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
     profile, lens, misalignment = profile_of(sensor), sensor.lens, sensor.misalignment
-    kind, size, pieces, rim = _shape_of(profile)
+    kind, size, (knots, cubics), rim = _shape_of(profile)
     # So many that each holds one knot at most, if that is not too many.
-    parts = min(_MOST_PARTS, math.ceil(1.01 * pieces.x[-1] / np.diff(pieces.x).min()))
-    edges = np.arange(parts + 1) / parts * pieces.x[-1]
-    piece = np.searchsorted(pieces.x, edges, side="right")
+    parts = min(_MOST_PARTS, math.ceil(1.01 * knots[-1] / np.diff(knots).min()))
+    edges = np.arange(parts + 1) / parts * knots[-1]
+    piece = np.searchsorted(knots, edges, side="right")
     # One piece earlier than it may be, since a radius can be rounded into the part before its own.
-    first = np.clip(piece[:-1] - 2, 0, pieces.x.size - 2)
+    first = np.clip(piece[:-1] - 2, 0, knots.size - 2)
     c_x, c_y, c_z = (np.array([0.0, 0.0, -profile.camera_m]) + misalignment.offset_m).tolist()
     rows = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
     R, M = misalignment.R_mirror_from_camera, model_from_sensor(sensor)
@@ -100,8 +100,8 @@ def _camera(sensor: Sensor, viewpoint_m: float) -> ProfileCamera:
         kind=kind,
         size=size,
         rim=rim,
-        knots=pieces.x,
-        cubics=np.ascontiguousarray(pieces.c),
+        knots=knots,
+        cubics=cubics,
         first=first.astype(np.int32),
         sparse=bool((np.diff(piece) <= 1).all()),
         depths=np.zeros(2),
@@ -143,10 +143,12 @@ def _steps_that_suffice(camera: ProfileCamera, R_mirror_from_camera: Array, sens
     return 1 + int(np.argmax(np.array(found) >= 0.99 * max(found)))
 
 
-_NO_PIECES = PPoly(np.zeros((4, 1)), np.array([0.0, 1.0]))
+Pieces = tuple[Array, Array]
+"""Knots `[n + 1]` of a profile of cubics, metres, and the cubics `[4, n]`."""
+_NO_PIECES: Pieces = (np.array([0.0, 1.0]), np.zeros((4, 1)))
 
 
-def _shape_of(profile: Profile) -> tuple[int, float, PPoly, float]:
+def _shape_of(profile: Profile) -> tuple[int, float, Pieces, float]:
     """Kind, size, cubics and rim of a profile, as `ProfileCamera` has them."""
     if isinstance(profile, Sphere):
         return 0, profile.radius_m, _NO_PIECES, profile.rim_m
@@ -157,13 +159,26 @@ def _shape_of(profile: Profile) -> tuple[int, float, PPoly, float]:
     if isinstance(profile, Equiangular):
         return _PIECEWISE, 0.0, _equiangular(profile), profile.rim_m
     if isinstance(profile, Table):
+        from scipy.interpolate import PchipInterpolator  # loading it takes long
+
         z = np.asarray(profile.z_mm)
-        return _PIECEWISE, 0.0, PchipInterpolator(np.asarray(profile.r_mm) / 1000, (z - z[0]) / 1000), profile.rim_m
+        return (
+            _PIECEWISE,
+            0.0,
+            _of_spline(PchipInterpolator(np.asarray(profile.r_mm) / 1000, (z - z[0]) / 1000)),
+            profile.rim_m,
+        )
     raise TypeError(f"no such profile: {type(profile).__name__}")
 
 
-def _equiangular(profile: Equiangular) -> CubicHermiteSpline:
+def _of_spline(spline: Any) -> Pieces:
+    return spline.x, np.ascontiguousarray(spline.c)
+
+
+def _equiangular(profile: Equiangular) -> Pieces:
     """Points and slopes of the closed form. The slope is `tan((gain - 1) t/2)`: light turns by twice its angle."""
+    from scipy.interpolate import CubicHermiteSpline
+
     k, h = profile.k, profile.camera_m
     # r grows with t; the last t is the rim's, by bisection.
     low, high = 0.0, math.pi / (2 * k)
@@ -172,4 +187,4 @@ def _equiangular(profile: Equiangular) -> CubicHermiteSpline:
         low, high = (middle, high) if profile.radius_at(middle) < profile.rim_m else (low, middle)
     t = np.linspace(0.0, high, _PIECES + 1)
     rho = h * np.cos(k * t) ** (-1 / k)
-    return CubicHermiteSpline(rho * np.sin(t), rho * np.cos(t) - h, np.tan((profile.gain - 1) * t / 2))
+    return _of_spline(CubicHermiteSpline(rho * np.sin(t), rho * np.cos(t) - h, np.tan((profile.gain - 1) * t / 2)))

@@ -9,7 +9,7 @@ import numpy as np
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.models.ocam import OCam
 from harness.camera.sensor import Sensor
-from harness.design.budget import CAUSES, budget, directions_of
+from harness.design.budget import CAUSES, Budget, budget, directions_of
 from harness.design.rig import RigDesign
 from harness.display import OneLine
 from harness.evaluation.statistics import central_68
@@ -30,10 +30,10 @@ class Answer(OneLine):
 
 def answers(rig: RigDesign, ranges_m: Sequence[float]) -> tuple[Answer, ...]:
     """What to expect of a rig at some ranges: surfaces that face view 1, 30 degrees or more off the baseline."""
-    x = directions_of(rig)
+    together = budget(rig, np.asarray(ranges_m)[:, None, None] * directions_of(rig))
     result = []
-    for range_m in ranges_m:
-        parts = budget(rig, range_m * x)
+    for i, range_m in enumerate(ranges_m):
+        parts = Budget(together.points_m[i], {name: each[i] for name, each in together.sigma_m.items()})
         by_cause = {name: central_68(parts.sigma_m[name]) for name in CAUSES}
         result.append(Answer(range_m, central_68(parts.total_m), by_cause, parts.leading))
     return tuple(result)

@@ -49,12 +49,12 @@ def _spectrum(texture: Texture) -> tuple[Array, Array]:
     pitch_m = texture.tile_m / width
     power = np.abs(np.fft.fft2(texels - texels.mean())) ** 2 / texels.size**2
     f_y, f_x = (np.abs(np.fft.fftfreq(n, pitch_m)) for n in (height, width))
-    by_x, by_y = power * f_x**2, power * f_y[:, None] ** 2
+    of_slopes = power * f_x**2 + power * f_y[:, None] ** 2
     gradients, aliased = [], []
     for size_m in _SIZES_M:
         mean_x, mean_y = (np.sinc(f * size_m) ** 2 for f in (f_x, f_y))
         below_x, below_y = (np.where(f < 0.5 / size_m, mean, 0.0) for f, mean in ((f_x, mean_x), (f_y, mean_y)))
-        slopes = below_y @ (by_x + by_y) @ below_x / 2
+        slopes = below_y @ of_slopes @ below_x / 2
         gradients.append(2 * np.pi * size_m * np.sqrt(slopes))
         aliased.append(np.sqrt(max(mean_y @ power @ mean_x - below_y @ power @ below_x, 0.0)))
     return np.array(gradients), np.array(aliased)

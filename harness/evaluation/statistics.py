@@ -6,13 +6,16 @@ are resampled.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import erf
 
 from harness.geometry.angles import Array
+
+if TYPE_CHECKING:  # loading it takes long, and few callers need it
+    import pandas as pd
 
 DRAWS = 1000
 FEW_SEEDS = 8
@@ -33,7 +36,7 @@ class Curve:
     """The 95 % interval; NaN where there is one seed only."""
 
 
-def mean_over_seeds(values: pd.DataFrame, *, logarithmic: bool = False) -> Curve:
+def mean_over_seeds(values: "pd.DataFrame", *, logarithmic: bool = False) -> Curve:
     """Means of the columns, with intervals by bootstrap over seeds.
 
     Parameters
@@ -44,6 +47,8 @@ def mean_over_seeds(values: pd.DataFrame, *, logarithmic: bool = False) -> Curve
     logarithmic
         Geometric means of positive values.
     """
+    import pandas as pd
+
     table = values.to_numpy(dtype=np.float64)
     if logarithmic:
         table = np.log(table, out=np.full(table.shape, np.nan), where=table > 0)
@@ -91,7 +96,7 @@ def central_68(sigma_m: Array) -> float:
     return high
 
 
-def balanced(values: pd.DataFrame) -> pd.DataFrame:
+def balanced(values: "pd.DataFrame") -> "pd.DataFrame":
     """The groups that have a value everywhere on the axis, if there are any; an axis value without any stays."""
     known = values.loc[:, values.notna().any()]
     complete = known.dropna().index

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.report.words import figure
+from harness.report.typography import figure
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from harness.report import words
+from harness.report import typography
 
 
 def html(text: str, **values: Any) -> Markup:
@@ -46,8 +46,8 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["figure"] = words.figure
-    environment.filters["symbols"] = words.symbols
+    environment.filters["figure"] = typography.figure
+    environment.filters["symbols"] = typography.symbols
     environment.globals["d"] = lambda n: Markup("<i>d</i><sub>{}</sub>").format(n)
     environment.globals["alpha"] = lambda n: Markup("<i>α</i><sub>{}</sub>").format(n)
     environment.globals["key"] = lambda label, colour: Markup('<span class="key" style="--key: {}">{}</span>').format(

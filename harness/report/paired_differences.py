@@ -19,7 +19,7 @@ from harness.report.data import Cell, Data, Heading, Table, count, interval, lis
 from harness.report.markup import template
 from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
-from harness.report.words import figure
+from harness.report.typography import figure
 from harness.report.written_runs import COMPARED, NONE, Run, names_of_folders, read_run
 from harness.runs.cases import CASE
 

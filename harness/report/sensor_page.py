@@ -18,7 +18,7 @@ from harness.camera.sensor import pixel_directions
 from harness.report import theme
 from harness.report.markup import template
 from harness.report.theme import FAINT, HALF, INK, SPARE, Picture
-from harness.report.words import typeset
+from harness.report.typography import typeset
 from harness.spec import dump_toml
 
 _USED, _UNUSED = "#DCEAF4", "#E2E2E2"

@@ -1,10 +1,7 @@
 """Numbers in words and cells. Every sentence follows from the numbers alone."""
 
-import re
 from collections.abc import Iterator, Sequence
 from typing import Any
-
-from markupsafe import Markup, escape
 
 from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor
@@ -17,6 +14,7 @@ from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import Trial
 from harness.report.method_styles import Named
 from harness.report.sweep import Axis, Sweep
+from harness.report.typography import figure
 from harness.runs.cases import CASE
 from harness.runs.run import Result
 from harness.spec import as_table
@@ -29,34 +27,6 @@ def cell(metric: Metric, measures: dict[str, Any]) -> str:
     """A figure in the metric's unit; a dash where there is none."""
     value = measures.get(metric.name)
     return "–" if value is None else figure(metric.scale * value, metric.form)
-
-
-def figure(value: float, form: str) -> str:
-    """A number with a true minus sign; one that rounds to zero has no sign."""
-    text = format(value, form)
-    if not text.strip("+-0."):
-        text = text.lstrip("+-")
-    return text.replace("-", "−")
-
-
-def typeset(text: str) -> str:
-    """Plain text with true minus signs, and a space before each percent sign."""
-    return re.sub(r"(?<=\d)%", "\u00a0%", re.sub(r"(?<![\w.])-(?=[\d.])", "−", text))
-
-
-_SYMBOLS = {
-    "α₁": "<i>α</i><sub>1</sub>",
-    "α₂": "<i>α</i><sub>2</sub>",
-    "|t|": "|<b>t</b>|",
-    "d²/": "<i>d</i>²/",
-    "/d": "/<i>d</i>",
-}
-
-
-def symbols(text: str) -> Markup:
-    """Plain text as HTML, its symbols set as in the captions."""
-    pattern = r"α[₁₂]|\|t\||\bd²/(?=\|t\|)|(?<=\|t\|)/d\b"
-    return Markup(re.sub(pattern, lambda match: _SYMBOLS[match[0]], escape(text)))  # noqa: S704  # escaped before
 
 
 def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator[str]:

@@ -9,7 +9,6 @@ from harness import shipped
 from harness.errors import InputError
 from harness.files import path_of
 from harness.io.calibrations.sensors import sensor_of_table
-from harness.matching.program import with_absolute_files
 from harness.simulation.scene import load_scene
 from harness.source_files import State, state_of
 from harness.spec import as_table
@@ -25,6 +24,8 @@ def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | 
     """A value that names a file by a relative path, with its absolute path; any other as it is."""
     last = key.rpartition(".")[2]
     if (last == "command" or key == "matching.files") and isinstance(value, list):
+        from harness.matching.program import with_absolute_files
+
         return with_absolute_files(value, folder, patterns=last == "files")
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else ((key, each) for each in value)

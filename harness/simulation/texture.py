@@ -6,6 +6,7 @@ Colours become luma, as in `harness.images`: matching is grey.
 """
 
 import math
+from importlib import resources
 from typing import Annotated, Literal
 
 import numpy as np
@@ -49,9 +50,8 @@ class BundledTexture(Spec):
 
     def texels(self) -> Texels:
         """Grey `[height, width]`, row 0 at the top."""
-        from skimage import data
-
-        return np.asarray(getattr(data, self.name)(), dtype=np.float32)
+        file = resources.files("skimage.data") / f"{self.name}.png"
+        return decode(file.read_bytes(), f"{self.name}.png").grey()
 
 
 class NoiseTexture(Spec):

@@ -8,8 +8,6 @@ import math
 from abc import abstractmethod
 from typing import ClassVar, NamedTuple
 
-from scipy.optimize import brentq
-
 from harness.camera.intrinsics import Camera, FieldEdge
 from harness.camera.lens import Lens
 from harness.camera.models.model import CameraModel
@@ -61,6 +59,8 @@ class AxialModel(CameraModel):
             return 0.0
         if self.radius(most, lens) <= last:
             return most
+        from scipy.optimize import brentq
+
         return float(brentq(lambda angle: self.radius(angle, lens) - last, 0.0, most))
 
     def check(self, camera: Camera, lens: Lens, edge: FieldEdge) -> None:

@@ -22,7 +22,6 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.optimize import brentq
 
 from harness.camera._projection_kernels import CompiledModel, add_compiled_model
 from harness.camera.intrinsics import Camera
@@ -87,6 +86,8 @@ class OCam(AxialModel):
             most = 1.0
             while self.angle(most) < angle_rad and most < _BEYOND_ANY_IMAGE:
                 most *= 2
+        from scipy.optimize import brentq
+
         return float(brentq(lambda radius: self.angle(radius) - angle_rad, 0.0, most, xtol=1e-12))
 
     @property

@@ -12,7 +12,7 @@ from harness.report.markup import html
 from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
 from harness.report.sections.error_curves import SURFACES
 from harness.report.sweep import MethodStyle, Sweep
-from harness.report.words import figure
+from harness.report.typography import figure
 
 _MOST_ROWS = 60
 _WHOLE = "none"

@@ -20,7 +20,7 @@ from harness.report.sections.law import slopes
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
 from harness.report.sweep import MethodStyle, Sweep, log_edges
 from harness.report.theme import FAINT, Picture
-from harness.report.words import figure
+from harness.report.typography import figure
 
 _DENSE = LinearSegmentedColormap.from_list("cells", ["#FFFFFF", "#D5DEE8", "#7A8DA3", "#2F4158"])
 

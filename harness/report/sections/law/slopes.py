@@ -13,7 +13,7 @@ from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import LAW_NAMES, PLAIN_NAMES, Fit, is_of
 from harness.report.sweep import MethodStyle, Sweep, in_words
 from harness.report.theme import Picture
-from harness.report.words import figure
+from harness.report.typography import figure
 
 
 @theme.panel

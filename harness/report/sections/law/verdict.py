@@ -14,7 +14,7 @@ from harness.report.section import About, Block, Context, InAbstract, Paragraph,
 from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import INTRO, Fit, is_of
 from harness.report.sweep import MethodStyle, Sweep
-from harness.report.words import figure, typeset
+from harness.report.typography import figure, typeset
 
 _WORDS = """
 <p>Plotting one against the other proves nothing: range is computed from {{ alpha(2) }}, so its error <em>is</em> the
