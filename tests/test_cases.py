@@ -14,6 +14,7 @@ import harness
 from harness.cli import main
 from harness.errors import InputError
 from harness.report.paired_differences import build_comparison
+from harness.report.sections import error_budget
 from harness.runs.load import load_experiment
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.run import run_experiment
@@ -279,3 +280,15 @@ def test_methods_go_by_their_cases_names(
         ("column", 9),
     ]
     assert [each["case"] for each in result.coordinates] == list(summary["labels"].values())
+
+
+def test_cases_of_a_budget_have_looks_of_their_own() -> None:
+    """One cause in two sizes, several causes and none; a cause that is there once keeps its look."""
+    sizes = {"small": ["rotation"], "large": ["rotation"], "length": ["t length"], "own": []}
+    entries = [{"case": name, "causes": causes} for name, causes in sizes.items()]
+    looks = error_budget._looks(entries)
+    assert list(looks) == list(sizes)
+    assert len(set(looks.values())) == len(sizes)
+    assert looks["length"] == (error_budget._COLOURS["t length"], error_budget._MARKS["t length"])
+    many = [{"case": f"rig {number}", "causes": ["rotation", "t length"]} for number in range(30)]
+    assert len(set(error_budget._looks(many).values())) == 30

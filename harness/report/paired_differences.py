@@ -328,7 +328,8 @@ def _picture(shown: list[Difference]) -> Picture:
     ax = theme.axes(fig, 250, above, WIDE - 290, row * len(names) + 10)
     ax.axvline(0, color=theme.TRUTH, linewidth=0.9)
     described = []
-    spare = itertools.cycle(theme.SPARE)
+    # Twenty looks, no two alike: more groups than that are told by the table.
+    spare = itertools.cycle([(colour, mark) for mark in "os^Dv" for colour in theme.SPARE])
     for index, group in enumerate(groups):
         mine = [each for each in shown if each.group == group]
         apart = min(0.22, 0.8 / len(groups))
@@ -340,10 +341,10 @@ def _picture(shown: list[Difference]) -> Picture:
                 for each in mine
             ]
         )
-        colour = colours.get(group) or next(spare)
+        colour, mark = (colours[group], "o") if group in colours else next(spare)
         label = group or "all pairs"
         ax.hlines(y, spans[:, 0], spans[:, 1], color=colour, linewidth=1.6)
-        ax.plot(share, y, "o", color=colour, markersize=5, label=theme.plain(label))
+        ax.plot(share, y, mark, color=colour, markersize=5, label=theme.plain(label))
         described += [
             f"{metric(each.figure).heading}, {label} {figure(value, '+.0f')} %"
             for each, value in zip(mine, share, strict=True)

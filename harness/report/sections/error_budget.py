@@ -1,6 +1,8 @@
 """What limits the range: the error of each cause, predicted and measured, alone and together."""
 
-from collections.abc import Iterator
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,6 +85,9 @@ def _between(values: list[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+_FROM_EACH = "from each alone"
+
+
 def _named(entry: Entry) -> str:
     """The case's name, or else the cause."""
     causes = entry["causes"]
@@ -91,20 +96,32 @@ def _named(entry: Entry) -> str:
     return "the matcher alone" if not causes else causes[0] if len(causes) == 1 else "all together"
 
 
-def _look(entries: list[Entry], name: str, index: int) -> tuple[str, str]:
-    """Colour and mark of what is called so: a cause's own, where no other case has the same cause."""
+def _looks(entries: list[Entry]) -> dict[str, tuple[str, str]]:
+    """Colour and mark of all that is drawn, no two alike: a cause's own, where no other case has the same cause."""
+    names = dict.fromkeys(map(_named, entries))
     causes = {_named(each): each["causes"][0] for each in entries if len(each["causes"]) == 1}
-    cause = causes.get(name)
-    if cause in _COLOURS and list(causes.values()).count(cause) == 1:
-        return _COLOURS[cause], _MARKS[cause]
-    if cause is None and len({_named(each) for each in entries} - causes.keys()) == 1:
-        return (FAINT, "o") if causes else (INK, "o")
-    return _SPARE[index % len(_SPARE)], "osv^DP"[index % 6]
+    of_none = [name for name in names if name not in causes]
+    looks: dict[str, tuple[str, str]] = {of_none[0]: (FAINT if causes else INK, "o")} if len(of_none) == 1 else {}
+    for name, cause in causes.items():
+        if list(causes.values()).count(cause) == 1:
+            looks[name] = (_COLOURS[cause], _MARKS[cause])
+    free = (
+        (_SPARE[(i + shift) % len(_SPARE)], mark) for shift in range(len(_SPARE)) for i, mark in enumerate("osv^DP<")
+    )
+    spare = itertools.cycle([look for look in free if look not in looks.values()])
+    return {name: looks[name] if name in looks else next(spare) for name in names}
 
 
-def _axes(entries: list[Entry]) -> tuple[Any, Any]:
-    fig = theme.figure(HALF, 360)
-    ax = theme.axes(fig, 64, 62, HALF - 80, 248)
+def _columns(names: Iterable[str]) -> int:
+    """How many names fit beside each other above a panel; they are shown whole."""
+    longest = max(map(len, names))
+    return 3 if longest <= 22 else 2 if longest <= 36 else 1
+
+
+def _axes(entries: list[Entry], names: Sequence[str]) -> tuple[Any, Any]:
+    above = max(62, 14 + 16 * math.ceil(len(names) / _columns(names)))
+    fig = theme.figure(HALF, 298 + above)
+    ax = theme.axes(fig, 64, above, HALF - 80, 248)
     ax.set_xscale("log")
     ax.set_xlabel("range (m)")
     ax.set_ylabel("range error, 68 % within (mm)")
@@ -132,11 +149,11 @@ def _draw(ax: Any, entries: list[Entry], colour: str, mark: str, label: str) -> 
 
 @theme.panel
 def _alone(entries: list[Entry]) -> Picture:
-    fig, ax = _axes(entries)
     names = list(dict.fromkeys(_named(each) for each in entries))
-    for index, name in enumerate(names):
-        _draw(ax, [each for each in entries if _named(each) == name], *_look(entries, name, index), theme.plain(name))
-    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
+    fig, ax = _axes(entries, names)
+    for name, look in _looks(entries).items():
+        _draw(ax, [each for each in entries if _named(each) == name], *look, theme.plain(name))
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=_columns(names))
     ends = "; ".join(f"{name} {_last(entries, name):.1f} mm" for name in names)
     return theme.picture(
         fig, f"Range errors by cause against range; at the longest range {ends}.", "(a) each cause alone"
@@ -150,14 +167,15 @@ def _last(entries: list[Entry], name: str) -> float:
 @theme.panel
 def _together(entries: list[Entry]) -> Picture:
     joint = [each for each in entries if len(each["causes"]) > 1] or entries
-    fig, ax = _axes(joint)
-    for index, name in enumerate(dict.fromkeys(map(_named, joint))):
-        _draw(ax, [each for each in joint if _named(each) == name], *_look(joint, name, index), theme.plain(name))
+    names = [*dict.fromkeys(map(_named, joint)), _FROM_EACH]
+    fig, ax = _axes(joint, names)
+    for name, look in _looks(joint).items():
+        _draw(ax, [each for each in joint if _named(each) == name], *look, theme.plain(name))
     known = sorted((each for each in joint if each["alone_m"]), key=lambda each: each["range_m"])
     if known:
         x, y = [each["range_m"] for each in known], [1000 * each["alone_m"] for each in known]
-        ax.plot(x, y, "x", color=theme.PIXEL, markersize=6, label="from each alone")
-    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=3)
+        ax.plot(x, y, "x", color=theme.PIXEL, markersize=6, label=_FROM_EACH)
+    theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=_columns(names))
     last = max(joint, key=lambda each: each["range_m"])
     alt = (
         f"Range errors of all causes together: {1000 * last['measured_m']:.1f} mm measured at {last['range_m']:.1f} m."
