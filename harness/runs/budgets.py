@@ -83,24 +83,28 @@ def _quantiles(counts: Array) -> Array:
     return np.array([np.interp(SHARE, np.concatenate([[0.0], row]), Z_EDGES) for row in share])
 
 
-def _is_alone_as_in(alone: dict[str, Any], entry: dict[str, Any]) -> bool:
-    """Whether an entry has one of the causes of another alone, and of the same size, by what it is predicted to do.
-
-    To a tenth: the pixels that both matched are not quite the same.
-    """
-    causes, together = alone["causes"], entry["predicted_m"]
-    if len(causes) != 1 or causes[0] not in together:
-        return False
-    return bool(np.isclose(alone["predicted_m"][causes[0]], together[causes[0]], rtol=0.1))
-
-
 def _of_causes_alone(entry: dict[str, Any], entries: list[dict[str, Any]]) -> float | None:
     """The root of the sum of squares of what each cause of an entry does alone, the matcher's own part counted once."""
     if len(entry["causes"]) < 2:
         return None
     same = [e for e in entries if all(e[key] == entry[key] for key in ("matcher", "subpixel", "range_m"))]
     own = next((each["measured_m"] ** 2 for each in same if not each["causes"]), None)
-    alone = {each["causes"][0]: each["measured_m"] ** 2 for each in same if _is_alone_as_in(each, entry)}
-    if own is None or not set(entry["causes"]) <= alone.keys():
+    alone = [_alone(name, entry, same) for name in entry["causes"]]
+    if own is None or None in alone:
         return None
-    return float(np.sqrt(own + sum(max(alone[name] - own, 0.0) for name in entry["causes"])))
+    return float(np.sqrt(own + sum(max(each**2 - own, 0.0) for each in alone if each is not None)))
+
+
+_ALIKE = 1.3
+"""How many times one prediction may be another for causes of one size: the pixels that are matched differ a little."""
+
+
+def _alone(cause: str, entry: dict[str, Any], same: list[dict[str, Any]]) -> float | None:
+    """What a cause does alone where it is of an entry's size, by its prediction; None where no entry has that."""
+    ratios = {
+        each["measured_m"]: abs(float(np.log(each["predicted_m"][cause] / entry["predicted_m"][cause])))
+        for each in same
+        if each["causes"] == [cause] and each["predicted_m"][cause] > 0 and entry["predicted_m"][cause] > 0
+    }
+    nearest = min(ratios, key=lambda measured: ratios[measured], default=None)
+    return nearest if nearest is not None and ratios[nearest] <= np.log(_ALIKE) else None
