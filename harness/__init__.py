@@ -41,6 +41,8 @@ render, estimate_range, estimate_sequence, estimate_motion
     `RenderedView`: a mirror image with its range. `RangeEstimate`: range from two images, with a `Verdict` on their
     geometry. `SequenceRange`: from each image with the next. `MotionEstimate`: how two stand to each other, and its
     `Status`.
+warp_view
+    `NewView`: two images and their ranges as a view from somewhere else.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 describe_rig, find_rigs
@@ -78,6 +80,7 @@ if TYPE_CHECKING:
     from harness.api.sequence import SequenceRange, estimate_sequence
     from harness.api.settings import settings
     from harness.api.views import render
+    from harness.api.warping import NewView, warp_view
     from harness.camera.intrinsics import Camera, FieldOfView
     from harness.camera.lens import Lens
     from harness.camera.models.hyperboloid import Mirror
@@ -106,6 +109,7 @@ __all__ = [
     "Mirror",
     "Motion",
     "MotionEstimate",
+    "NewView",
     "Outcome",
     "Pair",
     "Panorama",
@@ -143,6 +147,7 @@ __all__ = [
     "run_trial",
     "settings",
     "unproject",
+    "warp_view",
 ]
 
 _MODULES = {
@@ -157,6 +162,7 @@ _MODULES = {
     "api.sequence": ("SequenceRange", "estimate_sequence"),
     "api.settings": ("settings",),
     "api.views": ("render",),
+    "api.warping": ("NewView", "warp_view"),
     "camera.intrinsics": ("Camera", "FieldOfView"),
     "camera.lens": ("Lens",),
     "camera.models.hyperboloid": ("Mirror",),

@@ -2,10 +2,13 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 from sweeps import write_small
 
+import harness
 from harness.cli.parser import main
 from harness.geometry.pose import Pose
 from harness.pipeline.specification import Trial
@@ -40,6 +43,67 @@ def test_from_the_command_to_the_report(tmp_path, capsys):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Views from other viewpoints" in page
     assert "The view 0.3 m from the first viewpoint" in page
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """A folder of two rendered views of the box, 0.3 m apart."""
+    folder = tmp_path_factory.mktemp("pair")
+    sensor = {"camera": {"width_px": 320, "height_px": 240, "focal_px": 307.06, "cx_px": 159.5, "cy_px": 119.5}}
+    for name, x in (("left", 0.0), ("right", 0.3)):
+        harness.render("box", sensor=sensor, position_m=(x, 0.0, 1.0), samples=4).write(folder / name)
+    return folder
+
+
+def command(folder, *options):
+    left, right = (str(folder / name / "omni.png") for name in ("left", "right"))
+    sensor = str(folder / "left" / "sensor.toml")
+    return ["warp", left, right, "--sensor", sensor, "--baseline", "0.3", "0", "0", "--matcher", "column", *options]
+
+
+@pytest.mark.slow
+def test_two_images_from_another_viewpoint(pair, tmp_path, capsys):
+    """As rendered there, of which it is nearer than either image is."""
+    assert main(command(pair, "--to", "0.1", "0.25", "0", "--as", "mirror", "--out", str(tmp_path / "w"))) == 0
+    assert "are seen" in capsys.readouterr().out
+    view, state = np.array(Image.open(tmp_path / "w" / "view.png"), float), np.load(tmp_path / "w" / "state.npy")
+    there = harness.render("box", sensor=pair / "left" / "sensor.toml", position_m=(0.1, 0.25, 1.0), samples=4)
+    near = np.array(Image.open(pair / "left" / "omni.png"), float)
+    seen = (state == 0) & np.isfinite(there.range_m)
+    assert seen.mean() > 0.25  # the mirror fills less than half of the image
+    rms = [np.sqrt(np.mean((each - there.image)[seen] ** 2)) for each in (view, near)]
+    assert rms[0] < 0.7 * rms[1]
+    range_m = np.load(tmp_path / "w" / "range.npy")
+    assert np.median(np.abs(range_m / there.range_m - 1)[seen]) < 0.06  # columns, of a small image and baseline
+
+
+@pytest.mark.slow
+def test_a_pinhole_camera_looks_along_x_of_its_frame(pair):
+    estimate = harness.estimate_range(
+        pair / "left" / "omni.png", pair / "right" / "omni.png", pair / "left" / "sensor.toml", (0.3, 0, 0), "slanted"
+    )
+    view = harness.warp_view(estimate, (0.0, 0.4, 0.0), projection="perspective", yaw_deg=90, width_px=64, height_px=48)
+    assert view.image.shape == (48, 64)
+    wall_m = harness.load_scene("box").objects[0].size_m[1] / 2 - 0.4
+    # At the centre the wall's own distance; 20 pixels beside it, of a focal length of 32, that over the cosine.
+    assert np.nanmedian(view.range_m[22:26, 30:34]) == pytest.approx(wall_m, rel=0.02)
+    aside = wall_m / np.cos(np.arctan(20 / 32))
+    assert np.nanmedian(view.range_m[22:26, [11, 12, 51, 52]]) == pytest.approx(aside, rel=0.03)
+    assert sum(view.shares().values()) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--to", "0", "nan", "0"), "--to: must be a finite number; found nan"),
+        (("--to", "0", "0", "0", "--field-deg", "200"), "--field-deg: must be 1 to 179 degrees; found 200"),
+        (("--to", "0", "0", "0", "--view-size", "2", "480"), "--view-size: must be 8 to 16384; found 2"),
+    ],
+)
+def test_a_view_that_cannot_be_is_refused_before_anything_is_matched(options, said, pair, tmp_path, capsys):
+    assert main(command(pair, *options, "--out", str(tmp_path / "w"))) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "w").exists()
 
 
 def test_without_them_a_trial_keeps_its_key():

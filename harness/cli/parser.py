@@ -21,6 +21,7 @@ from harness.cli import (
     run,
     sensor,
     settings,
+    warp,
 )
 from harness.cli import list as list_command
 from harness.cli import range as range_command
@@ -38,6 +39,7 @@ _COMMANDS = (
     render,
     motion,
     range_command,
+    warp,
     calibrate,
     check,
     sensor,

@@ -50,6 +50,12 @@ def add(commands: Commands) -> None:
         metavar="IMAGE",
         help="images that follow: each is matched with the next",
     )
+    add_matching(command)
+    add_out(command, required=True)
+
+
+def add_matching(command: Parser) -> None:
+    """Declare how two images are matched: sensors, masks, motion, matcher."""
     add_sensor(command, "sensor TOML or calibration file", required=True, second=True)
     command.add_argument(
         "--mask",
@@ -80,7 +86,6 @@ def add(commands: Commands) -> None:
         metavar="S",
         help="match images made smaller, by 0.5 or one over another whole number, on the same panorama (1)",
     )
-    add_out(command, required=True)
 
 
 def _add_motion(command: Parser) -> None:
@@ -125,47 +130,61 @@ def _add_motion(command: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Match, and write the folder."""
-    import harness
-    from harness.errors import InputError
+    if options.more:
+        return _sequence(options)
+    estimate = estimate_of(options)
+    if estimate is None:
+        return FAILED
+    estimate.write(options.out)
+    _tell(estimate, options.out)
+    return OK
+
+
+def _settings(options: Namespace) -> "tuple[tuple[Sensor, Sensor], OwnSettings]":
+    """The sensors with their masks, and what is set of matcher and panorama; says what large images cost."""
     from harness.runs.photograph_settings import own_settings
 
     sensor = first_sensor(options, central=True)
     assert sensor is not None
-    automatic = options.mask == Path("auto")
-    sensor = _masked(sensor, None if automatic else options.mask, "--mask")
+    sensor = _masked(sensor, None if options.mask == Path("auto") else options.mask, "--mask")
     sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     settings = own_settings(options.matcher, options.set)
     _check_scale(options, (sensor, sensor_2))
     _tell_size(options, sensor, settings)
-    if options.more:
-        return _sequence(options, sensor, settings)
+    return (sensor, sensor_2), settings
+
+
+def estimate_of(options: Namespace) -> "RangeEstimate | None":
+    """The ranges of two images; None, and a line on the terminal, where the motion is not known."""
+    import harness
+    from harness.errors import InputError
+
+    sensors, settings = _settings(options)
     motion: Motion | MotionEstimate
     if options.pose is None and options.baseline is None:
-        motion = _estimated(options, (sensor, sensor_2))
+        motion = _estimated(options, sensors)
         if motion.direction_v1 is None:
             print(f"no range: the motion is not known ({motion.status}): {'; '.join(motion.reasons)}", file=sys.stderr)
-            return FAILED
+            return None
         for line in motion.lines():
             print(line)
     else:
-        motion = _given(options, (sensor, sensor_2))
+        motion = _given(options, sensors)
         if not motion.baseline_m > 0:
             source = "--baseline" if options.pose is None else options.pose
             raise InputError("must not be zero: two views from one point determine no range", file=source)
-    if automatic:
-        sensor = sensor_2 = _without_body(options, (sensor, sensor_2), motion, settings)
-    estimate = harness.estimate_range(
+    if options.mask == Path("auto"):
+        sensor = _without_body(options, sensors, motion, settings)
+        sensors = sensor, sensor
+    return harness.estimate_range(
         options.left,
         options.right,
-        sensor,
+        sensors[0],
         motion,
         settings.matching,
-        sensor_2=sensor_2,
+        sensor_2=sensors[1],
         **_ranging(options, settings),
     )
-    estimate.write(options.out)
-    _tell(estimate, options.out)
-    return OK
 
 
 def _tell(estimate: "RangeEstimate", folder: Path) -> None:
@@ -223,11 +242,12 @@ def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") ->
         )
 
 
-def _sequence(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> int:
+def _sequence(options: Namespace) -> int:
     """Match each image with the next, and write a folder for each pair and a page on all."""
     import harness
     from harness.errors import InputError
 
+    (sensor, _), settings = _settings(options)
     if options.mask == Path("auto"):
         raise InputError("is for two images; write the mask of a pair, and give that", file="--mask auto")
     for option in ("sensor_2", "mask_2", "views", "camera_height"):
