@@ -54,7 +54,7 @@ def main(rigs: int = 20, draws: int = 16, seed: int = 1) -> None:
         rig, range_m = random_rig(rng)
         result = verify(rig, range_m, draws=draws, seed=seed)
         ratios.append(result.ratio)
-        known = {name: value for name, value in rig.uncertainty.model_dump().items() if value}
+        known = {name: value for name, value in rig.uncertainty.model_dump(exclude={"odometry"}).items() if value}
         print(
             f"{rig.title:<24}{range_m:>5.1f} m{1000 * result.predicted_m:>8.1f} mm{1000 * result.measured_m:>7.1f} mm"
             f"{result.ratio:>7.2f}{result.density:>9.3f}  {', '.join(f'{k} {v:.2g}' for k, v in known.items())}",

@@ -292,3 +292,16 @@ def test_cases_of_a_budget_have_looks_of_their_own() -> None:
     assert looks["length"] == (error_budget._COLOURS["t length"], error_budget._MARKS["t length"])
     many = [{"case": f"rig {number}", "causes": ["rotation", "t length"]} for number in range(30)]
     assert len(set(error_budget._looks(many).values())) == 30
+
+
+def test_the_data_of_a_budget_have_a_heading_for_each_column() -> None:
+    entry = {"matcher": "slanted", "subpixel": "own", "case": "rig", "condition": "case = rig", "causes": ["rotation"]}
+    entry |= {"seeds": 4, "range_m": 2.0, "predicted_m": {"matching": 0.01, "rotation": 0.02}, "total_m": 0.03}
+    entry |= {"measured_m": 0.04, "measured_ci95_m": [0.035, 0.045], "over_drawn": 1.1, "over_drawn_ci95": [0.9, 1.2]}
+    data = error_budget._table([entry | {"alone_m": None}]).data
+    assert data is not None
+    (row,) = data.rows
+    named = dict(zip(data.headings, row, strict=True))
+    assert (named["cause"], named["measured_m"], named["ratio"]) == ("rig", 0.04, pytest.approx(4 / 3))
+    assert [named[key] for key in ("over_drawn", "over_drawn_low", "over_drawn_high")] == [1.1, 0.9, 1.2]
+    assert (named["from_each_alone_m"], named["seeds"]) == (None, 4)
