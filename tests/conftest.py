@@ -10,8 +10,8 @@ from hypothesis import settings
 
 # The same examples in every run: a change is never blamed for what luck has found. `HYPOTHESIS_PROFILE=explore` draws
 # others; what fails there belongs into the suite as an example of its own.
-settings.register_profile("same", derandomize=True)
-settings.register_profile("explore", print_blob=True)
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("explore", print_blob=True, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 _numbers = itertools.count()

@@ -12,9 +12,10 @@ from sweeps import write_small
 
 import harness
 from harness.cli import main
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.report.paired_differences import build_comparison
 from harness.report.sections import error_budget
+from harness.runs.cases import with_names
 from harness.runs.load import load_experiment
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.run import run_experiment
@@ -305,3 +306,24 @@ def test_the_data_of_a_budget_have_a_heading_for_each_column() -> None:
     assert (named["cause"], named["measured_m"], named["ratio"]) == ("rig", 0.04, pytest.approx(4 / 3))
     assert [named[key] for key in ("over_drawn", "over_drawn_low", "over_drawn_high")] == [1.1, 0.9, 1.2]
     assert (named["from_each_alone_m"], named["seeds"]) == (None, 4)
+
+
+def test_cases_without_a_name_are_called_by_what_they_change() -> None:
+    """For one version, with a notice."""
+    cases = [
+        {"noise.sigma_grey": 1.0},
+        {"noise.sigma_grey": 2.0, "matching.kind": "sgm"},
+        {"name": "mine", "seed": 3},
+        {f"{'x' * 80}.y": "z" * 60},
+    ]
+    with pytest.warns(Notice, match=r"cases\[0\], cases\[1\], cases\[3\], cases\[4\]: without a name") as caught:
+        named = with_names([*cases, cases[0]])
+    assert len(caught) == 1
+    assert [case["name"] for case in named] == [
+        "sigma_grey 1.0",
+        "sigma_grey 2.0, kind 'sgm'",
+        "mine",
+        "case 4",
+        "case 5",
+    ]
+    assert [{key: v for key, v in case.items() if key != "name"} for case in named[:2]] == cases[:2]

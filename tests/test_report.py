@@ -181,7 +181,7 @@ def test_abstract_says_what_the_summary_says(paper, report):
     density = 100 * walls["pixel"]["density"]
     change = f"lowers the median range error from {before:.0f}\u00a0mm to {after:.0f}\u00a0mm"
     assert f"On wall pixels the sub-pixel step {change}" in report
-    assert f"(density {density:.1f}\u00a0%)" in report
+    assert f"at a density of {density:.1f}\u00a0%" in report
 
 
 @pytest.mark.parametrize(

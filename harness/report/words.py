@@ -97,7 +97,8 @@ def overview(result: Result, sweep: Sweep) -> Iterator[str]:
     """What was varied, and how much of it is done."""
     counts = result.summary["trials"]
     axes = [_varied(axis) for axis in sweep.axes]
-    methods = ", ".join(method.label for method in sweep.methods)
+    labels = [method.label for method in sweep.methods]
+    methods = ("; " if any("," in label for label in labels) else ", ").join(labels)
     over = f" over {'; '.join(axes)}" if axes else ""
     seeds = f", {len(sweep.seeds)} seeds" if len(sweep.seeds) > 1 else ""
     yield f"{counts['done']} trials{over}{seeds}; methods: {methods}."
@@ -133,28 +134,42 @@ def _compared(where: str, measures: dict[str, Any], methods: Sequence[Named], *,
     if not known:
         yield f"{where} nothing was matched."
         return
-    density = f"density {100 * next(iter(known.values()))['density']:.1f}\u00a0%"
+    density = f"density of {100 * next(iter(known.values()))['density']:.1f}\u00a0%"
     if {"pixel", "subpixel"} <= known.keys():
         pair = known["pixel"], known["subpixel"]
         of_range = _changes(*pair, "range_median_abs_m", 1000, ".0f", "the median range error", "mm")
         of_disparity = _changes(*pair, "disparity_median_abs_px", 1, ".2f", "the median disparity error", "px")
-        yield f"{where} the sub-pixel step {of_range} and {of_disparity} ({density})."
+        yield f"{where} the sub-pixel step {of_range} and {of_disparity}, at a {density}."
     else:
-        for method in methods:
-            if method.key in known:
-                m = known[method.key]
-                yield (
-                    f"{where} the median absolute error, {method.label}, is "
-                    f"{_figure(1000 * m['range_median_abs_m'], 10, '.0f')}\u00a0mm of range and "
-                    f"{_figure(m['disparity_median_abs_px'], 0.1, '.2f')}\u00a0px of disparity ({density})."
-                )
+        yield f"{where} the median absolute errors are {_errors_of(known, methods)}, at a {density}."
     if gross:
+        first, last = _ends(known, methods, "bad_1px")
         shares = " and ".join(
-            f"{100 * known[method.key]['bad_1px']:.0f}\u00a0% ({method.label})"
-            for method in methods
-            if method.key in known
+            f"{100 * known[each.key]['bad_1px']:.0f}\u00a0% ({each.label})" for each in dict.fromkeys((first, last))
         )
-        yield f"There the disparity is off by more than one pixel for {shares} of the estimates."
+        between = "between " if len(known) > 2 else ""
+        yield f"There the disparity is off by more than one pixel for {between}{shares} of the estimates."
+
+
+def _errors_of(known: dict[str, dict[str, Any]], methods: Sequence[Named]) -> str:
+    """The median errors of the methods; of more than three those of the best and the worst."""
+    shown = [each for each in methods if each.key in known]
+    if len(shown) > 3:
+        shown = list(_ends(known, methods, "range_median_abs_m"))
+    said = [
+        f"{_figure(1000 * known[each.key]['range_median_abs_m'], 10, '.0f')}\u00a0mm of range and "
+        f"{_figure(known[each.key]['disparity_median_abs_px'], 0.1, '.2f')}\u00a0px of disparity ({each.label})"
+        for each in shown
+    ]
+    if len(known) > 3:
+        return f"between {said[0]} and {said[1]}"
+    return f"{', '.join(said[:-1])} and {said[-1]}" if len(said) > 1 else said[0]
+
+
+def _ends(known: dict[str, dict[str, Any]], methods: Sequence[Named], key: str) -> tuple[Named, Named]:
+    """The methods with the least and the largest value."""
+    ranked = sorted((each for each in methods if each.key in known), key=lambda each: float(known[each.key][key]))
+    return ranked[0], ranked[-1]
 
 
 def _changes(

@@ -1,10 +1,11 @@
 """Named cases: settings of a trial that change together, under one name."""
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from harness.display import brief, shortened
-from harness.errors import InputError
+from harness.errors import InputError, Notice
 from harness.runs.methods import METHOD_KEYS, MethodName
 from harness.runs.values import Settings
 
@@ -67,6 +68,27 @@ def check_cases(cases: Sequence[Settings], axes: Mapping[str, Any]) -> None:
         for key in settings_of(case):
             if key in axes:
                 raise InputError("this key is also an axis; give it only once", key=f"cases[{number}].{key}")
+
+
+def with_names(cases: Sequence[Settings]) -> list[Settings]:
+    """The cases, those without a name called by what they change; says so, as the next version will refuse them."""
+    complete: list[Settings] = []
+    nameless: list[str] = []
+    for number, case in enumerate(cases):
+        if isinstance(case, Mapping) and case and NAME not in case:
+            nameless.append(f"cases[{number}]")
+            complete.append({NAME: _name_of(case, number, [each.get(NAME) for each in complete]), **case})
+        else:
+            complete.append(case)
+    if nameless:
+        text = f"{shortened(', '.join(nameless))}: without a name; the next version will ask for one, such as name = "
+        warnings.warn(f'{text}"1280x960, 0.3 m"', Notice, stacklevel=2)
+    return complete
+
+
+def _name_of(case: Settings, number: int, taken: Sequence[Any]) -> str:
+    text = ", ".join(f"{key.rpartition('.')[2]} {brief(value)}" for key, value in case.items())
+    return text if len(text) <= LONGEST and text.isprintable() and text not in taken else f"case {number + 1}"
 
 
 def keys_of(cases: Sequence[Settings]) -> tuple[str, ...]:

@@ -16,7 +16,17 @@ from harness.display import shortened
 from harness.errors import InputError
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys
-from harness.runs.cases import CASE, NAME, check_cases, keys_of, may_be_methods, method_labels, settings_of, without
+from harness.runs.cases import (
+    CASE,
+    NAME,
+    check_cases,
+    keys_of,
+    may_be_methods,
+    method_labels,
+    settings_of,
+    with_names,
+    without,
+)
 from harness.runs.dotted import changed, value_at, worked_out
 from harness.runs.methods import METHOD_KEYS, MethodName, method_id, method_names
 from harness.runs.named_files import SENSORS
@@ -91,6 +101,11 @@ class Experiment(Spec):
     @classmethod
     def _plain(cls, given: Any) -> Any:
         return checked_plain(given) if isinstance(given, Mapping | list | tuple) else given
+
+    @field_validator("cases", mode="after")
+    @classmethod
+    def _named(cls, cases: list[Settings]) -> list[Settings]:
+        return with_names(cases)
 
     @cached_property
     def planned(self) -> tuple[Planned, ...]:
