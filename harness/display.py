@@ -90,7 +90,7 @@ _WIDTH_PX = 720
 
 
 def grey(values: Any) -> bytes:
-    """A PNG of grey levels 0 .. 255, `[height, width]`."""
+    """A PNG of grey levels 0 .. 255, `[height, width]`, or of colours `[height, width, 3]`."""
     import numpy as np
 
     return _png(np.clip(np.rint(np.nan_to_num(_thinned(values))), 0, 255).astype(np.uint8))

@@ -34,7 +34,12 @@ LIMIT_PX = 2**26
 _DIM = 1 / 8
 """A share of white: where no level reaches it, three bits or more may hold nothing, as in a file of 12 bits in 16."""
 
-_LUMA = np.array([0.299, 0.587, 0.114])
+Weights = tuple[float, float, float]
+"""What red, green and blue count in a band of an image."""
+LUMA: Weights = (0.299, 0.587, 0.114)
+"""The band that is grey."""
+COLOURS: tuple[Weights, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+"""Red, green and blue."""
 _BLOCK_ROWS = 256
 """Rows that are converted at a time, so that a large image needs no second copy in double precision."""
 _BITS_PER_SAMPLE = 258
@@ -54,9 +59,9 @@ class Picture(OneLine):
     """How levels become grey, and whether the file's type or the user says so; for people."""
 
     def grey(
-        self, factor: tuple[float, float, float] = (1.0, 1.0, 1.0), *, linear: bool = False
+        self, factor: tuple[float, float, float] = (1.0, 1.0, 1.0), *, linear: bool = False, weights: Weights = LUMA
     ) -> NDArray[np.float32]:
-        """Luma `[height, width]`, 0 .. 255.
+        """Luma `[height, width]`, 0 .. 255, or another band.
 
         Parameters
         ----------
@@ -64,6 +69,8 @@ class Picture(OneLine):
             What red, green and blue are multiplied by first.
         linear
             Multiply amounts of light rather than levels: the levels are taken as sRGB (IEC 61966-2-1).
+        weights
+            Of red, green and blue. Those of one colour alone give its own levels.
         """
         plain = factor == (1.0, 1.0, 1.0)
         grey = np.empty(self.levels.shape[:2], dtype=np.float32)
@@ -72,7 +79,7 @@ class Picture(OneLine):
             levels = self.levels[rows].astype(np.float64) * (255 / self.white)
             if not plain:
                 levels = tinted(levels if levels.ndim == 3 else levels[..., None], factor, linear=linear)
-            grey[rows] = levels @ _LUMA if levels.ndim == 3 else levels
+            grey[rows] = levels @ np.array(weights) if levels.ndim == 3 else levels
         return grey
 
     def colour(self) -> NDArray[np.uint8]:
@@ -94,9 +101,9 @@ def tinted(
     return np.asarray(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
 
 
-def luma(levels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Luma `[...]` of red, green and blue `[..., 3]`."""
-    return np.asarray(levels @ _LUMA)
+def luma(levels: NDArray[np.float64], weights: Weights = LUMA) -> NDArray[np.float64]:
+    """Luma `[...]` of red, green and blue `[..., 3]`, or another band."""
+    return np.asarray(levels @ np.array(weights))
 
 
 def decode(

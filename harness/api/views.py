@@ -25,6 +25,7 @@ def render(
     roll_deg: float = 0.0,
     samples: int = 16,
     grid: Grid | None = None,
+    colour: bool = False,
 ) -> RenderedView:
     """Render one view of a scene, with its true range.
 
@@ -42,6 +43,8 @@ def render(
         Least number of rays per pixel, a square number; more where a texture or an outline needs them.
     grid
         The grid of the panorama; 720 x 200 pixels when None.
+    colour
+        Render red, green and blue: `image` and `panorama` then have a third axis. Their luma is the grey image.
 
     Returns
     -------
@@ -71,7 +74,7 @@ def render(
     samples = parse(Rendering, {"samples": samples}).samples
     loaded = load_scene(scene)
     try:
-        return view_of(loaded, load_sensor(sensor), pose, samples=samples, grid=grid)
+        return view_of(loaded, load_sensor(sensor), pose, samples=samples, grid=grid, colour=colour)
     except InputError as error:
         if error.file != loaded.name or not isinstance(scene, str | Path):
             raise

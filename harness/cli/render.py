@@ -32,6 +32,9 @@ def add(commands: Commands) -> None:
         "--samples", type=int, default=16, metavar="N", help="least number of rays per pixel, a square number (16)"
     )
     command.add_argument(
+        "--colour", action="store_true", help="render red, green and blue, from the scene's coloured textures"
+    )
+    command.add_argument(
         "--pov",
         action="store_true",
         help="write a scene for POV-Ray too, with the physical mirror; hyperboloid mirrors without lens terms only",
@@ -52,6 +55,7 @@ def run(options: Namespace) -> None:
             pitch_deg=options.pitch_deg,
             roll_deg=options.roll_deg,
             samples=options.samples,
+            colour=options.colour,
         )
     except InputError as error:
         key = error.key or ""

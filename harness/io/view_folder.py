@@ -16,9 +16,9 @@ from harness.geometry.pose import Motion, Pose
 from harness.spec import dump_toml
 
 FILES = """\
-omni.png              mirror image, 8 bit grey; 0 outside the image circle
-omni.npy              the same before rounding, float32, 0 .. 255, [row = v, column = u]
-panorama.png          the mirror image on a cylinder around the vertical axis, 8 bit grey, [row = z, column = phi]
+omni.png              mirror image, 8 bit grey or colour; 0 outside the image circle
+omni.npy              the same before rounding, float32, 0 .. 255, [row = v, column = u]; colours have a third axis
+panorama.png          the mirror image on a cylinder around the vertical axis, 8 bit, [row = z, column = phi]
 panorama.npy          the same before rounding, float32; NaN where the sensor does not see all of a pixel
 rays.npy              unit direction (x, y, z) that the centre of each pixel sees, in the sensor's frame, z up; float32,
                       [row = v, column = u, 3], NaN where it sees nothing: true of any camera
@@ -50,7 +50,7 @@ def view_files(
     Parameters
     ----------
     image
-        `[sensor height, sensor width]`, grey levels.
+        `[sensor height, sensor width]`, grey levels, or `[..., 3]`, red, green and blue; as the panorama.
     sensor
         The rays are those of the aligned, or nearest central, sensor, should its rays meet in no point.
     R_world_from_view
@@ -59,11 +59,12 @@ def view_files(
     rotation = pose.R_world_from_view if R_world_from_view is None else R_world_from_view
     rays, valid = pixel_directions(central_of(sensor))
     placed = dump_toml(pose) + tomli_w.dumps({"R_world_from_view": rotation.tolist()})
+    valid_pixels = panorama.valid if panorama.values.ndim == 2 else panorama.valid[..., None]
     return {
         "omni.png": png(image),
         "omni.npy": npy(image),
-        "panorama.png": png(np.where(panorama.valid, panorama.values, np.float32(0))),
-        "panorama.npy": npy(np.where(panorama.valid, panorama.values, np.float32(np.nan))),
+        "panorama.png": png(np.where(valid_pixels, panorama.values, np.float32(0))),
+        "panorama.npy": npy(np.where(valid_pixels, panorama.values, np.float32(np.nan))),
         "rays.npy": npy(np.where(valid[..., None], rays, np.nan).astype(np.float32)),
         **sensor_files(sensor),
         "pose.toml": (placed + "\n[panorama]\n" + dump_toml(panorama.grid)).encode(),
@@ -97,7 +98,7 @@ def pose_in(motion: Motion) -> Pose:
 
 
 def png(image: NDArray[np.float32]) -> bytes:
-    """An 8 bit grey picture."""
+    """An 8 bit picture, grey `[height, width]` or in colour `[height, width, 3]`."""
     stream = io.BytesIO()
     Image.fromarray(np.clip(np.rint(image), 0, 255).astype(np.uint8)).save(stream, format="PNG")
     return stream.getvalue()

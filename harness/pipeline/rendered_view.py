@@ -58,12 +58,14 @@ class RenderedView(OneLine):
     """One view of a scene with its truth. Missing is NaN."""
 
     image: NDArray[np.float32]
-    """`[sensor height, sensor width]`: the mirror image, grey levels of 0 .. 255; 0 where the sensor sees nothing."""
+    """`[sensor height, sensor width]`: the mirror image, grey levels of 0 .. 255; 0 where the sensor sees nothing. Of a
+    view in colour `[sensor height, sensor width, 3]`: red, green and blue."""
     range_m: Array
     """`[sensor height, sensor width]`: range along the ray of each pixel's centre, metres; NaN outside the image
     circle."""
     panorama: NDArray[np.float32]
-    """`[height, width]` of the grid: the mirror image on the cylinder; NaN where the sensor sees nothing."""
+    """`[height, width]` of the grid, or `[height, width, 3]`: the mirror image on the cylinder; NaN where the sensor
+    sees nothing."""
     panorama_range_m: Array
     """`[height, width]` of the grid: range along the ray of each panorama pixel's centre, metres."""
     scene: Scene
@@ -94,12 +96,13 @@ class RenderedView(OneLine):
             check_pov(self.sensor)
         folder = Path(folder)
         make_folder(folder)
-        panorama = Panorama(self.grid, self.panorama, np.isfinite(self.panorama))
+        known = np.isfinite(self.panorama if self.panorama.ndim == 2 else self.panorama.sum(axis=-1))
+        panorama = Panorama(self.grid, self.panorama, known)
         for name, data in view_files(self.image, panorama, self.sensor, self.pose).items():
             write(folder / name, data)
         write(folder / "range.npy", npy(self.range_m))
         write(folder / "panorama_range.npy", npy(self.panorama_range_m))
-        write_glb(self.scene, folder / "scene.glb")
+        write_glb(self.scene, folder / "scene.glb", colour=self.image.ndim == 3)
         readme = README.format(scene=self.scene.name)
         if pov:
             write_pov(self.scene, self.sensor, self.pose, folder)
@@ -115,7 +118,9 @@ class RenderedView(OneLine):
         return html_figure(pictures, f"{self.scene.name}, seen from {self.pose.position_m} m")
 
 
-def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid: Grid | None = None) -> RenderedView:
+def view_of(
+    scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid: Grid | None = None, colour: bool = False
+) -> RenderedView:
     """Render one view with its truth.
 
     Parameters
@@ -124,6 +129,8 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
         Rays in each pixel, a square number, at least; more where they are too wide for a texture or an outline.
     grid
         Of the panorama.
+    colour
+        Render red, green and blue.
 
     Raises
     ------
@@ -137,9 +144,8 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
         raise InputError(str(error), key="panorama") from error
     check_sensor(assumed, grid)
     check_mirror(sensor)
-    image = render(scene, sensor, pose, samples)
+    image = render(scene, sensor, pose, samples, colour=colour)
     around = directions(grid)
-    unwrapped = unwrap(image, assumed, grid)
     if sensor.is_central:
         rays, inside = pixel_directions(sensor)
         range_m = truth(scene, pose, rays, inside, wrap_columns=False).range_m
@@ -149,7 +155,7 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
     return RenderedView(
         image=image,
         range_m=range_m,
-        panorama=np.where(unwrapped.valid, unwrapped.values, np.float32(np.nan)),
+        panorama=_unwrapped(image, assumed, grid),
         panorama_range_m=truth(scene, pose, around, in_use(assumed, around)).range_m,
         scene=scene,
         sensor=sensor,
@@ -157,3 +163,11 @@ def view_of(scene: Scene, sensor: Sensor, pose: Pose, *, samples: int = 16, grid
         grid=grid,
         points_m=points_m,
     )
+
+
+def _unwrapped(image: NDArray[np.float32], sensor: Sensor, grid: Grid) -> NDArray[np.float32]:
+    """The panorama of an image, grey or in colour; NaN where the sensor sees nothing."""
+    if image.ndim == 3:
+        return np.stack([_unwrapped(np.ascontiguousarray(band), sensor, grid) for band in image.T.swapaxes(1, 2)], -1)
+    made = unwrap(image, sensor, grid)
+    return np.where(made.valid, made.values, np.float32(np.nan))

@@ -72,7 +72,8 @@ def captured(
     Parameters
     ----------
     image
-        `[sensor height, sensor width]`, grey levels in proportion to the light.
+        `[sensor height, sensor width]`, grey levels in proportion to the light, or `[..., 3]`, colours. Each colour is
+        counted, and its noise drawn, by itself; a JPEG is of all three.
     sigma_grey
         White Gaussian noise beside the chip's own, before gamma and rounding, grey levels.
     shot, white
@@ -87,7 +88,7 @@ def captured(
     sigma = np.hypot(sigma_grey, _dark_noise_grey(chip))
     if sigma:
         light = light + sigma * white.standard_normal(image.shape, dtype=np.float32)
-    known = seeing_pixels(sensor)
+    known = seeing_pixels(sensor) if image.ndim == 2 else seeing_pixels(sensor)[..., None]
     grey = np.where(known, _rounded(_encoded(light, chip), chip), image)
     if chip.jpeg_quality:
         grey = np.where(known, _compressed(grey, chip.jpeg_quality), image)

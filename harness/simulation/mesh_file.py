@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from harness.errors import InputError
+from harness.images import LUMA, Weights
 from harness.simulation.content_cache import cached_by_content
 from harness.simulation.mesh_gltf import read_gltf
 from harness.simulation.mesh_obj import read_obj
@@ -16,13 +17,15 @@ FORMATS = {".glb": read_gltf, ".gltf": read_gltf, ".obj": read_obj, ".ply": read
 
 
 @cached_by_content(8)
-def read_mesh(path: Path, textured: bool = True) -> tuple[MeshPart, ...]:
+def read_mesh(path: Path, textured: bool = True, weights: Weights = LUMA) -> tuple[MeshPart, ...]:
     """The triangles in a mesh file, with the transforms of its scene graph applied; cached until its files change.
 
     Parameters
     ----------
     textured
         Whether its materials and textures are read; otherwise no part has any.
+    weights
+        Of red, green and blue in the textures: luma, or another band.
 
     Raises
     ------
@@ -33,7 +36,9 @@ def read_mesh(path: Path, textured: bool = True) -> tuple[MeshPart, ...]:
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"not a mesh file; give one of {', '.join(FORMATS)}", file=path)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
-        parts = [part for part in FORMATS[path.suffix.lower()](path, textured=textured) if len(part.corners)]
+        parts = [
+            part for part in FORMATS[path.suffix.lower()](path, textured=textured, weights=weights) if len(part.corners)
+        ]
     for part in parts:
         if not np.isfinite(part.corners).all() or (part.uv is not None and not np.isfinite(part.uv).all()):
             raise InputError("has vertices that are not finite numbers; repair the mesh", file=path)

@@ -22,7 +22,7 @@ from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
 from harness.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
-from harness.images import Picture, decode
+from harness.images import LUMA, Picture, Weights, decode
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.gltf_accessors import Accessors
 from harness.simulation.gltf_schema import Gltf, Material, Node, Primitive, TextureInfo
@@ -37,7 +37,7 @@ _LIMIT_NODES = 100_000
 _REPEAT, _MIRRORED, _CLAMP, _NEAREST = 10497, 33648, 33071, 9728
 
 
-def read_gltf(path: Path, *, textured: bool) -> list[MeshPart]:
+def read_gltf(path: Path, *, textured: bool, weights: Weights = LUMA) -> list[MeshPart]:
     """The parts of a glTF file, one a primitive, z up; `textured` False leaves materials and images unread.
 
     Raises
@@ -46,7 +46,7 @@ def read_gltf(path: Path, *, textured: bool) -> list[MeshPart]:
         Names the file and the key.
     """
     tree, binary = _open(path)
-    reader = _Reader(path, _parsed(tree, path), binary)
+    reader = _Reader(path, _parsed(tree, path), binary, weights)
     return list(reader.parts(textured=textured))
 
 
@@ -104,10 +104,10 @@ class _Surface:
 
 
 class _Reader:
-    def __init__(self, path: Path, gltf: Gltf, binary: bytes | None) -> None:
+    def __init__(self, path: Path, gltf: Gltf, binary: bytes | None, weights: Weights) -> None:
         self._path, self._gltf = path, gltf
         self._accessors = Accessors(path, gltf, self._buffer, binary)
-        self._look = Look(path, linear=True)
+        self._look = Look(path, linear=True, weights=weights)
         self._surfaces: dict[int, _Surface] = {}
         self._pictures: dict[tuple[int, tuple[int, int]], Picture] = {}
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
-from harness.images import Picture
+from harness.images import LUMA, Picture, Weights
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.mesh_part import (
     LIMIT_BYTES,
@@ -144,7 +144,7 @@ class _Obj:
         self.polygons += 1
 
 
-def read_obj(path: Path, *, textured: bool) -> list[MeshPart]:
+def read_obj(path: Path, *, textured: bool, weights: Weights = LUMA) -> list[MeshPart]:
     """The parts of an OBJ file, one a material; `textured` False leaves materials and textures unread.
 
     Raises
@@ -160,7 +160,7 @@ def read_obj(path: Path, *, textured: bool) -> list[MeshPart]:
     if textured and len(colours) not in {0, len(vertices)}:
         raise InputError("has vertices with and without colours; give all of them a colour", file=path)
     materials = _materials(obj) if textured else {}
-    look = Look(path)
+    look = Look(path, weights=weights)
     pictures: dict[tuple[Path, str], Picture] = {}
     parts = []
     for name, faces in obj.faces.items():

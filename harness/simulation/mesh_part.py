@@ -10,7 +10,7 @@ from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
 from harness.images import LIMIT_BYTES as IMAGE_LIMIT_BYTES
-from harness.images import Picture, decode, luma, tinted
+from harness.images import LUMA, Picture, Weights, decode, luma, tinted
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.texture import Texels
 
@@ -44,6 +44,8 @@ class Look:
     file: Path
     linear: bool = False
     """Whether factors multiply linear intensities (glTF) rather than grey levels."""
+    weights: Weights = LUMA
+    """What red, green and blue count in the parts' textures."""
     _greys: dict[tuple[int, Colour], Texels] = field(default_factory=dict)
     _pictures: list[Picture] = field(default_factory=list)
 
@@ -84,18 +86,18 @@ class Look:
                     key=key,
                 )
             else:
-                return _ramp(corners, 255 * luma(colours * np.array(factor or WHITE)))
+                return _ramp(corners, 255 * luma(colours * np.array(factor or WHITE), self.weights))
         if picture is not None:
             return MeshPart(corners, uv, self._grey(picture, factor or WHITE))
         if factor is None:
             return MeshPart(corners, uv, None)
-        level = luma(tinted(np.full((1, 1, 3), 255.0), factor, linear=self.linear)).astype(np.float32)
+        level = luma(tinted(np.full((1, 1, 3), 255.0), factor, linear=self.linear), self.weights).astype(np.float32)
         return MeshPart(corners, np.zeros((*corners.shape[:2], 2)), level)
 
     def _grey(self, picture: Picture, factor: Colour) -> Texels:
         key = id(picture), factor
         if key not in self._greys:
-            self._greys[key] = picture.grey(factor, linear=self.linear)
+            self._greys[key] = picture.grey(factor, linear=self.linear, weights=self.weights)
             self._greys[key].flags.writeable = False
             self._pictures.append(picture)  # kept, so that its identity stays its own
         return self._greys[key]

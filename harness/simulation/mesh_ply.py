@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from harness.errors import InputError
 from harness.files import printable
 from harness.geometry.angles import Array
+from harness.images import LUMA, Weights
 from harness.simulation.content_cache import read_recorded
 from harness.simulation.mesh_part import LIMIT_BYTES, Look, MeshPart, read_picture, refuse_unless_convex
 
@@ -55,7 +56,7 @@ Table = dict[str, Any]
 """The values `[count]` of each property, or its `_Lists`."""
 
 
-def read_ply(path: Path, *, textured: bool) -> list[MeshPart]:
+def read_ply(path: Path, *, textured: bool, weights: Weights = LUMA) -> list[MeshPart]:
     """The part in a PLY file; `textured` False leaves its texture unread.
 
     Raises
@@ -89,7 +90,7 @@ def read_ply(path: Path, *, textured: bool) -> list[MeshPart]:
     if texture_names and uv is not None:
         texture = _texture(texture_names, face, path)
         picture = read_picture(texture, path, key="TextureFile")
-    return [Look(path).part(corners, uv, picture, None, _colours(vertex, face, used, polygon))]
+    return [Look(path, weights=weights).part(corners, uv, picture, None, _colours(vertex, face, used, polygon))]
 
 
 def _fans(lengths: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -54,10 +54,12 @@ def with_optics(image: Image, sensor: Sensor, optics: Optics) -> Image:
     Parameters
     ----------
     image
-        `[sensor height, sensor width]`, grey levels.
+        `[sensor height, sensor width]`, grey levels, or `[..., 3]`: each colour through the same lens.
     """
     if optics.is_ideal:
         return image
+    if image.ndim == 3:
+        return np.stack([with_optics(image[..., i], sensor, optics) for i in range(image.shape[2])], axis=-1)
     known = seeing_pixels(sensor)
     values = image[nearest_known(known)].astype(np.float64)
     reach = math.ceil(_REACH * max(optics.defocus_px, optics.defocus_edge_px or 0.0) + optics.motion_px)

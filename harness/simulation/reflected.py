@@ -23,12 +23,11 @@ from harness.simulation._rendering_kernels import (
     TRACE,
     faces_of_triangles,
     sample_positions,
-    shade,
 )
 from harness.simulation.cast import cast, nearest_triangles, rotated
 from harness.simulation.scene import Scene
 from harness.simulation.scene_geometry import Ints, check_viewpoint, geometry_near, homographies
-from harness.simulation.shading import Image, Shading, View, maps_of_tiles, shaded
+from harness.simulation.shading import Image, Shading, View, shaded
 
 _CLEAR_M = 1e-5
 """A plane so near to the point that faces are seen from costs five of sixteen digits."""
@@ -51,18 +50,18 @@ def reflected_image(view: View, sensor: Sensor, samples: int, threads: int | Non
     face = np.where(valid, np.int32(TRACE), np.int32(INVALID)).ravel()
     offset = _seen_from(view)
     geometry = view.geometry
-    maps = maps_of_tiles(geometry, view.tiles)
+    seen_from = view.origin + view.rotation @ offset
     shading = ReflectedShading(
         view=view,
         sensor=sensor,
         corner_index=index,
         corner_rays=rays,
         face=face,
-        image=np.zeros(face.size, dtype=np.float32),
+        image=np.zeros((len(view.bands), face.size), dtype=np.float32),
         normals=geometry.normals @ view.rotation,
         distances=geometry.offsets - geometry.normals @ view.origin,
         offset=offset,
-        H_at_offset=homographies(geometry, maps, view.origin + view.rotation @ offset, view.rotation),
+        H_at_offset=tuple(homographies(geometry, each.maps, seen_from, view.rotation) for each in view.bands),
     )
     return shaded(shading, valid.shape, samples, threads)
 
@@ -116,7 +115,8 @@ class ReflectedShading(Shading):
     """`[faces]`: of the planes from the sensor's origin."""
     offset: Array
     """`[3]`: the point that `H_at_offset` belongs to, in the sensor's frame."""
-    H_at_offset: Array
+    H_at_offset: tuple[Array, ...]
+    """For each band `[faces, 3, 3]`, as `View.H`."""
 
     def _rays(self, pixels: np.ndarray, per_side: int) -> Array:
         offsets = (np.arange(per_side) + 0.5) / per_side - 0.5
@@ -144,22 +144,10 @@ class ReflectedShading(Shading):
         return face
 
     def _shade(self, pixels: np.ndarray, chosen: np.ndarray, rays: Array, face: Ints, per_side: int) -> None:
-        geometry, tiles = self.view.geometry, self.view.tiles
         points = np.empty((3, face.size))
         points_on_faces(chosen, per_side**2, rays, face, self.normals, self.distances, self.offset, points)
-        shade(
-            chosen,
-            points,
-            per_side**2,
-            face,
-            self.H_at_offset,
-            geometry.texture_of_face,
-            tiles.texels,
-            tiles.layout,
-            geometry.background_grey,
-            pixels,
-            self.image,
-        )
+        for i, H in enumerate(self.H_at_offset):
+            self._shade_band(pixels, chosen, points, face, per_side, H, i)
 
 
 def _seen_from(view: View) -> Array:

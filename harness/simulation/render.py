@@ -38,7 +38,15 @@ _NARROW = 16.0
 """Largest ratio of the longest side of a pixel to the shortest for which edges are sampled."""
 
 
-def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads: int | None = None) -> Image:
+def render(
+    scene: Scene,
+    sensor: Sensor,
+    pose: Pose,
+    samples: int = 16,
+    threads: int | None = None,
+    *,
+    colour: bool = False,
+) -> Image:
     """The image `[height, width]` of a scene, grey levels 0 .. 255; 0 outside the sensor's field.
 
     Parameters
@@ -49,6 +57,9 @@ def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads:
         slightly beyond the mirror's rim.
     threads
         Number of threads; by default all available CPUs. The image does not depend on it.
+    colour
+        Render red, green and blue, `[height, width, 3]`; their luma is the grey image to rounding. What has no colour
+        in the scene is grey.
 
     Raises
     ------
@@ -56,7 +67,7 @@ def render(scene: Scene, sensor: Sensor, pose: Pose, samples: int = 16, threads:
         When the view is outside the scene or inside an object, a ray escapes from a closed scene, or a grey level is
         not a finite number.
     """
-    view = view_from(scene, pose)
+    view = view_from(scene, pose, colour=colour)
     if not sensor.is_central:
         return reflected_image(view, sensor, samples, threads)
     return _shaded(view, sensor, _face_of_pixels(view, sensor, threads), samples, threads)
@@ -204,6 +215,6 @@ def _face_of_pixels(view: View, sensor: Sensor, threads: int | None, *, with_edg
 def _shaded(view: View, sensor: Sensor, faces: Ints, samples: int, threads: int | None) -> Image:
     """The mean of every pixel's samples, given the face that fills it, or TRACE."""
     corners = _corners_of(sensor)
-    image = np.zeros(faces.size, dtype=np.float32)
+    image = np.zeros((len(view.bands), faces.size), dtype=np.float32)
     shading = Shading(view, sensor, corners.index, corners.rays, faces.ravel(), image)
     return shaded(shading, faces.shape, samples, threads)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from harness.errors import InputError, Notice
 from harness.geometry.angles import Array
+from harness.images import LUMA, Weights
 from harness.simulation._rendering_kernels import face_maps
 from harness.simulation.coincident import Rivals, encloses, rivals_of, visible_pairs
 from harness.simulation.content_cache import cached_by_content
@@ -131,14 +132,44 @@ def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.
     object_of_patch: list[int] = []
     solids: dict[int, Solid] = {}
     for index, thing in enumerate(scene.objects):
-        moved = np.subtract(thing.pose.position_m, np.divide(centre, scene.scale))
-        own = [_placed(patch, thing.pose.R_world_from_view, moved, scene.scale) for patch in _patches(thing)]
+        own = _placed_patches(scene, thing, centre)
         patches += own
         object_of_patch += [index] * len(own)
         corners = np.concatenate([patch.corners for patch in own])
         if not isinstance(thing, Plane | Chessboard) and not thing.inward and _is_watertight(corners):
             solids[index] = Solid(name=_name(index, thing), corners=corners)
     return _assemble(scene, np.array(centre), patches, object_of_patch, solids)
+
+
+@cached_by_content(6)
+def band_of(scene: Scene, centre: tuple[float, float, float], weights: Weights) -> tuple[Array, tuple[Texels, ...]]:
+    """Texture maps `[faces, 2, 4]` and textures of a scene in a band of their colours.
+
+    The faces and their textures are those of `geometry_of` about that centre, in its order.
+    """
+    patches = [patch for thing in scene.objects for patch in _placed_patches(scene, thing, centre, weights)]
+    corners, uv, face, _ = _joined(patches)
+    _, first = np.unique(face, return_index=True)
+    return _planes(corners[first], uv[first])[2], tuple(patch.texels for patch in patches)
+
+
+def _placed_patches(
+    scene: Scene, thing: SceneObject, centre: tuple[float, float, float], weights: Weights = LUMA
+) -> list[_Patch]:
+    moved = np.subtract(thing.pose.position_m, np.divide(centre, scene.scale))
+    return [_placed(patch, thing.pose.R_world_from_view, moved, scene.scale) for patch in _patches(thing, weights)]
+
+
+def _joined(patches: list[_Patch]) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Corners, texture coordinates and faces of all triangles, and the patch of each face."""
+    faces_before = np.cumsum([0] + [patch.face.max() + 1 for patch in patches])
+    face = np.concatenate([patch.face + n for patch, n in zip(patches, faces_before, strict=False)])
+    return (
+        np.concatenate([patch.corners for patch in patches]),
+        np.concatenate([patch.uv for patch in patches]),
+        face,
+        np.repeat(np.arange(len(patches)), np.diff(faces_before)),
+    )
 
 
 def _name(index: int, thing: SceneObject) -> str:
@@ -148,12 +179,7 @@ def _name(index: int, thing: SceneObject) -> str:
 def _assemble(
     scene: Scene, centre: Array, patches: list[_Patch], object_of_patch: list[int], solids: dict[int, Solid]
 ) -> Geometry:
-    corners = np.concatenate([patch.corners for patch in patches])
-    uv = np.concatenate([patch.uv for patch in patches])
-    faces_before = np.cumsum([0] + [patch.face.max() + 1 for patch in patches])
-    face = np.concatenate([patch.face + n for patch, n in zip(patches, faces_before, strict=False)])
-    patch_of_face = np.repeat(np.arange(len(patches)), np.diff(faces_before))
-
+    corners, uv, face, patch_of_face = _joined(patches)
     _, first = np.unique(face, return_index=True)
     for index in np.flatnonzero(~(np.linalg.norm(_cross_of_edges(corners[first]), axis=-1) > 0))[:1]:
         thing = object_of_patch[patch_of_face[index]]
@@ -172,7 +198,7 @@ def _assemble(
     edges = _face_edges(triangles, face)
     vertices = np.empty((triangles.max() + 1, 3))
     vertices[triangles] = corners
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         "centre": centre,
         "corners": corners,
         "face_of_triangle": np.append(face, -1).astype(np.int32),
@@ -275,17 +301,17 @@ def _coincident_objects(geometry: Geometry, viewpoint: Array) -> list[list[str]]
     ]
 
 
-def _patches(thing: SceneObject) -> list[_Patch]:
+def _patches(thing: SceneObject, weights: Weights) -> list[_Patch]:
     if isinstance(thing, Box):
-        return list(_box_patches(thing))
+        return list(_box_patches(thing, weights))
     if isinstance(thing, Plane | Chessboard):
         width, height = thing.size_m
         corner = np.array([-width / 2, -height / 2, 0.0])
-        return [_rectangle(corner, np.array([width, 0, 0]), np.array([0, height, 0]), thing.texture)]
-    return list(_mesh_patches(thing))
+        return [_rectangle(corner, np.array([width, 0, 0]), np.array([0, height, 0]), thing.texture, weights)]
+    return list(_mesh_patches(thing, weights))
 
 
-def _box_patches(box: Box) -> Iterator[_Patch]:
+def _box_patches(box: Box, weights: Weights) -> Iterator[_Patch]:
     """Six rectangles. On upright sides u runs horizontally and v up; on bottom and top u runs along x and v along y."""
     a, b, c = box.size_m
     x, y, z = np.diag([a, b, c]).astype(np.float64)
@@ -299,11 +325,11 @@ def _box_patches(box: Box) -> Iterator[_Patch]:
         "top": (origin + z, x, y),
     }
     for side in BOX_SIDES:
-        yield _rectangle(*spans[side], box.texture_of(side))
+        yield _rectangle(*spans[side], box.texture_of(side), weights)
 
 
-def _rectangle(corner: Array, along_u: Array, along_v: Array, texture: Any) -> _Patch:
-    texels = texels_of(texture)
+def _rectangle(corner: Array, along_u: Array, along_v: Array, texture: Any, weights: Weights) -> _Patch:
+    texels = texels_of(texture, weights)
     height, width = texels.shape
     reach = np.array([np.linalg.norm(along_u), np.linalg.norm(along_v) * width / height]) / texture.tile_m
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
@@ -312,8 +338,8 @@ def _rectangle(corner: Array, along_u: Array, along_v: Array, texture: Any) -> _
     return _Patch(corners=points[halves], uv=(square * reach)[halves], face=np.zeros(2, np.int64), texels=texels)
 
 
-def _mesh_patches(mesh: Mesh) -> Iterator[_Patch]:
-    for part in read_mesh(Path(mesh.file), mesh.texture is None):
+def _mesh_patches(mesh: Mesh, weights: Weights) -> Iterator[_Patch]:
+    for part in read_mesh(Path(mesh.file), mesh.texture is None, weights):
         # Degenerate triangles are never hit and have no plane.
         area = np.linalg.norm(_cross_of_edges(part.corners), axis=-1)
         solid = area > 1e-14 * np.ptp(part.corners.reshape(-1, 3), axis=0).max() ** 2
@@ -322,7 +348,7 @@ def _mesh_patches(mesh: Mesh) -> Iterator[_Patch]:
         corners = part.corners[solid] * mesh.scale
         face = np.arange(len(corners))
         if mesh.texture is not None:
-            texels = texels_of(mesh.texture)
+            texels = texels_of(mesh.texture, weights)
             yield _Patch(corners, _projected_uv(corners, texels, mesh.texture.tile_m), face, texels)
         elif part.uv is None or part.texels is None:
             missing = "texture coordinates" if part.uv is None else "texture image"

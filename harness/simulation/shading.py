@@ -10,6 +10,7 @@ from harness.camera.sensor import Sensor, rays_of
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.pose import Pose
+from harness.images import COLOURS, Weights
 from harness.simulation._rendering_kernels import (
     TRACE,
     faces_in_pixels,
@@ -22,7 +23,16 @@ from harness.simulation._rendering_kernels import (
 from harness.simulation.cast import cast, nearest_triangles, rotated
 from harness.simulation.content_cache import cached_by_content
 from harness.simulation.scene import Scene
-from harness.simulation.scene_geometry import Geometry, Ints, check_viewpoint, geometry_near, geometry_of, homographies
+from harness.simulation.scene_geometry import (
+    Geometry,
+    Ints,
+    band_of,
+    check_viewpoint,
+    geometry_near,
+    geometry_of,
+    homographies,
+)
+from harness.simulation.texture import Texels
 from harness.threads import in_threads
 
 Image = NDArray[np.float32]
@@ -46,17 +56,45 @@ class View:
     H: Array
     """`[faces, 3, 3]`: for each face the map from a ray in the view's frame to its tile (see `_kernels.shade`)."""
     tiles: "Tiles"
+    bands: tuple["Band", ...]
+    """What is shaded: the luma alone, or red, green and blue."""
 
 
-def view_from(scene: Scene, pose: Pose) -> View:
-    """The scene from where a view stands; InputError where there is nothing sensible to see."""
+@dataclass(frozen=True)
+class Band:
+    """A band of the colours of a geometry's textures."""
+
+    maps: Array
+    """`[faces, 2, 4]`, as of `maps_of_tiles`."""
+    H: Array
+    """As `View.H`."""
+    tiles: "Tiles"
+
+
+def view_from(scene: Scene, pose: Pose, *, colour: bool = False) -> View:
+    """The scene from where a view stands; InputError where there is nothing sensible to see.
+
+    Parameters
+    ----------
+    colour
+        Whether red, green and blue are shaded. How closely pixels are sampled goes by the luma in any case.
+    """
     geometry = geometry_near(scene, pose.position_m)
     origin = np.asarray(pose.position_m, dtype=np.float64) - geometry.centre
     check_viewpoint(geometry, origin)
     rotation = pose.R_world_from_view
     tiles = _tiles_of(scene)
     maps = maps_of_tiles(geometry, tiles)
-    return View(geometry, origin, rotation, homographies(geometry, maps, origin, rotation), tiles)
+    H = homographies(geometry, maps, origin, rotation)
+    bands = [Band(maps, H, tiles)]
+    if colour:
+        bands = []
+        for weights in COLOURS:
+            x, y, z = geometry.centre.tolist()
+            uv_maps, its_tiles = _band_of(scene, (x, y, z), weights)
+            maps = maps_of_tiles(geometry, its_tiles, uv_maps)
+            bands.append(Band(maps, homographies(geometry, maps, origin, rotation), its_tiles))
+    return View(geometry, origin, rotation, H, tiles, tuple(bands))
 
 
 @dataclass(frozen=True)
@@ -72,10 +110,19 @@ class Tiles:
 
 @cached_by_content(2)
 def _tiles_of(scene: Scene) -> Tiles:
-    geometry = geometry_of(scene)
+    return _tiles(geometry_of(scene).textures)
+
+
+@cached_by_content(6)
+def _band_of(scene: Scene, centre: tuple[float, float, float], weights: Weights) -> tuple[Array, Tiles]:
+    uv_maps, textures = band_of(scene, centre, weights)
+    return uv_maps, _tiles(textures)
+
+
+def _tiles(textures: tuple[Texels, ...]) -> Tiles:
     padded: list[NDArray[np.float32]] = []
     layout, starts, start = [], {}, 0
-    for texels in geometry.textures:
+    for texels in textures:
         if id(texels) not in starts:  # one array on many faces is stored once
             starts[id(texels)] = start
             padded.append(np.pad(texels, ((0, 2), (0, 2)), mode="wrap").ravel())
@@ -84,10 +131,16 @@ def _tiles_of(scene: Scene) -> Tiles:
     return Tiles(np.concatenate(padded), np.array(layout, dtype=np.int64))
 
 
-def maps_of_tiles(geometry: Geometry, tiles: Tiles) -> Array:
-    """The faces' texture maps `[faces, 2, 4]`, with v down, and both from the first texel's centre."""
+def maps_of_tiles(geometry: Geometry, tiles: Tiles, uv_maps: Array | None = None) -> Array:
+    """The faces' texture maps `[faces, 2, 4]`, with v down, and both from the first texel's centre.
+
+    Parameters
+    ----------
+    uv_maps
+        Of another band; the geometry's when None.
+    """
     size = tiles.layout[geometry.texture_of_face]
-    maps = geometry.uv_maps * np.array([1.0, -1.0])[:, None]
+    maps = (geometry.uv_maps if uv_maps is None else uv_maps) * np.array([1.0, -1.0])[:, None]
     maps[:, 0, 3] -= 0.5 / size[:, 2]
     maps[:, 1, 3] += 1 - 0.5 / size[:, 1]
     return maps
@@ -106,7 +159,7 @@ class Shading:
     face: Ints
     """The face that fills each pixel, -1 for the background, or TRACE, or INVALID; flat."""
     image: Image
-    """Flat."""
+    """`[bands, pixels]`, flat."""
 
     def write(self, pixels: NDArray[np.int64], per_side: int) -> None:
         """Write the grey of pixels that are either all traced or all not, with more samples where needed."""
@@ -156,19 +209,32 @@ class Shading:
         self, pixels: NDArray[np.int64], chosen: NDArray[np.int64], rays: Array, face: Ints, per_side: int
     ) -> None:
         """Write the grey of those pixels that are chosen, by their places among them; `rays` are the samples of all."""
-        geometry, tiles = self.view.geometry, self.view.tiles
+        for i, band in enumerate(self.view.bands):
+            self._shade_band(pixels, chosen, rays, face, per_side, band.H, i)
+
+    def _shade_band(
+        self,
+        pixels: NDArray[np.int64],
+        chosen: NDArray[np.int64],
+        rays: Array,
+        face: Ints,
+        per_side: int,
+        H: Array,
+        band: int,
+    ) -> None:
+        geometry, tiles = self.view.geometry, self.view.bands[band].tiles
         shade(
             chosen,
             rays,
             per_side**2,
             face,
-            self.view.H,
+            H,
             geometry.texture_of_face,
             tiles.texels,
             tiles.layout,
             geometry.background_grey,
             pixels,
-            self.image,
+            self.image[band],
         )
 
     def _faces(self, rays: Array) -> Ints:
@@ -198,7 +264,7 @@ def _where(view: View) -> str:
 
 
 def shaded(shading: Shading, shape: tuple[int, ...], samples: int, threads: int | None) -> Image:
-    """The mean of every pixel's samples `[height, width]`.
+    """The mean of every pixel's samples, `[height, width]`, or `[height, width, 3]` of a view in colour.
 
     Raises
     ------
@@ -213,12 +279,12 @@ def shaded(shading: Shading, shape: tuple[int, ...], samples: int, threads: int 
     pieces = _in_pieces(np.flatnonzero(shading.face == TRACE), per_side)
     pieces += _in_pieces(np.flatnonzero(shading.face > TRACE), per_side)
     in_threads(lambda pixels: shading.write(pixels, per_side), pieces, threads)
-    image = shading.image
+    image = shading.image[0] if len(shading.image) == 1 else np.ascontiguousarray(shading.image.T)
     if not np.isfinite(image).all():
-        count = np.count_nonzero(~np.isfinite(image))
+        count = np.count_nonzero(~np.isfinite(shading.image).all(axis=0))
         raise InputError(
             f"the image from {_where(shading.view)} has {count} pixels whose grey level is not a finite number; check "
             "the textures and the sizes of the objects",
             file=shading.view.geometry.name,
         )
-    return image.reshape(shape)
+    return image.reshape(*shape, *image.shape[1:])

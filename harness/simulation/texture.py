@@ -2,7 +2,7 @@
 
 A texture is a tile that repeats; its texture coordinates (u, v) count repetitions, v upwards, and (0, 0) is the
 lower left corner of the lower left texel. Between the texels' centres, at (i + 0.5)/n, the grey is bilinear.
-Colours become luma, as in `harness.images`: matching is grey.
+Colours become luma, as in `harness.images`: matching is grey. Images in colour are rendered band by band.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from harness.images import LIMIT_BYTES, decode
+from harness.images import LIMIT_BYTES, LUMA, Weights, decode
 from harness.simulation.content_cache import cached_by_content, read_recorded
 from harness.spec import Positive, Spec
 
@@ -33,9 +33,9 @@ class ImageTexture(Spec):
     white: Positive | None = None
     """Level in the file that is mapped to 255; by default the largest of 8 or 16 bits, and 1 in floating point."""
 
-    def texels(self) -> Texels:
-        """Grey `[height, width]`, row 0 at the top."""
-        return _read_image(self.file, self.white)
+    def texels(self, weights: Weights = LUMA) -> Texels:
+        """Grey, or another band, `[height, width]`, row 0 at the top."""
+        return _read_image(self.file, self.white, weights)
 
 
 class BundledTexture(Spec):
@@ -166,21 +166,28 @@ Texture = Annotated[
 
 
 @cached_by_content(16)
-def _read_image(file: str, white: float | None) -> Texels:
-    """Grey levels of an image file; one array for all textures that use it."""
-    return decode(read_recorded(file, LIMIT_BYTES, "image"), file, white=white).grey()
+def _read_image(file: str, white: float | None, weights: Weights) -> Texels:
+    """A band of an image file; one array for all textures that use it."""
+    return decode(read_recorded(file, LIMIT_BYTES, "image"), file, white=white).grey(weights=weights)
 
 
 @cached_by_content(64)
-def texels_of(texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture | ChessboardTexture) -> Texels:
+def texels_of(
+    texture: ImageTexture | BundledTexture | NoiseTexture | GreyTexture | ChessboardTexture, weights: Weights = LUMA
+) -> Texels:
     """Grey levels `[height, width]` of a texture, row 0 at the top; read-only, cached until its file changes.
+
+    Parameters
+    ----------
+    weights
+        Of red, green and blue, for the levels of another band. All textures but images are grey.
 
     Raises
     ------
     InputError
         When an image file cannot be read.
     """
-    texels = texture.texels()
+    texels = texture.texels(weights) if isinstance(texture, ImageTexture) else texture.texels()
     texels.flags.writeable = False
     return texels
 
