@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from harness.camera.models.hyperboloid import Mirror
 from harness.camera.sensor import Sensor
+from harness.evaluation.calibrated import Calibrated
 from harness.evaluation.propagation import (
     MISALIGNMENT,
     MOTION,
@@ -79,6 +80,9 @@ class Uncertainty(Spec):
     """Standard deviation of the camera's tilt against its mirror about each axis, degrees."""
     odometry: Odometry = Odometry()
     """What grows with the motion between the views, beside the constant parts above."""
+    calibration: Calibrated = None
+    """Path of the JSON file that `omnirange calibrate` wrote: errors of the calibration are drawn from its covariance,
+    beside those above."""
 
 
 def covariances(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tuple[str, tuple[Parameter, ...], Array]]:
@@ -94,6 +98,7 @@ def covariances(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tupl
     calibration = calibration_parameters(sensor)
     of_part = {"camera.focal_px": known.focal, "camera.cx_px": known.centre_px, "camera.cy_px": known.centre_px}
     of_calibration = of_part | {each.key: known.shape for each in calibration if each.key.startswith("model.")}
+    calibrated = () if known.calibration is None else known.calibration.parameters(sensor)
     aligned = ALIGNMENT if isinstance(sensor.model, Mirror) else ()
     of_alignment = {each.key: known.alignment_deg if "rotation" in each.key else known.alignment_mm for each in aligned}
     causes: list[tuple[str, tuple[Parameter, ...], dict[str, float]]] = [
@@ -101,7 +106,7 @@ def covariances(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tupl
         ("t direction", MOTION[3:5], {each.key: known.t_direction_deg for each in MOTION[3:5]}),
         ("t length", MOTION[5:], {"t_length": known.t_length}),
         ("odometry", ODOMETRY, known.odometry.sigmas(motion)),
-        ("calibration", calibration, of_calibration),
+        ("calibration", (*calibration, *calibrated), of_calibration | {each.key: 1.0 for each in calibrated}),
         ("alignment", aligned, of_alignment),
     ]
     return [(name, parameters, diagonal(parameters, sigmas)) for name, parameters, sigmas in causes]

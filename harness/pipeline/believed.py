@@ -103,7 +103,9 @@ def believed_rig(true: Rig, believed: Believed, draws: dict[str, float]) -> Rig:
         From `draws_of`.
     """
     rig = true
-    for parameter in (*MOTION, *ODOMETRY, *calibration_parameters(true.sensors[0])):
+    calibration = believed.sigma.calibration
+    calibrated = () if calibration is None else calibration.parameters(true.sensors[0])
+    for parameter in (*MOTION, *ODOMETRY, *calibration_parameters(true.sensors[0]), *calibrated):
         error = _fixed(believed, parameter, true.sensors[0]) + draws.get(parameter.key, 0.0)
         if error:
             rig = parameter.changed(rig, error)

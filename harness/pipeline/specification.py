@@ -247,8 +247,11 @@ class Trial(Spec):
         for name in ("optics", "optics_2", "chip", "motion", "believed", "novel_views"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as before there was one
+        sigma = settings.get("believed", {}).get("sigma", {})
         if self.believed.sigma.odometry == Odometry():
-            settings.get("believed", {}).get("sigma", {}).pop("odometry", None)
+            sigma.pop("odometry", None)
+        if self.believed.sigma.calibration is None:
+            sigma.pop("calibration", None)
         if self.optics_2 == self.optics:
             settings.pop("optics_2", None)
         if not self.scoring.budget:

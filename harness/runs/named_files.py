@@ -19,6 +19,9 @@ _SENSOR_FILES = (*SENSORS, *(f"{name}.file" for name in SENSORS))
 MASKS = tuple(f"{name}.mask" for name in SENSORS)
 """Those that may name a mask's."""
 
+CALIBRATIONS = ("believed.sigma.calibration", "uncertainty.calibration")
+"""Those that may name a calibration's covariance, of a trial and of a rig."""
+
 
 def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
     """A value that names a file by a relative path, with its absolute path; any other as it is."""
@@ -40,7 +43,7 @@ def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | 
         return value if path.parent == shipped.folder("scenes") and path.stem == value else str(path.resolve())
     if key in _SENSOR_FILES and value in shipped.names("sensors") and not (folder / value).exists():
         return value
-    if key in (*SENSORS, *MASKS) or last == "file" or last.endswith("_file"):
+    if key in (*SENSORS, *MASKS, *CALIBRATIONS) or last == "file" or last.endswith("_file"):
         return str(path_of(value, folder, file=file, key=where or key or None).resolve())
     return value
 
@@ -74,6 +77,17 @@ def read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, key
         if isinstance(sensor, dict):
             placed = absolute(name, sensor, folder, file or "", f"{where}{name}")
             resolved[name] = sensor_of_table(placed, file, f"{where}{name}") if "file" in placed else placed
+    for dotted in CALIBRATIONS:
+        *parents, last = dotted.split(".")
+        inner = resolved
+        for name in parents:
+            if not isinstance(inner.get(name), dict):
+                break
+            inner[name] = dict(inner[name])  # the table that was given stays as it is
+            inner = inner[name]
+        else:
+            if last in inner:
+                inner[last] = absolute(dotted, inner[last], folder, file or "", f"{where}{dotted}")
     return resolved
 
 
