@@ -66,9 +66,7 @@ def sample(
     _check_size(image, sensor)
     order = _ORDERS[interpolation]
     coordinates, in_view = _coordinates(sensor, directions)
-    return _sampled(
-        image, sensor, coordinates, in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order), order
-    )
+    return _sampled(image, sensor, coordinates, in_view & _all_taps_visible(sensor, coordinates, order), order)
 
 
 def _check_size(image: NDArray[np.float32], sensor: Sensor) -> None:
@@ -102,7 +100,7 @@ def can_be_sampled(sensor: Sensor, directions: Array, order: int = 3) -> NDArray
     The sensor must see them, and all pixels that an interpolation of this order takes.
     """
     coordinates, in_view = _coordinates(sensor, directions)
-    return in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order)
+    return in_view & _all_taps_visible(sensor, coordinates, order)
 
 
 def _coordinates(sensor: Sensor, directions: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -122,7 +120,7 @@ def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> 
     """
     R = np.frombuffer(rotation).reshape(3, 3)
     coordinates, in_view = _coordinates(sensor, cylinder(grid) @ R.T)
-    valid = in_view & _all_taps_visible(_visible_pixels(sensor), coordinates, order)
+    valid = in_view & _all_taps_visible(sensor, coordinates, order)
     coordinates.flags.writeable = False
     valid.flags.writeable = False
     return coordinates, valid
@@ -134,19 +132,32 @@ def _visible_pixels(sensor: Sensor) -> NDArray[np.bool_]:
     return across_seam(pixel_directions(sensor)[1], seam_px(sensor))
 
 
-def _all_taps_visible(visible: NDArray[np.bool_], coordinates: Array, order: int) -> NDArray[np.bool_]:
+def _all_taps_visible(sensor: Sensor, coordinates: Array, order: int) -> NDArray[np.bool_]:
     """Whether every pixel that an interpolation at `coordinates` (rows, columns) touches is seen by the sensor."""
     # Clipped: coordinates far off the image may be too large for an integer.
     first = np.floor(np.clip(coordinates, -1e6, 1e6)).astype(np.intp) - (order // 2)
+    if order == 1:
+        return _both_taps_visible(_visible_pixels(sensor), coordinates, first)
+    whole = _whole_windows(sensor, order + 1)
+    inside = (first[0] >= 0) & (first[0] < whole.shape[0]) & (first[1] >= 0) & (first[1] < whole.shape[1])
+    return np.asarray(inside & whole[np.where(inside, first[0], 0), np.where(inside, first[1], 0)])
+
+
+@lru_cache(maxsize=8)
+def _whole_windows(sensor: Sensor, side: int) -> NDArray[np.bool_]:
+    """Whether all pixels of the window that begins at each pixel are seen."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(_visible_pixels(sensor), (side, side)).all(axis=(2, 3)))
+
+
+def _both_taps_visible(visible: NDArray[np.bool_], coordinates: Array, first: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """The same for bilinear samples, of which those at whole numbers have taps of weight zero."""
     result = np.ones(coordinates.shape[1:], dtype=bool)
-    for row in range(order + 1):
-        for column in range(order + 1):
+    for row in range(2):
+        for column in range(2):
             v, u = first[0] + row, first[1] + column
             inside = (v >= 0) & (v < visible.shape[0]) & (u >= 0) & (u < visible.shape[1])
             # A tap with weight zero may lie outside: the last row and column of a bilinear sample at an integer.
-            weightless = ((coordinates[0] == v - 1) & (row == order == 1)) | (
-                (coordinates[1] == u - 1) & (column == order == 1)
-            )
+            weightless = ((coordinates[0] == v - 1) & (row == 1)) | ((coordinates[1] == u - 1) & (column == 1))
             result &= weightless | (
                 inside & visible[np.clip(v, 0, visible.shape[0] - 1), np.clip(u, 0, visible.shape[1] - 1)]
             )

@@ -119,7 +119,8 @@ def warp(
     if fill:
         guessed = _blended(sources, images, viewpoint_m, looking, np.where(np.isnan(grey), guess_m, np.nan), sigma_m)
         grey = np.where(np.isnan(grey), guessed, grey)
-        grey = np.where(np.isnan(grey), untouched(images, viewpoint_m, looking[None])[0], grey)
+        left = np.flatnonzero(np.isnan(grey))
+        grey[left] = untouched(images, viewpoint_m, looking[left][None])[0]
 
     def spread(values: NDArray[S], missing: float) -> NDArray[S]:
         out = np.full(len(flat), missing, dtype=values.dtype)
