@@ -258,10 +258,36 @@ def test_standard_deviations_are_those_of_repeated_draws():
 
 
 @pytest.mark.slow
+def test_the_spread_is_that_of_the_bound():
+    """The Cramér-Rao bound of the motion on the tiles that were used, with planes, gains and offsets unknown."""
+    noise = 10.0
+    result, pairs = start()
+    exact = fit_direct(pair(), (SENSOR, SENSOR), result, pairs)
+    held, given = np.vstack(tangents(TURN, "free")), views(pair(), (SENSOR, SENSOR))
+    equations = _equations(
+        given, exact.tiles, _State(TURN, exact.planes, *np.array([[1.0], [0.0]]) + 0 * exact.tiles.T)
+    )
+    H = equations.H
+    J = held.T @ H[:, :6, 6:]
+    ridge = 1e-9 * np.einsum("tii->ti", H[:, 6:, 6:])[..., None] * np.eye(5)
+    reduced = held.T @ H[:, :6, :6] @ held - J @ np.linalg.solve(H[:, 6:, 6:] + ridge, J.transpose(0, 2, 1))
+    # White noise in both views, and tiles across edges, which are no planes and weigh less.
+    information = np.einsum("t,tij->ij", 1 / (2 * noise**2 + equations.residual), reduced)
+    white = np.linalg.cholesky(information).T
+    off = []
+    for seed in range(20):
+        turn = fit_direct(noisy(noise, seed), (SENSOR, SENSOR), result, pairs).turn
+        omega = Rotation.from_matrix(turn.R.T @ TURN.R).as_rotvec()
+        off.append(white @ held.T @ np.concatenate([omega, TURN.t - turn.t]))
+    # 100 deviates: their root mean square is known to 7 %, to which three times that is room. Unsmoothed it is 1.16.
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.21)
+
+
+@pytest.mark.slow
 def test_where_noise_drowns_gradients_smoothed_images_serve():
     result, pairs = start()
     direct = fit_direct(noisy(25.0, 1), (SENSOR, SENSOR), result, pairs)
-    assert direct.blur_px == 0.7
+    assert direct.blur_px >= 0.7
     assert np.abs(sigmas_off(direct)).max() < 4
 
 

@@ -94,7 +94,7 @@ def test_its_height_moves_with_the_motion_as_predicted():
     w = w * (1 + 1e-3 * draws.normal(size=len(w)))
     t, R = normalise(np.array([1.0, 0.3, 0.1])), Rotation.from_euler("z", 1.1).as_matrix()
     floor = find_floor(x, w, t)
-    step = 1e-5
+    step, numeric, predicted = 1e-5, [], []
     for i in range(6):
         change = np.zeros(6)
         change[i] = step
@@ -103,6 +103,29 @@ def test_its_height_moves_with_the_motion_as_predicted():
             find_floor(x, 1 / ranges(x, x / w[:, None], t, R, s * change[:3], s * change[3:]), t).height
             for s in (1, -1)
         ]
-        numeric = np.log(heights[0] / heights[1]) / (2 * step)
-        # The loss's weights of other points move with it, which the prediction leaves out.
-        assert numeric == pytest.approx(floor.by_motion @ change / step, rel=0.02, abs=0.02)
+        numeric.append(np.log(heights[0] / heights[1]) / (2 * step))
+        predicted.append(floor.by_motion @ change / step)
+    # The loss's scale, a median of 70 points, moves with single ones, which the prediction leaves out.
+    size = np.linalg.norm(numeric), np.linalg.norm(predicted)
+    assert size[1] == pytest.approx(size[0], rel=0.3)
+    assert np.dot(numeric, predicted) > 0.7 * size[0] * size[1]
+
+
+@pytest.mark.slow
+def test_the_foot_of_a_wall_does_not_lift_the_floor():
+    """A camera 1 m above the floor of a room of 5 m, with a baseline of 0.1 m: just above its foot a wall looks like
+    floor but for less than a pixel, always nearer.
+    """
+    t, sigma = np.array([1.0, 0.0, 0.0]), np.radians(0.06)
+    azimuth, below = np.meshgrid(np.radians(np.arange(0, 360, 5)), np.radians(np.arange(3, 75, 5)))
+    x = np.stack([np.cos(azimuth) * np.cos(below), np.sin(azimuth) * np.cos(below), -np.sin(below)], -1).reshape(-1, 3)
+    w = 0.1 * np.maximum(-x[:, 2], np.abs(x[:, :2]).max(axis=1) / 2.5)
+    sharp = np.linalg.norm(np.cross(t, x), axis=1) / np.sum((x - w[:, None] * t) ** 2, axis=1)
+    off = []
+    for seed in range(40):
+        draws = np.random.default_rng(seed)
+        floor = find_floor(x, w + sigma / np.maximum(sharp, 0.1) * draws.normal(size=len(w)), t)
+        off.append(np.log(0.1 * floor.height) / floor.share)
+    # 40 deviates: their mean is known to 0.16, their root mean square to 0.11. Cauchy's loss alone has -0.5 and 1.9.
+    assert abs(np.mean(off)) < 0.5
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.35)

@@ -3,9 +3,11 @@
 The cost is the sum over tiles of `(I_1(x) - a I_2(R (x - (m·x) t)) - b)²`, weighted by the residual variance of each
 tile. The five unknowns of a tile (m, a, b) are eliminated (Schur complement), which leaves the five of the motion.
 
-View 2's gradient contains noise, so that the sum of its squares exceeds the signal's: steps are slightly too short, and
-a covariance from that sum is too small. The sandwich estimator subtracts the gradient noise: the covariance is
-`B^-1 (sum w² g g^T) B^-1`, with `B = sum w (H - sigma² kappa N)`, reduced, and the tiles' reduced scores g.
+View 2's gradient contains noise. It scatters the motion, most where gradients run along the epipolar curves and leave
+little for the motion: noisy images are smoothed, the noisier the more. And the sum of its squares exceeds the signal's:
+steps are slightly too short, and a covariance from that sum is too small. The sandwich estimator subtracts the gradient
+noise: the covariance is `B^-1 (sum w² g g^T) B^-1`, with
+`B = sum w (H - sigma² kappa N)`, reduced, and the tiles' reduced scores g.
 """
 
 from dataclasses import dataclass
@@ -36,9 +38,11 @@ from harness.motion.tiles import (
     views,
 )
 
-BLUR_PX = 0.7
+BLURS_PX = (0.5, 0.7, 1.0)
 NOISY = 0.1
 """Share of noise in the squared gradients above which smoothed images are tried as well."""
+STILL_NOISY = 0.2
+"""The same of smoothed images, above which they are smoothed more: a smaller share costs less than lost texture."""
 _START_ITERATIONS = 3
 _ITERATIONS = 8
 _CORRELATION = 0.5
@@ -120,12 +124,16 @@ def fit_direct(
     if good.sum() < _LEAST_TILES:
         return None
     state = _planes_fitted(given, tiles[good], start.turn, planes[0][good])
-    plain = _adjusted(given, tiles[good], state, freedom)
-    if plain is None or plain.noise_share < NOISY:
-        return plain
-    begin = _State(plain.turn, plain.planes, np.ones(len(plain.tiles)), np.zeros(len(plain.tiles)))
-    smooth = _adjusted(views(images, sensors, BLUR_PX), plain.tiles, begin, freedom)
-    return smooth if smooth is not None and np.trace(smooth.covariance) < np.trace(plain.covariance) else plain
+    best = fitted = _adjusted(given, tiles[good], state, freedom)
+    for blur_px in BLURS_PX:
+        if best is None or fitted is None or fitted.noise_share < (STILL_NOISY if fitted.blur_px else NOISY):
+            break
+        count = len(fitted.tiles)
+        begin = _State(fitted.turn, fitted.planes, np.ones(count), np.zeros(count))
+        fitted = _adjusted(views(images, sensors, blur_px), fitted.tiles, begin, freedom)
+        if fitted is not None and np.trace(fitted.covariance) < np.trace(best.covariance):
+            best = fitted
+    return best
 
 
 # -- Normal equations ------------------------------------------------------------------------------------------------

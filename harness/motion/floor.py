@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from harness.display import OneLine
 from harness.geometry.angles import Array, angle_between, normalise
@@ -20,8 +22,16 @@ _TILT = math.radians(20.0)
 _LIMIT = math.radians(0.3)
 """Largest deviation of an inlier of the floor: about the angle of a pixel."""
 _SAMPLES = 2000
-_ROUNDS = 10
+_ROUNDS = 6, 14
+"""Rounds with Cauchy's loss, and then with Tukey's."""
 _CAUCHY = 2.385
+_TUKEY = 4.0
+"""Standard deviations beyond which a point has no weight. The tiles at the foot of a wall all lie on one side, a few
+standard deviations off: with any weight they lift the floor, by two sigmas of the height on rendered pairs."""
+_BESIDE = 6
+"""How many neighbours of a point are looked at: where two of them are no floor, its tile may be partly a wall."""
+_OFF = 3.0
+"""Standard deviations beyond which a neighbour is no floor."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,24 +97,43 @@ def _tilt(g: Array) -> float:
 
 
 def _fitted(x: Array, w: Array, sharp: Array, t: Array, g: Array) -> Floor | None:
-    """The least-squares plane, with Cauchy's loss, of the inliers."""
-    for _ in range(_ROUNDS):
+    """The least-squares plane of the inliers, first with Cauchy's loss, then with Tukey's and without the border."""
+    inner = np.ones(len(x), dtype=bool)
+    for k in range(sum(_ROUNDS)):
         e = sharp * (w - x @ g)
-        near = np.abs(e) < _LIMIT
+        near = inner & (np.abs(e) < _LIMIT)
         if near.sum() < LEAST_POINTS:
             return None
-        scale = 1.4826 * float(np.median(np.abs(e[near]))) + 1e-12
-        weight = np.where(near, sharp / np.sqrt(1 + (e / (_CAUCHY * scale)) ** 2), 0.0)
+        if k < _ROUNDS[0]:
+            scale = 1.4826 * float(np.median(np.abs(e[near]))) + 1e-12
+            weight = np.where(near, sharp / np.sqrt(1 + (e / (_CAUCHY * scale)) ** 2), 0.0)
+        else:
+            if k == _ROUNDS[0]:
+                inside = _without_border(x, np.abs(e) > _OFF * scale)
+                inner = inside if (near & inside).sum() >= LEAST_POINTS else inner
+                near &= inner
+            scale = 1.4826 * float(np.median(np.abs(e[near & (np.abs(e) < _TUKEY * scale)]))) + 1e-12
+            weight = np.where(near, sharp * np.maximum(1 - (e / (_TUKEY * scale)) ** 2, 0.0), 0.0)
         g = np.asarray(np.linalg.lstsq(weight[:, None] * x, weight * w, rcond=None)[0], dtype=np.float64)
     if _tilt(g) > _TILT:
         return None
     height = 1 / float(np.linalg.norm(g))
-    # Derivative of the plane by each w, from that of Cauchy's score, and of ln(height) = -ln|g| by the plane.
-    u = (sharp * (w - x @ g) / (_CAUCHY * scale)) ** 2
-    answer = np.where(near, sharp**2 * (1 - u) / (1 + u) ** 2, 0.0)[:, None] * x
-    by_w = -(height**2) * (g @ np.linalg.solve(answer.T @ x, answer.T))
+    # Derivative of the plane by each w, from that of Tukey's score, and of ln(height) = -ln|g| by the plane.
+    e = sharp * (w - x @ g)
+    u = (e / (_TUKEY * scale)) ** 2
+    near &= u < 1
+    if near.sum() < LEAST_POINTS:
+        return None
+    answer = np.where(near, sharp**2 * (1 - u) * (1 - 5 * u), 0.0)[:, None] * x
+    by_plane = -(height**2) * np.linalg.solve(x.T @ answer, g)
+    by_w = answer @ by_plane
     j = sensitivity_to_motion(x, 1 / w, t)
     by_motion = np.sum((by_w * -(w**2))[near, None] * j[near], axis=0)
-    residual = (w - x @ g)[near]
-    share = float(np.sqrt(np.sum((by_w[near] * residual) ** 2)))
-    return Floor(height, -normalise(g), int(near.sum()), share, by_motion)
+    score = np.where(near, sharp * (1 - u) ** 2 * e, 0.0) * (x @ by_plane)
+    return Floor(height, -normalise(g), int(near.sum()), float(np.sqrt(np.sum(score**2))), by_motion)
+
+
+def _without_border(x: Array, off: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Points `[n]` in directions x of which, with their neighbours, fewer than two are off the floor."""
+    _, beside = cKDTree(x).query(x, k=min(_BESIDE + 1, len(x)))
+    return np.asarray(off[beside].sum(axis=1) < 2)
