@@ -24,7 +24,7 @@ MOTION = Motion(R_v2_from_v1=np.eye(3), t_v1=np.array([0.5, 0.0, 0.0]))
 
 
 def covariance(seed=0):
-    """Of correlated parameters: focal length and mirror nearly compensate each other."""
+    """A covariance of correlated parameters: focal length and mirror nearly compensate each other."""
     rng = np.random.default_rng(seed)
     mixed = rng.standard_normal((4, 4)) + 2 * np.eye(4)
     mixed[0] += 3 * mixed[3]
