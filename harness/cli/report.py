@@ -3,11 +3,16 @@
 import warnings
 from argparse import Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.options import Commands
 from harness.cli.results import say_unused_rows, write
 from harness.errors import InputError, Notice
+
+if TYPE_CHECKING:
+    from harness.runs.experiment import Experiment
+    from harness.runs.store import Store
 
 
 def add(commands: Commands) -> None:
@@ -27,6 +32,13 @@ def add(commands: Commands) -> None:
         help="run the programs and plug-ins that the run names where their results are not stored; only for runs that "
         "you trust",
     )
+    command.add_argument(
+        "--figures", type=Path, metavar="DIR", help="write every figure of the report into a folder, as SVG and PDF"
+    )
+    tables = command.add_argument(
+        "--latex", type=Path, metavar="FILE", help="write the report's tables as LaTeX (package booktabs)"
+    )
+    completers.offer(tables, completers.files(".tex"))
 
 
 def run(options: Namespace) -> int:
@@ -46,4 +58,26 @@ def run(options: Namespace) -> int:
         say_unused_rows(now.unused)
         if now.done < now.total:
             print(f"{experiment.name}: {now.done} of {now.total} trials are done; the report covers those")
-        return write(experiment, store, options.folder, given=options.folder, run_code=options.run_code)
+        code = write(experiment, store, options.folder, given=options.folder, run_code=options.run_code)
+        if options.figures is not None or options.latex is not None:
+            _export(experiment, store, options)
+        return code
+
+
+def _export(experiment: "Experiment", store: "Store", options: Namespace) -> None:
+    """Write figures and tables as files of their own."""
+    from harness.files import make_folder
+    from harness.files import write as write_file
+    from harness.report.export import figures_of, latex_of
+    from harness.runs.run import result_of
+
+    result = result_of(experiment, store, run_code=options.run_code)
+    if options.latex is not None:
+        write_file(options.latex, latex_of(result))
+        print(f"tables: {options.latex}")
+    if options.figures is not None:
+        make_folder(options.figures)
+        files = figures_of(result)
+        for name, content in files.items():
+            write_file(options.figures / name, content)
+        print(f"figures: {len(files) // 2} as SVG and PDF in {options.figures}")

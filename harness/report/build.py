@@ -25,14 +25,7 @@ def build_report(result: Result, failures: list[str] | None = None, sections: Se
         What the page is made of, instead of `SECTIONS`; those about the same keep their order.
     """
     context = Context.of(result)
-    with theme.style() as missing:
-        made = [
-            section
-            for each in _in_order(SECTIONS if sections is None else sections, context)
-            if (section := _made(each, context, missing))
-        ]
-    if failures is not None:
-        failures.extend(missing)
+    made = sections_of(context, failures, sections)
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
@@ -43,6 +36,21 @@ def build_report(result: Result, failures: list[str] | None = None, sections: Se
         overview=list(words.overview(result, context.sweep)),
         sections=made,
     )
+
+
+def sections_of(
+    context: Context, failures: list[str] | None = None, sections: Sequence[Declared] | None = None
+) -> list[Section]:
+    """The sections of a report in their order, without those that have nothing to show; see `build_report`."""
+    with theme.style() as missing:
+        made = [
+            section
+            for each in _in_order(SECTIONS if sections is None else sections, context)
+            if (section := _made(each, context, missing))
+        ]
+    if failures is not None:
+        failures.extend(missing)
+    return made
 
 
 def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:

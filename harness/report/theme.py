@@ -12,6 +12,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache, wraps
 from typing import Any, ParamSpec
+from urllib.parse import unquote
 
 import matplotlib as mpl
 import numpy as np
@@ -101,10 +102,19 @@ class Picture:
     """The panel's own line under it, such as `(a) environment`."""
     failure: str = ""
     """Why it could not be drawn; the page says so in its place."""
+    pdf: bytes = b""
+    """The same as a PDF file; only under `with_pdf`."""
+
+    @property
+    def svg(self) -> str:
+        """The drawing, as a file of its own."""
+        return unquote(self.source.removeprefix(_SVG))
 
 
 _P = ParamSpec("_P")
 _failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
+_with_pdf: ContextVar[bool] = ContextVar("with_pdf", default=False)
+_SVG = "data:image/svg+xml,"
 
 
 @contextmanager
@@ -125,6 +135,16 @@ def style() -> Iterator[list[str]]:
             yield failures
     finally:
         _failures.reset(token)
+
+
+@contextmanager
+def with_pdf() -> Iterator[None]:
+    """Draw each picture as PDF too."""
+    token = _with_pdf.set(True)
+    try:
+        yield
+    finally:
+        _with_pdf.reset(token)
 
 
 _NOT_FOR_FIGURES = ("backend", "interactive", "toolbar", "webagg.", "tk.", "keymap.", "docstring.", "date.epoch")
@@ -190,8 +210,16 @@ def picture(fig: Figure, alt: str, title: str = "") -> Picture:
     text = re.sub(r"(?<=data:image/png;base64,)[^']*", lambda png: _few_colours(png[0]), text)
     width, height = (round(side * _DPI) for side in fig.get_size_inches())
     # Safe in an attribute: _escaped leaves nothing that could end it or stand for something else.
-    source = Markup(f"data:image/svg+xml,{_escaped(text)}")  # noqa: S704
-    return Picture(source, width, height, " ".join(alt.split()), title)
+    source = Markup(f"{_SVG}{_escaped(text)}")  # noqa: S704
+    return Picture(source, width, height, " ".join(alt.split()), title, pdf=_pdf(fig) if _with_pdf.get() else b"")
+
+
+def _pdf(fig: Figure) -> bytes:
+    """A figure as PDF, with its letters as text; the same bytes each time."""
+    stream = io.BytesIO()
+    with mpl.rc_context({"pdf.fonttype": 42}):
+        fig.savefig(stream, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+    return stream.getvalue()
 
 
 def _shorter(text: str) -> str:

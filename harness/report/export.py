@@ -1,0 +1,105 @@
+"""The figures and tables of a report as files of their own: for papers and slides."""
+
+from collections.abc import Iterator
+from string import ascii_lowercase
+
+import pandas as pd
+
+from harness.report import theme
+from harness.report.build import sections_of
+from harness.report.data import Table
+from harness.report.section import Context, Figure, TableBlock
+from harness.runs.run import Result
+
+
+def figures_of(result: Result, failures: list[str] | None = None) -> dict[str, bytes]:
+    """Every panel of every figure of the report as SVG and as PDF, by file name; the same for the same result.
+
+    Parameters
+    ----------
+    failures
+        Gets a line for each figure that could not be drawn and each section that could not be made.
+    """
+    with theme.with_pdf():
+        sections = sections_of(Context.of(result), failures)
+    files: dict[str, bytes] = {}
+    for section in sections:
+        for block in section.blocks:
+            if isinstance(block, Figure):
+                for name, picture in _named(block):
+                    files[f"{name}.svg"] = picture.svg.encode()
+                    files[f"{name}.pdf"] = picture.pdf
+    return files
+
+
+def _named(figure: Figure) -> Iterator[tuple[str, theme.Picture]]:
+    """The panels that were drawn, with a name each."""
+    stem = figure.id.removeprefix("figure-")
+    for letter, picture in zip(ascii_lowercase, figure.pictures, strict=False):
+        if not picture.failure:
+            yield (f"{stem}-{letter}" if len(figure.pictures) > 1 else stem), picture
+
+
+def latex_of(result: Result, failures: list[str] | None = None) -> str:
+    """The tables of the report as LaTeX (package booktabs), one after the other, each with its caption and a label."""
+    sections = sections_of(Context.of(result), failures)
+    tables = [block for section in sections for block in section.blocks if isinstance(block, TableBlock)]
+    return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex(each) for each in tables)
+
+
+def _latex(block: TableBlock) -> str:
+    table = _as_frame(block.table)
+    formats = "".join("l" if heading.text else "r" for heading in block.table.headings)
+    text: str = table.to_latex(
+        index=False,
+        escape=True,
+        column_format=formats,
+        caption=_escaped(" ".join(block.caption.striptags().split())),
+        label=f"tab:{block.id.removeprefix('table-')}",
+        position="htbp",
+    )
+    return _symbols(text)
+
+
+def _as_frame(table: Table) -> pd.DataFrame:
+    names = [f"{each.name} ({each.unit})" if each.unit else each.name for each in table.headings]
+    rows = [[f"{cell.text} {cell.below}".rstrip() for cell in row] for row in table.rows]
+    return pd.DataFrame(rows, columns=pd.Index(names))
+
+
+_SPECIAL = str.maketrans({each: f"\\{each}" for each in "&%$#_{}"})
+_SYMBOLS = {
+    "\u00a0": "~",
+    "\u202f": "\\,",
+    "\u2212": "$-$",
+    "\u00b0": "$^\\circ$",
+    "\u03b4": "$\\delta$",
+    "\u03c3": "$\\sigma$",
+    "\u03b1": "$\\alpha$",
+    "\u03c6": "$\\varphi$",
+    "\u00d7": "$\\times$",
+    "\u00b1": "$\\pm$",
+    "\u00b2": "$^2$",
+    "\u00b5": "$\\mu$",
+    "\u2013": "--",
+    "\u2018": "`",
+    "\u2019": "'",
+    "\u201c": "``",
+    "\u201d": "''",
+    "\u2026": "\\ldots{}",
+    "\u2264": "$\\le$",
+    "\u2265": "$\\ge$",
+    "\u2081": "$_1$",
+    "\u2082": "$_2$",
+}
+
+
+def _escaped(text: str) -> str:
+    return text.translate(_SPECIAL)
+
+
+def _symbols(text: str) -> str:
+    """What LaTeX has commands for, so that every engine takes it."""
+    for symbol, command in _SYMBOLS.items():
+        text = text.replace(symbol, command)
+    return text

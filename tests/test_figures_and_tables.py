@@ -1,0 +1,69 @@
+"""The figures and tables of a report as files of their own."""
+
+import re
+from xml.etree import ElementTree as ET
+
+import pytest
+from sweeps import write_small
+
+from harness.cli import main
+from harness.report.data import Data, Heading, Table, words
+from harness.report.export import _latex
+from harness.report.markup import html
+from harness.report.section import TableBlock
+
+SVG = "{http://www.w3.org/2000/svg}svg"
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported")
+    given = write_small(folder / "small.toml", "\n[axes]\nseed = [1, 2]\n")
+    assert main(["run", str(given), "--out", str(folder / "out")]) == 0
+    options = ["--figures", str(folder / "figures"), "--latex", str(folder / "tables.tex")]
+    assert main(["report", str(folder / "out"), *options]) == 0
+    return folder
+
+
+@pytest.mark.slow
+def test_every_panel_of_the_page_is_a_file_in_both_formats(exported):
+    page = (exported / "out" / "report.html").read_text(encoding="utf-8")
+    drawn = len(re.findall(r'<img[^>]*src="data:image/svg', page))
+    files = {each.name for each in (exported / "figures").iterdir()}
+    stems = {name.removesuffix(".svg") for name in files if name.endswith(".svg")}
+    assert files == {f"{stem}{ending}" for stem in stems for ending in (".svg", ".pdf")}
+    assert drawn - 3 <= len(stems) <= drawn  # keys of lines have no number, and are no figures
+    assert "errors" in stems
+    for stem in stems:
+        assert ET.parse(exported / "figures" / f"{stem}.svg").getroot().tag == SVG
+        assert (exported / "figures" / f"{stem}.pdf").read_bytes().startswith(b"%PDF-")
+
+
+@pytest.mark.slow
+def test_the_same_result_gives_the_same_files(exported):
+    again = exported / "again"
+    assert main(["report", str(exported / "out"), "--figures", str(again)]) == 0
+    for each in (exported / "figures").iterdir():
+        assert (again / each.name).read_bytes() == each.read_bytes(), each.name
+
+
+@pytest.mark.slow
+def test_tables_are_latex_of_plain_letters(exported):
+    text = (exported / "tables.tex").read_text(encoding="ascii")  # what every engine takes
+    assert text.count(r"\begin{table}") == text.count(r"\end{tabular}") >= 2
+    assert text.count(r"\label{tab:") == text.count(r"\begin{table}")
+    for row in re.findall(r"\\midrule\n(.*?)\\bottomrule", text, re.DOTALL):
+        assert len({line.count(" & ") for line in row.strip().split("\n")}) == 1
+
+
+def test_what_latex_would_read_as_a_command_is_text():
+    table = Table(
+        [Heading("Name_1", text=True), Heading("Share", "%")],
+        [[words("50 % & more #1 {x}"), words("−3 ± 2 °")]],
+        Data("t", ["a", "b"], [["a", 1]]),
+    )
+    text = _latex(TableBlock("table-odd", table, html("<p>A <b>caption</b>, 95 % &amp; more.</p>")))
+    assert r"Name\_1 & Share (\%)" in text
+    assert r"50 \% \& more \#1 \{x\} & $-$3 $\pm$ 2 $^\circ$" in text
+    assert r"\caption{A caption, 95 \% \& more.}" in text
+    assert r"\label{tab:odd}" in text
