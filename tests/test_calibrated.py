@@ -71,6 +71,7 @@ def test_draws_have_the_covariance():
     assert np.abs(found - matrix / np.outer(SIGMA, SIGMA)).max() < 4 * 0.022
 
 
+@pytest.mark.slow
 def test_ranges_are_off_by_what_is_propagated():
     """Against draws through the closed formulas; 2,000 tell a standard deviation to 1.6 %."""
     known = Uncertainty(calibration=CalibrationCovariance(keys=KEYS, covariance=covariance().tolist()))
