@@ -12,7 +12,8 @@ from test_report import Document
 from harness.cli import main
 from harness.errors import InputError
 from harness.evaluation.metric_table import metric
-from harness.report.paired_differences import COMPARED, build_comparison
+from harness.report.paired_differences import build_comparison
+from harness.report.written_runs import COMPARED
 
 REST = """
 [trial.placement]

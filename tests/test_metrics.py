@@ -34,7 +34,7 @@ from harness.evaluation.pixel_errors import Errors
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.evaluation.tally import ERROR_EDGES_PX, FRACTION_BINS, tally
 from harness.pipeline.row import row_of
-from harness.report import paired_differences
+from harness.report import written_runs
 from harness.report.build import build_report
 from harness.report.sections import measures
 from harness.runs.load import load_experiment
@@ -294,7 +294,7 @@ def test_a_metric_from_outside_is_in_rows_tables_and_comparisons(monkeypatch, tm
     )
     monkeypatch.setitem(METRICS, worst.name, worst)
     monkeypatch.setattr(measures, "SHOWN", (*measures.SHOWN, worst.name))
-    monkeypatch.setattr(paired_differences, "COMPARED", (worst.name,))
+    monkeypatch.setattr(written_runs, "COMPARED", (worst.name,))
     result = run_experiment(load_experiment("smoke", axes=["matching.window_px=5"]), tmp_path / "one", workers=1)
     row = next(each for each in result.rows if each.state == "done")
     assert row.payload["figures"][worst.name] > 0

@@ -54,7 +54,9 @@ def test_a_trial_survives(trial: Trial) -> None:
         description=TEXT,
         trial=trials,
         axes=st.dictionaries(TEXT, st.lists(PLAIN, min_size=1, max_size=3), max_size=3),
-        cases=st.lists(st.dictionaries(TEXT, PLAIN, min_size=1, max_size=2), max_size=2),
+        cases=st.lists(
+            st.dictionaries(TEXT, PLAIN, min_size=1, max_size=2).map(lambda case: {"name": "a"} | case), max_size=2
+        ),
     )
 )
 def test_an_experiment_survives(experiment: Experiment) -> None:
@@ -170,7 +172,7 @@ def test_a_huge_product_is_counted_and_not_enumerated() -> None:
         name="x",
         trial=Trial(scene=SCENE),
         axes={"seed": thousand, "view_2.yaw_deg": thousand, "matching.kind": ["column"], "view_2.roll_deg": thousand},
-        cases=[{"noise.sigma_grey": 1}, {"noise.sigma_grey": 2}],
+        cases=[{"name": "a", "noise.sigma_grey": 1}, {"name": "b", "noise.sigma_grey": 2}],
     )
     with pytest.raises(InputError) as caught:
         _ = experiment.planned

@@ -14,13 +14,13 @@ from harness.errors import InputError
 from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
-from harness.report import theme
+from harness.report import theme, written_runs
 from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
 from harness.report.markup import template
 from harness.report.sweep import name_of, texts_of
 from harness.report.theme import WIDE, Picture
 from harness.report.typography import figure
-from harness.report.written_runs import COMPARED, NONE, Run, names_of_folders, read_run
+from harness.report.written_runs import NONE, Run, names_of_folders, read_run
 from harness.runs.cases import CASE
 
 _STEP = "matching.subpixel"
@@ -237,7 +237,7 @@ def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Itera
     )
     if frame.empty:
         return
-    for name in COMPARED:
+    for name in written_runs.COMPARED:
         for (case, step), part in frame.groupby(["case", "step"], sort=False):
             known = part.dropna(subset=[f"first_{name}", f"second_{name}"])
             if known.empty:
