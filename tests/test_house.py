@@ -100,6 +100,7 @@ def test_files_fit_a_sitting() -> None:
     assert not {str(path.relative_to(ROOT)): n for path in sources() if (n := text_of(path).count("\n")) > 500}
 
 
+@pytest.mark.slow
 def test_functions_fit_a_screen_and_take_a_dozen_parameters() -> None:
     """But for compiled loops, which live in `_*_kernels.py`: what they call is inlined, and they take arrays."""
     checked = [path for path in sources() if not path.name.endswith("_kernels.py")]
