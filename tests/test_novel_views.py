@@ -139,3 +139,19 @@ def test_no_more_is_concluded_than_intervals_allow(entries, said):
 
 def test_of_one_seed_nothing_is_concluded():
     assert views_conclusions([entry(0.1, 5.0, None)], {}) == []
+
+
+@pytest.mark.slow
+def test_cases_that_are_methods_are_compared(tmp_path):
+    """Not conditions of their own: one set of curves, and a sentence for each, by the name of its case."""
+    cases = {"square windows": {"matching.kind": "window"}, "columns": {"matching.kind": "column"}}
+    result = harness.run(
+        write_small(tmp_path / "small.toml"),
+        axes={"seed": [1, 2]},
+        cases=cases,
+        sets={"novel_views.distances_m": [0.1, 0.3], "noise.sigma_grey": 2.0},
+    )
+    entries = result._result.summary["novel_views"]
+    assert len({each["condition"] for each in entries}) == 1
+    said = [each for each in result._result.summary["conclusions"] if each.startswith("Views warped with ")]
+    assert [each.removeprefix("Views warped with ").split(" are ")[0] for each in said] == ["columns", "square windows"]

@@ -32,7 +32,7 @@ def novel_views_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[
     """
     groups: dict[tuple[str, str, str, float], list[dict[str, Any]]] = {}
     for planned, payload in done:
-        settings = {key: v for key, v in planned.coordinates.items() if key not in ("seed", *METHOD_KEYS)}
+        settings = planned.coordinates_without(lambda key: key in ("seed", *METHOD_KEYS))
         for view in payload.get("novel_views") or ():
             groups.setdefault((*planned.method, shown(settings), view["distance_m"]), []).append(view)
     return [_entry(*key, views) for key, views in sorted(groups.items(), key=lambda each: each[0])]
