@@ -10,7 +10,7 @@ from harness.camera.sensor import Sensor, in_use
 from harness.camera.unwrap import sample, unwrap
 from harness.geometry.angles import normalise
 from harness.geometry.panorama import Grid, directions
-from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.geometry.pose import AT_REST, Pose, relative_motion
 from harness.simulation.render import render
 from harness.simulation.truth import truth
 from harness.warping.surface import RangeSurface
@@ -18,7 +18,6 @@ from harness.warping.warp import Image, PixelState, Source, warp
 
 GRID = Grid(width_px=180, height_px=50)
 LOOKING = directions(GRID)
-HERE = Motion(R_v2_from_v1=np.eye(3), t_v1=np.zeros(3))
 SENSOR = Sensor.model_validate(
     {"camera": {"width_px": 160, "height_px": 120, "focal_px": 153.53, "cx_px": 79.5, "cy_px": 59.5}}
 )
@@ -127,7 +126,7 @@ def room():
 
 def test_without_a_motion_the_picture_is_the_panorama(room):
     _, _, images, range_m = room
-    view = warp([Source(surface(range_m), HERE)], [Image(images[0], SENSOR, HERE)], np.zeros(3), LOOKING)
+    view = warp([Source(surface(range_m), AT_REST)], [Image(images[0], SENSOR, AT_REST)], np.zeros(3), LOOKING)
     expected = unwrap(images[0], SENSOR, GRID, interpolation="cubic")
     both = expected.valid & ~view.holes
     assert both.mean() > 0.95
@@ -140,9 +139,9 @@ def test_another_viewpoint_shows_what_is_rendered_there(room):
     scene, poses, images, range_m = room
     pose = Pose(position_m=(0.1, 0.25, 1.1))
     motion = relative_motion(*poses)
-    sources = [Image(images[0], SENSOR, HERE), Image(images[1], SENSOR, motion)]
+    sources = [Image(images[0], SENSOR, AT_REST), Image(images[1], SENSOR, motion)]
     viewpoint = relative_motion(poses[0], pose).t_v1
-    view = warp([Source(surface(range_m), HERE)], sources, viewpoint, LOOKING)
+    view = warp([Source(surface(range_m), AT_REST)], sources, viewpoint, LOOKING)
     there = truth(scene, pose, LOOKING, in_use(SENSOR, LOOKING))
     both = ~view.holes & np.isfinite(there.range_m)
     assert both.mean() > 0.8
@@ -158,10 +157,10 @@ def test_the_second_image_shows_the_same_as_the_first(room):
     """Also with a rotation between the views: each image alone gives nearly the same picture."""
     _, poses, images, range_m = room
     motion = relative_motion(*poses)
-    source = [Source(surface(range_m), HERE)]
+    source = [Source(surface(range_m), AT_REST)]
     alone = [
         warp(source, [image], np.array([0.2, 0.05, 0.0]), LOOKING)
-        for image in (Image(images[0], SENSOR, HERE), Image(images[1], SENSOR, motion))
+        for image in (Image(images[0], SENSOR, AT_REST), Image(images[1], SENSOR, motion))
     ]
     both = ~alone[0].holes & ~alone[1].holes
     assert both.mean() > 0.7
@@ -173,7 +172,7 @@ def test_the_surer_map_counts_more():
     exact = ranges_of_room((6.0, 6.0, 3.0))
     maps = [surface(exact, 0.01), surface(1.02 * exact, 0.1)]
     flat = np.full((120, 160), 100.0, dtype=np.float32)
-    view = warp([Source(each, HERE) for each in maps], [Image(flat, SENSOR, HERE)], np.zeros(3), LOOKING)
+    view = warp([Source(each, AT_REST) for each in maps], [Image(flat, SENSOR, AT_REST)], np.zeros(3), LOOKING)
     met = np.isfinite(view.range_m)
     weights = 1 / np.array([0.01**2, 0.1**2])
     mean = exact * (weights[0] + 1.02 * weights[1]) / weights.sum()
@@ -184,7 +183,7 @@ def test_the_surer_map_counts_more():
 def test_holes_are_filled_on_request_and_stay_known(room):
     _, _, images, range_m = room
     holed = np.where(np.abs(GRID.phi) < 0.2, np.nan, range_m)
-    arguments = [Source(surface(holed), HERE)], [Image(images[0], SENSOR, HERE)], np.zeros(3), LOOKING
+    arguments = [Source(surface(holed), AT_REST)], [Image(images[0], SENSOR, AT_REST)], np.zeros(3), LOOKING
     open_view, filled = warp(*arguments), warp(*arguments, fill=True)
     assert (open_view.state == PixelState.UNMATCHED).any()
     np.testing.assert_array_equal(open_view.state, filled.state)
@@ -201,5 +200,5 @@ def test_rays_without_a_direction_are_outside(room):
     _, _, images, range_m = room
     rays = normalise(LOOKING.copy())
     rays[0] = np.nan
-    view = warp([Source(surface(range_m), HERE)], [Image(images[0], SENSOR, HERE)], np.zeros(3), rays)
+    view = warp([Source(surface(range_m), AT_REST)], [Image(images[0], SENSOR, AT_REST)], np.zeros(3), rays)
     assert (view.state[0] == PixelState.OUTSIDE).all()

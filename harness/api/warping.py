@@ -19,13 +19,12 @@ from harness.errors import InputError
 from harness.files import make_folder, write
 from harness.geometry.angles import Array, normalise
 from harness.geometry.panorama import directions
-from harness.geometry.pose import Motion, Pose
+from harness.geometry.pose import AT_REST, Pose
 from harness.spec import parse
 from harness.warping.surface import RangeSurface
 from harness.warping.warp import Image, PixelState, Source, warp
 
 Projection = Literal["panorama", "mirror", "perspective"]
-_HERE = Motion(R_v2_from_v1=np.eye(3), t_v1=np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,12 +136,12 @@ def warp_view(
         raise InputError("has no range to warp with", key="estimate")
     rays = _rays(estimate, projection, sensor, field_deg, (height_px, width_px)) @ pose.R_world_from_view.T
     pair = estimate.pair
-    surface = RangeSurface(pair.grid, estimate.range_m, np.nan_to_num(estimate.sigma_m))
-    motions = _HERE, pair.motion
+    surface = RangeSurface(pair.grid, estimate.range_m, estimate.sigma_m)
+    motions = AT_REST, pair.motion
     channels = _channels(estimate)
     warped = [
         warp(
-            [Source(surface, _HERE)],
+            [Source(surface, AT_REST)],
             [Image(grey, each, motion) for grey, each, motion in zip(pictures, pair.sensors, motions, strict=True)],
             np.asarray(pose.position_m),
             rays,

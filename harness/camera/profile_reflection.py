@@ -136,11 +136,11 @@ def _steps_that_suffice(camera: ProfileCamera, R_mirror_from_camera: Array, sens
     y = (v - camera.cv) / camera.fv
     rays = R_mirror_from_camera @ np.stack([(u - camera.cu - camera.skew * y) / camera.fu, y, np.ones(y.size)])
     s, slope, met = np.empty(y.size), np.empty(y.size), np.empty(y.size, dtype=np.bool_)
-    found = []
+    counts = []
     for steps in range(1, _MOST_STEPS + 1):
         meet_pieces(camera._replace(steps=steps), np.ascontiguousarray(rays), s, slope, met)
-        found.append(np.count_nonzero(met))
-    return 1 + int(np.argmax(np.array(found) >= 0.99 * max(found)))
+        counts.append(np.count_nonzero(met))
+    return 1 + int(np.argmax(np.array(counts) >= 0.99 * max(counts)))
 
 
 Pieces = tuple[Array, Array]

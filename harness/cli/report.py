@@ -68,16 +68,16 @@ def _export(experiment: "Experiment", store: "Store", options: Namespace) -> Non
     """Write figures and tables as files of their own."""
     from harness.files import make_folder
     from harness.files import write as write_file
-    from harness.report.export import figures_of, latex_of
+    from harness.report.export import exported, figures_in, latex_of
     from harness.runs.run import result_of
 
-    result = result_of(experiment, store, run_code=options.run_code)
+    sections = exported(result_of(experiment, store, run_code=options.run_code))
     if options.latex is not None:
-        write_file(options.latex, latex_of(result))
+        write_file(options.latex, latex_of(sections))
         print(f"tables: {options.latex}")
     if options.figures is not None:
         make_folder(options.figures)
-        files = figures_of(result)
+        files = figures_in(sections)
         for name, content in files.items():
             write_file(options.figures / name, content)
         print(f"figures: {len(files) // 2} as SVG and PDF in {options.figures}")

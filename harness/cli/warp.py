@@ -19,13 +19,6 @@ _OPTIONS = {
     "width_px": "--view-size",
     "height_px": "--view-size",
 }
-_STATES = {
-    "seen": "are seen",
-    "disoccluded": "are behind an outline",
-    "unmatched": "have no range",
-    "outside": "are beyond the panorama",
-    "unsampled": "are in neither image",
-}
 
 
 def add(commands: Commands) -> None:
@@ -79,6 +72,7 @@ def run(options: Namespace) -> int:
     """Match, warp, and write the folder."""
     import harness
     from harness.api.warping import check_perspective, viewpoint
+    from harness.warping.warp import shares_in_words
 
     angles = options.yaw_deg, options.pitch_deg, options.roll_deg
     with _naming_options():  # before anything is matched
@@ -102,8 +96,7 @@ def run(options: Namespace) -> int:
             fill=options.fill,
         )
     view.write(options.out)
-    shares = [f"{share:.1%} {_STATES[name]}" for name, share in view.shares().items() if share >= 0.0005]
-    print(f"of the pixels {', '.join(shares)}; {options.out / 'view.png'}")
+    print(f"of the pixels {', '.join(shares_in_words(view.state))}; {options.out / 'view.png'}")
     return OK
 
 

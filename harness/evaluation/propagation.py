@@ -244,8 +244,8 @@ def point_sensitivities(points_m: Array, rig: Rig, parameters: Sequence[Paramete
     """
     columns = []
     for each in parameters:
-        found = [believed_points(points_m, each.changed(rig, side * each.step), rig) for side in (1, -1)]
-        above, below = (at.range_m[..., None] * at.x_1 for at in found)
+        both = [believed_points(points_m, each.changed(rig, side * each.step), rig) for side in (1, -1)]
+        above, below = (at.range_m[..., None] * at.x_1 for at in both)
         columns.append((above - below) / (2 * each.step))
     return np.stack(columns, axis=-1)
 

@@ -53,6 +53,10 @@ class Motion(OneLine):
         return (np.asarray(p_v1, dtype=np.float64) - self.t_v1) @ self.R_v2_from_v1.T
 
 
+AT_REST = Motion(R_v2_from_v1=np.eye(3), t_v1=np.zeros(3))
+"""From a view to itself."""
+
+
 def relative_motion(view_1: Pose, view_2: Pose) -> Motion:
     """The motion that takes view 1 to view 2."""
     R_1, R_2 = view_1.R_world_from_view, view_2.R_world_from_view

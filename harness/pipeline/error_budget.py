@@ -12,7 +12,7 @@ from harness.evaluation.statistics import central_68
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import directions
-from harness.geometry.triangulation import sensitivity_to_alpha_2
+from harness.geometry.triangulation import sigma_of_range
 from harness.pipeline.believed import calibrated
 from harness.pipeline.stages import setup_of
 from harness.pipeline.trial import Outcome
@@ -52,8 +52,8 @@ def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
     some &= outcome.reference.domain & outcome.valid & (np.sin(towards) >= _LEAST_SINE) & np.isfinite(sigma_alpha)
     points = looking[some] * range_m[some][:, None]
     normals = outcome.truth.normal[some] @ trial.poses[0].R_world_from_view
-    law = np.abs(sensitivity_to_alpha_2(towards[some], outcome.matches.alpha_2[some], assumed.motion.baseline_m))
-    sigma: dict[str, Array] = {"matching": law * sigma_alpha[some]}
+    angles, baseline_m = (towards[some], outcome.matches.alpha_2[some], sigma_alpha[some]), assumed.motion.baseline_m
+    sigma: dict[str, Array] = {"matching": sigma_of_range(*angles, baseline_m)}
     rig, draws = Rig(assumed.sensors, assumed.motion), trial.belief_draws
     noise = generator(trial.seed, "error budget").standard_normal(len(points))
     follows = sigma["matching"] * noise

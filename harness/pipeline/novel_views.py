@@ -4,6 +4,7 @@ The *ceiling* is the same warp with the true ranges, and the *floor* the nearest
 the new view's orientation: a warp is worth its while between the two.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,7 +20,7 @@ from harness.evaluation.view_scores import ViewScore, score_view
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
-from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.geometry.pose import AT_REST, Pose, relative_motion
 from harness.geometry.triangulation import sigma_of_range
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.trial import Outcome
@@ -28,12 +29,10 @@ from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import truth
 from harness.warping.surface import RangeSurface
-from harness.warping.warp import Image, PixelState, Source, WarpedView, untouched, warp
+from harness.warping.warp import Image, Source, WarpedView, untouched, warp
 
 Grey = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
-_HERE = Motion(R_v2_from_v1=np.eye(3), t_v1=np.zeros(3))
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -69,19 +68,22 @@ class NovelView(OneLine):
         }
 
 
-def novel_views(outcome: Outcome) -> list[NovelView]:
-    """The views that `trial.novel_views` asks for; none where there is no range to warp with."""
+def novel_views(outcome: Outcome, distances_m: Sequence[float] | None = None) -> list[NovelView]:
+    """The views that `trial.novel_views` asks for, or those at some distances; none without a range to warp with."""
     trial, pair = outcome.trial, outcome.pair
-    poses = trial.novel_views.poses(trial.poses[0])
+    line = trial.novel_views
+    if distances_m is not None:
+        line = line.model_copy(update={"distances_m": tuple(distances_m)})
+    poses = line.poses(trial.poses[0])
     if not poses or not outcome.valid.any():
         return []
-    images = [Image(pair.images[0], pair.sensors[0], _HERE), Image(pair.images[1], pair.sensors[1], pair.motion)]
-    estimated = Source(RangeSurface(trial.panorama, outcome.range_m, _sigma_m(outcome)), _HERE)
+    images = [Image(pair.images[0], pair.sensors[0], AT_REST), Image(pair.images[1], pair.sensors[1], pair.motion)]
+    estimated = Source(RangeSurface(trial.panorama, outcome.range_m, _sigma_m(outcome)), AT_REST)
     true_images = [images[0], Image(pair.images[1], pair.sensors[1], trial.true_motion)]
-    exact = Source(RangeSurface(trial.panorama, outcome.truth.range_m, np.zeros(trial.panorama.shape)), _HERE)
+    exact = Source(RangeSurface(trial.panorama, outcome.truth.range_m, np.zeros(trial.panorama.shape)), AT_REST)
     return [
         _novel_view(outcome, distance, pose, (estimated, images), (exact, true_images))
-        for distance, pose in zip(trial.novel_views.distances_m, poses, strict=True)
+        for distance, pose in zip(line.distances_m, poses, strict=True)
     ]
 
 
@@ -138,14 +140,7 @@ def _nearest(images: list[Image], viewpoint: Array, looking: Array) -> Grey:
 
 
 def _sigma_m(outcome: Outcome) -> Array:
-    """The predicted standard deviation of the range; 0 where there is none."""
+    """The predicted standard deviation of the range; NaN where there is none."""
     pair, matches = outcome.pair, outcome.matches
     sigma = sigma_alpha_2(pair, outcome.trial.matching, matches)
-    sigma_m = sigma_of_range(alpha_1(pair.grid, pair.t_v1), matches.alpha_2, sigma, pair.motion.baseline_m)
-    return np.where(np.isfinite(sigma_m), sigma_m, 0.0)
-
-
-def holes_by_state(view: WarpedView, compared: Mask) -> dict[str, float]:
-    """Share of the compared pixels in each state, by its name."""
-    total = max(int(compared.sum()), 1)
-    return {state.name.lower(): float((compared & (view.state == state)).sum() / total) for state in PixelState}
+    return sigma_of_range(alpha_1(pair.grid, pair.t_v1), matches.alpha_2, sigma, pair.motion.baseline_m)

@@ -1,6 +1,6 @@
 """The figures and tables of a report as files of their own: for papers and slides."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from string import ascii_lowercase
 
 import pandas as pd
@@ -8,12 +8,12 @@ import pandas as pd
 from harness.report import theme
 from harness.report.build import sections_of
 from harness.report.data import Table
-from harness.report.section import Context, Figure, TableBlock
+from harness.report.section import Context, Figure, Section, TableBlock
 from harness.runs.run import Result
 
 
-def figures_of(result: Result, failures: list[str] | None = None) -> dict[str, bytes]:
-    """Every panel of every figure of the report as SVG and as PDF, by file name; the same for the same result.
+def exported(result: Result, failures: list[str] | None = None) -> list[Section]:
+    """The sections of the report, their pictures drawn as PDF too: what figures and tables are taken from.
 
     Parameters
     ----------
@@ -21,7 +21,11 @@ def figures_of(result: Result, failures: list[str] | None = None) -> dict[str, b
         Gets a line for each figure that could not be drawn and each section that could not be made.
     """
     with theme.with_pdf():
-        sections = sections_of(Context.of(result), failures)
+        return sections_of(Context.of(result), failures)
+
+
+def figures_in(sections: Sequence[Section]) -> dict[str, bytes]:
+    """Every panel of every figure as SVG and as PDF, by file name; the same for the same result."""
     files: dict[str, bytes] = {}
     for section in sections:
         for block in section.blocks:
@@ -40,9 +44,8 @@ def _named(figure: Figure) -> Iterator[tuple[str, theme.Picture]]:
             yield (f"{stem}-{letter}" if len(figure.pictures) > 1 else stem), picture
 
 
-def latex_of(result: Result, failures: list[str] | None = None) -> str:
-    """The tables of the report as LaTeX (package booktabs), one after the other, each with its caption and a label."""
-    sections = sections_of(Context.of(result), failures)
+def latex_of(sections: Sequence[Section]) -> str:
+    """The tables of a report as LaTeX (package booktabs), one after the other, each with its caption and a label."""
     tables = [block for section in sections for block in section.blocks if isinstance(block, TableBlock)]
     return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex(each) for each in tables)
 

@@ -11,8 +11,6 @@ from harness.geometry.angles import Array
 from harness.pipeline.error_budget import Z_EDGES
 from harness.runs.cases import CASE
 from harness.runs.experiment import Planned
-from harness.runs.methods import METHOD_KEYS
-from harness.runs.values import shown
 
 OWN = "matching"
 """The cause that no trial is without: the matcher, with the images' noise."""
@@ -39,9 +37,8 @@ def budget_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, 
     groups: dict[tuple[str, str, str, int], list[dict[str, Any]]] = {}
     cases: dict[tuple[str, str, str, int], str | None] = {}
     for planned, payload in done:
-        settings = planned.coordinates_without(lambda key: key in ("seed", *METHOD_KEYS))
         for entry in payload.get("budget") or ():
-            key = (*planned.method, shown(settings), entry["range_bin"])
+            key = (*planned.method, planned.condition, entry["range_bin"])
             groups.setdefault(key, []).append(entry)
             cases[key] = planned.coordinates.get(CASE)
     entries = [_entry(*key, parts) | {"case": cases[key]} for key, parts in groups.items()]

@@ -9,7 +9,7 @@ import pandas as pd
 
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
 from harness.runs.cases import CASE
-from harness.runs.methods import METHOD_KEYS, MethodName, named
+from harness.runs.methods import METHOD_KEYS, MethodName, in_words
 from harness.runs.novel_views import views_conclusions
 from harness.runs.values import identity_of, shown, text_of
 
@@ -78,7 +78,7 @@ def _table(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.
     for row in rows:
         figures = row.payload["figures"]
         records.append(
-            {"method": named(row.planned.method, labels), "seed": row.planned.trial.seed}
+            {"method": in_words(row.planned.method, labels), "seed": row.planned.trial.seed}
             | {key: of_key[identity_of(key, row.coordinates[key])] for key, of_key in index.items()}
             | {name: math.nan if figures.get(name) is None else figures[name] for _, name in _FIGURES}
         )
@@ -154,7 +154,7 @@ def _about_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> 
         slope, ends = fit["slope"], fit["slope_ci95"]
         if fit["law"] != "exact" or slope is None or fit["surface"] != "wall":
             continue
-        method = named((fit["matcher"], fit["subpixel"]), labels)
+        method = in_words((fit["matcher"], fit["subpixel"]), labels)
         interval = f"{slope:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]" if ends and None not in ends else f"{slope:.2f}"
         if fit["r2"] is not None and fit["r2"] < 0.3:
             yield f"The law, {method} on walls: none to be seen (slope {interval}, R² {fit['r2']:.2f})."

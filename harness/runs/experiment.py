@@ -58,6 +58,11 @@ class Planned:
         """The coordinates without some keys, and without the case where cases set none but these."""
         return without(self.coordinates, self.case_keys, is_left_out)
 
+    @property
+    def condition(self) -> str:
+        """The coordinates in words, but for the method and the seed: what intervals over seeds are taken within."""
+        return shown(self.coordinates_without(lambda key: key in ("seed", *METHOD_KEYS)))
+
 
 def _folder_name(text: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", text):

@@ -18,7 +18,7 @@ METHOD_KEYS = ("matching.kind", "matching.subpixel", "matching.command")
 _STEPS = {"none": "whole pixels", "own": ""}
 
 
-def named(method: MethodName, labels: Mapping[MethodName, str]) -> str:
+def in_words(method: MethodName, labels: Mapping[MethodName, str]) -> str:
     """What a method is called in a sentence: as the cases name it, if they do."""
     if method in labels:
         return labels[method]

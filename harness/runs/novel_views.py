@@ -8,8 +8,7 @@ import numpy as np
 from harness.evaluation.statistics import between, resampled
 from harness.geometry.angles import Array
 from harness.runs.experiment import Planned
-from harness.runs.methods import METHOD_KEYS, MethodName, named
-from harness.runs.values import shown
+from harness.runs.methods import MethodName, in_words
 
 _VIEWS = ("warped", "ceiling", "floor")
 
@@ -32,9 +31,8 @@ def novel_views_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[
     """
     groups: dict[tuple[str, str, str, float], list[dict[str, Any]]] = {}
     for planned, payload in done:
-        settings = planned.coordinates_without(lambda key: key in ("seed", *METHOD_KEYS))
         for view in payload.get("novel_views") or ():
-            groups.setdefault((*planned.method, shown(settings), view["distance_m"]), []).append(view)
+            groups.setdefault((*planned.method, planned.condition, view["distance_m"]), []).append(view)
     return [_entry(*key, views) for key, views in sorted(groups.items(), key=lambda each: each[0])]
 
 
@@ -51,7 +49,7 @@ def views_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName,
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["gain_ci95_db"]]
     methods = dict.fromkeys((each["matcher"], each["subpixel"]) for each in mine)
     return [
-        _reach_of(named(method, labels), [each for each in mine if (each["matcher"], each["subpixel"]) == method])
+        _reach_of(in_words(method, labels), [each for each in mine if (each["matcher"], each["subpixel"]) == method])
         for method in methods
     ]
 

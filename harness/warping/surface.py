@@ -51,7 +51,7 @@ class RangeSurface(OneLine):
     range_m: Array
     """`[height, width]`, metres; NaN where there is no range."""
     sigma_m: Array
-    """`[height, width]`: standard deviation of the range, metres; 0 where it is not known."""
+    """`[height, width]`: standard deviation of the range, metres; NaN where it is not known."""
     _patches: Any = field(init=False)
 
     def __post_init__(self) -> None:

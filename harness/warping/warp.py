@@ -46,6 +46,21 @@ class PixelState(IntEnum):
     """A range, but no image that shows the point."""
 
 
+STATES = {
+    PixelState.SEEN: "are seen",
+    PixelState.DISOCCLUDED: "are behind an outline",
+    PixelState.UNMATCHED: "have no range",
+    PixelState.OUTSIDE: "are beyond the panorama",
+    PixelState.UNSAMPLED: "are in neither image",
+}
+"""In words, of pixels."""
+
+
+def shares_in_words(state: NDArray[np.uint8]) -> list[str]:
+    """`12.3% are behind an outline` and so on, for the states that pixels of any shape have."""
+    return [f"{share:.1%} {STATES[each]}" for each in PixelState if (share := float((state == each).mean())) >= 0.0005]
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Image(OneLine):
     """An image to take grey levels from."""

@@ -25,7 +25,7 @@ from harness.camera.lens import Lens
 from harness.camera.models.axial import AxialModel, Domain
 from harness.compiled import kernel
 
-Coefficient = Annotated[float, Field(ge=-1000, le=1000)]
+OfAngle = Annotated[float, Field(ge=-1000, le=1000)]
 """Far beyond any lens, and small enough for the polynomial to stay finite."""
 
 
@@ -36,13 +36,13 @@ class KannalaBrandt(AxialModel):
 
     kind: Literal["kannala_brandt"] = "kannala_brandt"
     """The fisheye model of Kannala and Brandt."""
-    k1: Coefficient = 0.0
+    k1: OfAngle = 0.0
     """Coefficient of theta³, no unit; all four 0 for the equidistant lens."""
-    k2: Coefficient = 0.0
+    k2: OfAngle = 0.0
     """Coefficient of theta⁵, no unit."""
-    k3: Coefficient = 0.0
+    k3: OfAngle = 0.0
     """Coefficient of theta⁷, no unit."""
-    k4: Coefficient = 0.0
+    k4: OfAngle = 0.0
     """Coefficient of theta⁹, no unit."""
 
     def radius(self, angle_rad: float, lens: Lens) -> float:  # noqa: ARG002

@@ -28,8 +28,8 @@ _BAND_BYTES = 32_000_000
 
 Interval = tuple[int, NDArray[np.int32], NDArray[np.int32]]
 """k_0, the sample that is the first label, and the samples to choose from, k_first and k_last, `[height, width]`."""
-Found = tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]
-"""best, nearby and second, as in `SearchResult`."""
+Best = tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]
+"""best, nearby and second of all pixels, as in `SearchResult`."""
 Compare = Callable[[int, int, int, NDArray[np.uint8]], None]
 """`compare(first, end, top, costs)` writes the costs of rows first .. end; `costs` begins with row `top`."""
 
@@ -80,7 +80,7 @@ def forget_reused() -> None:
 
 def aggregate(
     costs: NDArray[np.uint8], interval: Interval, rules: Rules, threads: int, sums: NDArray[np.uint16] | None = None
-) -> Found:
+) -> Best:
     """Follow the paths, add up their costs, and take the best label of each pixel.
 
     Parameters
@@ -92,7 +92,7 @@ def aggregate(
     """
     height = costs.shape[0]
     half_sums = reused("half sums", costs.shape, rules.sum_type)
-    found = _nothing(costs.shape)
+    best = _nothing(costs.shape)
     sides = [_Side(costs.shape, rules) for _ in range(2)]
     middle = height // 2
     own = [(0, middle), (middle, height)]
@@ -101,11 +101,11 @@ def aggregate(
         sides[side].follow(costs, own[side], 0, side == 0, half_sums)
 
     def continue_from(side: int) -> None:
-        sides[side].complete(costs, own[1 - side], 0, side == 0, half_sums, interval, found, sums)
+        sides[side].complete(costs, own[1 - side], 0, side == 0, half_sums, interval, best, sums)
 
     in_threads(begin_from, (0, 1), threads)
     in_threads(continue_from, (0, 1), threads)
-    return found
+    return best
 
 
 def aggregate_in_bands(
@@ -115,7 +115,7 @@ def aggregate_in_bands(
     rules: Rules,
     threads: int,
     band_bytes: int = _BAND_BYTES,
-) -> Found:
+) -> Best:
     """The same as `aggregate`, of costs that are never there all at once.
 
     Parameters
@@ -132,9 +132,9 @@ def aggregate_in_bands(
         [(first, min(first + rows, middle)) for first in range(0, middle, rows)],
         [(max(end - rows, middle), end) for end in range(height, middle, -rows)],
     ]
-    found = _nothing(shape)
+    best = _nothing(shape)
     sides = [_Side(shape, rules) for _ in range(2)]
-    kept: list[list[_Side]] = [[], []]
+    waiting: list[list[_Side]] = [[], []]
 
     def costs_of(band: tuple[int, int], memory: NDArray[np.uint8]) -> NDArray[np.uint8]:
         costs = memory[: band[1] - band[0]]
@@ -145,7 +145,7 @@ def aggregate_in_bands(
         memory = np.empty((rows, width, labels), np.uint8)
         unused = np.empty((rows, width, labels), rules.sum_type)
         for band in bands[side]:
-            kept[side].append(sides[side].copy())
+            waiting[side].append(sides[side].copy())
             sides[side].follow(costs_of(band, memory), band, band[0], side == 0, unused)
 
     def continue_from(side: int) -> None:
@@ -154,15 +154,15 @@ def aggregate_in_bands(
         other = 1 - side
         for band in reversed(bands[other]):
             costs = costs_of(band, memory)
-            kept[other].pop().follow(costs, band, band[0], other == 0, half_sums)
-            sides[side].complete(costs, band, band[0], side == 0, half_sums, interval, found)
+            waiting[other].pop().follow(costs, band, band[0], other == 0, half_sums)
+            sides[side].complete(costs, band, band[0], side == 0, half_sums, interval, best)
 
     in_threads(begin_from, (0, 1), threads)
     in_threads(continue_from, (0, 1), threads)
-    return found
+    return best
 
 
-def _nothing(shape: tuple[int, ...]) -> Found:
+def _nothing(shape: tuple[int, ...]) -> Best:
     height, width = shape[:2]
     return (
         np.empty((height, width), np.int32),
@@ -209,7 +209,7 @@ class _Side:
         downwards: bool,
         half_sums: NDArray[Any],
         interval: Interval,
-        found: Found,
+        best: Best,
         sums: NDArray[np.uint16] | None = None,
     ) -> None:
         """Go on through a band that the other side's paths, in `half_sums`, have covered, and take the best labels."""
@@ -222,7 +222,7 @@ class _Side:
             half_sums, np.full((2, width, labels + 2), self.guard, np.uint8),
             np.full((1, 1, labels + 2), self.guard, np.uint8),
             np.empty((1, width, labels), np.uint16) if sums is None else sums,
-            k_0, *(each[rows] for each in limits), *(each[rows] for each in found),
+            k_0, *(each[rows] for each in limits), *(each[rows] for each in best),
         )  # fmt: skip
         self.done += end - first
 

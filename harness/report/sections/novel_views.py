@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from harness.geometry.panorama import Grid
-from harness.pipeline.novel_views import NovelView, holes_by_state, novel_views
+from harness.pipeline.novel_views import NovelView, novel_views
 from harness.report import theme
 from harness.report.data import Cell, Data, Heading, Table, count, number, words
 from harness.report.markup import html
@@ -19,6 +19,7 @@ from harness.report.section import About, Block, Context, Figure, Paragraph, Tab
 from harness.report.theme import FAINT, INK, WIDE, Picture
 from harness.runs.methods import MethodName
 from harness.runs.novel_views import views_conclusions
+from harness.warping.warp import shares_in_words
 
 Entry = dict[str, Any]
 Labels = Mapping[MethodName, str]
@@ -42,12 +43,6 @@ The view {{ "%.3g" | format(distance) }} m from the first viewpoint, with the ra
 warped (holes black), and the difference, ±{{ limit }} grey levels. Of the pixels compared {{ shares }}.
 """
 _LIMIT_GREY = 64
-_STATES = {
-    "disoccluded": "are behind an outline",
-    "unmatched": "have no range",
-    "outside": "are beyond the panorama",
-    "unsampled": "are in neither image",
-}
 
 
 @section_of(About.ALL_TRIALS, "novel-views", "Views from other viewpoints")
@@ -150,12 +145,12 @@ def _table(entries: list[Entry], labels: Labels) -> Table:
 
 
 def _pictures(method: Method, grid: Grid) -> Iterator[Block]:
-    views = novel_views(method.outcome)
+    distances = method.outcome.trial.novel_views.distances_m
+    views = novel_views(method.outcome, distances[len(distances) // 2 : len(distances) // 2 + 1])
     if not views:
         return
-    view = views[len(views) // 2]
-    shares = holes_by_state(view.warped, view.compared)
-    said = [f"{100 * shares[name]:.1f} % {text}" for name, text in _STATES.items() if shares[name] >= 0.0005]
+    (view,) = views
+    shares = shares_in_words(view.warped.state[view.compared])
     pictures = [
         _picture(grid, np.where(view.compared, view.expected, 0.0), "(a) as rendered"),
         _picture(grid, np.where(view.warped.holes | ~view.compared, 0.0, view.warped.grey), "(b) as warped"),
@@ -166,7 +161,7 @@ def _pictures(method: Method, grid: Grid) -> Iterator[Block]:
         distance=view.distance_m,
         method=method.label,
         limit=_LIMIT_GREY,
-        shares=", ".join(said) or "every one is seen by a source",
+        shares=", ".join(shares).replace("%", "\u00a0%"),
     )
     yield Figure("figure-novel-view", pictures, caption, "wide")
 
