@@ -20,7 +20,7 @@ from harness.evaluation.view_scores import ViewScore, score_view
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
-from harness.geometry.pose import AT_REST, Pose, relative_motion
+from harness.geometry.pose import AT_REST, Motion, Pose, relative_motion
 from harness.geometry.triangulation import sigma_of_range
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.trial import Outcome
@@ -77,14 +77,33 @@ def novel_views(outcome: Outcome, distances_m: Sequence[float] | None = None) ->
     poses = line.poses(trial.poses[0])
     if not poses or not outcome.valid.any():
         return []
-    images = [Image(pair.images[0], pair.sensors[0], AT_REST), Image(pair.images[1], pair.sensors[1], pair.motion)]
-    estimated = Source(RangeSurface(trial.panorama, outcome.range_m, _sigma_m(outcome)), AT_REST)
-    true_images = [images[0], Image(pair.images[1], pair.sensors[1], trial.true_motion)]
-    exact = Source(RangeSurface(trial.panorama, outcome.truth.range_m, np.zeros(trial.panorama.shape)), AT_REST)
+    viewpoints = [relative_motion(trial.poses[0], pose).t_v1 for pose in poses]
+    source = Source(RangeSurface(trial.panorama, outcome.range_m, _sigma_m(outcome)), AT_REST)
+    images, looking = _images(outcome, pair.motion), directions(trial.panorama)
+    # What no matcher changes is made once for all of them.
+    bounds = pair.shared("ceiling and floor", line, lambda: _ceilings_and_floors(outcome, viewpoints))
     return [
-        _novel_view(outcome, distance, pose, (estimated, images), (exact, true_images))
-        for distance, pose in zip(line.distances_m, poses, strict=True)
+        NovelView(distance, *_expected_of(outcome, pose), warp([source], images, at, looking, fill=True), *bound)
+        for distance, pose, at, bound in zip(line.distances_m, poses, viewpoints, bounds, strict=True)
     ]
+
+
+def _images(outcome: Outcome, motion: Motion) -> list[Image]:
+    """Both images, view 2 where a motion says that it is."""
+    (first, second), (sensor_1, sensor_2) = outcome.pair.images, outcome.pair.sensors
+    return [Image(first, sensor_1, AT_REST), Image(second, sensor_2, motion)]
+
+
+def _ceilings_and_floors(outcome: Outcome, viewpoints: list[Array]) -> list[tuple[WarpedView, Grey]]:
+    """For each viewpoint the view that is warped with the true ranges, and the nearest image with its gaps filled."""
+    grid, images = outcome.trial.panorama, _images(outcome, outcome.trial.true_motion)
+    exact = Source(RangeSurface(grid, outcome.truth.range_m, np.zeros(grid.shape)), AT_REST)
+    made = []
+    for viewpoint in viewpoints:
+        floor = untouched(images, viewpoint, directions(grid))
+        ceiling = warp([exact], images, viewpoint, directions(grid), fill=True)
+        made.append((ceiling, np.asarray(floor[nearest_known(np.isfinite(floor))])))
+    return made
 
 
 def figures_of(outcome: Outcome) -> list[dict[str, Any]]:
@@ -96,24 +115,10 @@ def figures_of(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def _novel_view(
-    outcome: Outcome,
-    distance_m: float,
-    pose: Pose,
-    estimated: tuple[Source, list[Image]],
-    exact: tuple[Source, list[Image]],
-) -> NovelView:
+def _expected_of(outcome: Outcome, pose: Pose) -> tuple[Grey, Mask, Mask]:
     trial = outcome.trial
-    looking = directions(trial.panorama)
-    viewpoint = relative_motion(trial.poses[0], pose).t_v1
-    expected, compared, disoccluded = _expected(
-        trial.scene, fingerprint(trial.scene), trial.assumed_sensors[0], trial.poses[0], pose, trial.panorama,
-        trial.render.samples,
-    )  # fmt: skip
-    warped, ceiling = (warp([source], images, viewpoint, looking, fill=True) for source, images in (estimated, exact))
-    return NovelView(
-        distance_m, expected, compared, disoccluded, warped, ceiling, _nearest(exact[1], viewpoint, looking)
-    )
+    sensor, first = trial.assumed_sensors[0], trial.poses[0]
+    return _expected(trial.scene, fingerprint(trial.scene), sensor, first, pose, trial.panorama, trial.render.samples)
 
 
 @lru_cache(maxsize=32)
@@ -131,12 +136,6 @@ def _expected(
     grey, valid = sample(render(scene, sensor, pose, samples), sensor, looking)
     seen = truth(scene, pose, looking, in_use(sensor, looking), pose_2=pose_1, sensor_2=sensor)
     return np.where(valid, grey, np.float32(np.nan)), valid, valid & ~seen.visible
-
-
-def _nearest(images: list[Image], viewpoint: Array, looking: Array) -> Grey:
-    """The nearest image, its gaps filled."""
-    grey = untouched(images, viewpoint, looking)
-    return np.asarray(grey[nearest_known(np.isfinite(grey))])
 
 
 def _sigma_m(outcome: Outcome) -> Array:
