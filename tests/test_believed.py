@@ -162,6 +162,13 @@ def test_a_budget_predicts_what_is_measured(key, value, cause):
     )
     done = [(planned, row_of(run_trial(planned.trial))) for planned in experiment.planned]
     entries = budget_of(done)
+    sideways = budget_of(done, "alpha_bin")
+    assert {each["alpha_1_deg"] for each in sideways} == {40.0, 60.0, 80.0, 100.0, 120.0, 140.0}
+    assert all(set(each["predicted_m"]) == set(entries[0]["predicted_m"]) for each in sideways)
+    pixels = [
+        sum(each["pixels"] for each in done[0][1]["budget"] if over in each) for over in ("range_bin", "alpha_bin")
+    ]
+    assert pixels[0] <= pixels[1] < 1.01 * pixels[0]  # bins of the range with few pixels are left out
     assert {tuple(each["causes"]) for each in entries} == {(cause,)}
     for each in entries:
         assert each["seeds"] >= 10  # a bin counts where a view has enough of it

@@ -184,6 +184,11 @@ def middle_of_range(range_bin: int) -> float:
     return float(RANGE_RATIO ** (int(range_bin) + 0.5))
 
 
+def middle_of_alpha(alpha_bin: int) -> float:
+    """The middle of a part of the domain by alpha_1, degrees."""
+    return (ALPHA_1_EDGES_DEG[alpha_bin] + ALPHA_1_EDGES_DEG[alpha_bin + 1]) / 2
+
+
 def cell_pixels(reference: Reference) -> tuple[CellPixels, ...]:
     """The cells that the domain falls into, in a fixed order."""
     return _cells(reference)[0]

@@ -1,12 +1,13 @@
-"""The error budget of a trial: by range, what each cause is predicted to do, and how the errors compare with that."""
+"""The error budget of a trial, by range and by direction: what each cause is predicted to do, and what errors did."""
 
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.evaluation.propagation import Rig, propagated, sensitivities
-from harness.evaluation.regions import RANGE_RATIO
+from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_RATIO
 from harness.evaluation.rig_uncertainty import covariances
 from harness.evaluation.statistics import central_68
 from harness.geometry.angles import Array
@@ -30,16 +31,17 @@ _LEAST_PIXELS = 30
 
 
 def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
-    """Predicted errors by cause and range, and a histogram of the errors in units of the prediction.
+    """Predicted errors by cause, range and direction, and a histogram of the errors in units of the prediction.
 
     The matcher's own part is what it predicts itself; None where it predicts nothing.
 
     Returns
     -------
     list of dict
-        One for each range bin (`range_bin`, see `regions`) with enough pixels: `pixels`; `predicted_m`, the error
-        that 68 % stay within, by cause; `total_m`, of all; `z`, counts of |error|/sigma in the bins of `Z_EDGES`;
-        `z_drawn`, the same of the errors that follow from what the seed has drawn, with the matcher's as predicted.
+        One for each bin of the range (`range_bin`), and then of the direction (`alpha_bin`; see `regions`), with enough
+        pixels: `pixels`; `predicted_m`, the error that 68 % stay within, by cause; `total_m`, of all; `z`, counts of
+        |error|/sigma in the bins of `Z_EDGES`; `z_drawn`, the same of the errors that follow from what the seed has
+        drawn, with the matcher's as predicted.
     """
     sigma_alpha = outcome.matches.sigma_alpha_2
     if sigma_alpha is None:
@@ -71,24 +73,28 @@ def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
         follows = follows + side * sensitivity @ [draws.get(each.key, 0.0) for each in parameters]
     total = np.sqrt(sum(each**2 for each in sigma.values()))
     known = np.isfinite(total) & (total > 0)
-    bins = np.floor(np.log(range_m[some]) / np.log(RANGE_RATIO)).astype(int)
-    errors = np.abs(outcome.errors.range_m[some])
-    rows = []
-    for index in np.unique(bins[known]).tolist():
-        part = known & (bins == index)
-        if part.sum() >= _LEAST_PIXELS:
-            z, z_drawn = (
-                np.histogram(np.minimum(each[part] / total[part], Z_EDGES[-1] - 1e-9), Z_EDGES)[0].tolist()
-                for each in (errors, np.abs(follows))
-            )
-            rows.append(
-                {
-                    "range_bin": index,
-                    "pixels": int(part.sum()),
-                    "predicted_m": {name: central_68(each[part]) for name, each in sigma.items()},
-                    "total_m": central_68(total[part]),
-                    "z": z,
-                    "z_drawn": z_drawn,
-                }
-            )
-    return rows
+    bins = {
+        "range_bin": np.floor(np.log(range_m[some]) / np.log(RANGE_RATIO)).astype(int),
+        "alpha_bin": np.digitize(np.degrees(towards[some]), ALPHA_1_EDGES_DEG[1:-1]),
+    }
+    errors, expected = np.abs(outcome.errors.range_m[some]), np.abs(follows)
+    return [
+        {over: index} | _row(known & (numbers == index), sigma, total, (errors, expected))
+        for over, numbers in bins.items()
+        for index in np.unique(numbers[known]).tolist()
+        if (known & (numbers == index)).sum() >= _LEAST_PIXELS
+    ]
+
+
+def _row(part: NDArray[np.bool_], sigma: dict[str, Array], total: Array, errors: tuple[Array, Array]) -> dict[str, Any]:
+    """The figures of some pixels; `errors`: as measured, and as they follow from the draws."""
+    z, z_drawn = (
+        np.histogram(np.minimum(each[part] / total[part], Z_EDGES[-1] - 1e-9), Z_EDGES)[0].tolist() for each in errors
+    )
+    return {
+        "pixels": int(part.sum()),
+        "predicted_m": {name: central_68(each[part]) for name, each in sigma.items()},
+        "total_m": central_68(total[part]),
+        "z": z,
+        "z_drawn": z_drawn,
+    }

@@ -226,6 +226,7 @@ def result_from(
     optional = {
         "limit": limit_of(trials),
         "budget": budget_of(trials),
+        "budget_by_direction": budget_of(trials, "alpha_bin"),
         "labels": _labels(details, experiment),
         "cases": figures_of_cases(experiment, trials),
         "law": law,

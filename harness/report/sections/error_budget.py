@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -24,7 +24,7 @@ they are more than 10 % off and the interval leaves out 1: {{ worst }}. What is 
 which it does not predict (edges, grazing walls).{% endif %}</p>
 """
 _CAPTION = """
-Errors of the range that 68 % of the pixels of all seeds stay within, against the range, 30° or more off the baseline:
+Errors of the range that 68 % of the pixels of all seeds stay within, against {{ over.words }}:
 (a) each cause alone, on top of the matcher’s own part; (b) all together. Lines: predicted; marks with 95 % intervals
 over seeds: measured{% if alone %}; crosses: the root of the sum of squares of what each cause did alone{% endif %}.
 """
@@ -54,6 +54,21 @@ _MARKS = {
 }
 
 
+class Over(NamedTuple):
+    """What errors are drawn against."""
+
+    key: str
+    """Of an entry."""
+    words: str
+    label: str
+    unit: str
+    is_logarithmic: bool
+
+
+RANGE = Over("range_m", "the range, 30° or more off the baseline", "range (m)", "m", True)
+DIRECTION = Over("alpha_1_deg", "the angle to the baseline, all ranges together", r"$\alpha_1$ (°)", "degrees", False)
+
+
 @section_of(About.ALL_TRIALS, "budget", "What limits the range")
 def section(context: Context) -> Iterator[Block]:
     """Figures and a table; nothing where no trial has a budget."""
@@ -65,9 +80,19 @@ def section(context: Context) -> Iterator[Block]:
     seeds = max(each["seeds"] for each in mine)
     yield Paragraph(html(_WORDS, worst=_worst(mine)))
     alone = any(each["alone_m"] for each in mine)
-    pictures = [_alone([each for each in mine if len(each["causes"]) < 2]), _together(mine)]
-    yield Figure("figure-budget", pictures, html(_CAPTION, alone=alone))
+    yield Figure("figure-budget", _pictures(mine, RANGE), html(_CAPTION, over=RANGE, alone=alone))
     yield TableBlock("table-budget", _table(mine), html(_TABLE, seeds=seeds))
+    sideways: list[Entry] = context.summary.get("budget_by_direction") or []
+    sideways = [each for each in sideways if (each["matcher"], each["subpixel"]) == first]
+    if sideways:
+        alone = any(each["alone_m"] for each in sideways)
+        yield Figure(
+            "figure-budget-direction", _pictures(sideways, DIRECTION), html(_CAPTION, over=DIRECTION, alone=alone)
+        )
+
+
+def _pictures(entries: list[Entry], over: "Over") -> list[Picture]:
+    return [_alone([each for each in entries if len(each["causes"]) < 2], over), _together(entries, over)]
 
 
 def _worst(entries: list[Entry]) -> str:
@@ -118,18 +143,22 @@ def _columns(names: Iterable[str]) -> int:
     return 3 if longest <= 22 else 2 if longest <= 36 else 1
 
 
-def _axes(entries: list[Entry], names: Sequence[str]) -> tuple[Any, Any]:
+def _axes(entries: list[Entry], names: Sequence[str], over: Over) -> tuple[Any, Any]:
     above = max(62, 14 + 16 * math.ceil(len(names) / _columns(names)))
     fig = theme.figure(HALF, 298 + above)
     ax = theme.axes(fig, 64, above, HALF - 80, 248)
-    ax.set_xscale("log")
-    ax.set_xlabel("range (m)")
+    ax.set_xlabel(over.label)
     ax.set_ylabel("range error, 68 % within (mm)")
     ax.grid(color="#E8E8E8", linewidth=0.5)
     ax.set_axisbelow(True)
-    ranges = sorted({each["range_m"] for each in entries})
-    ticks = [tick for tick in (0.25, 0.5, 1, 2, 4, 8, 16, 32) if ranges[0] / 1.3 <= tick <= 1.3 * ranges[-1]]
-    ax.set_xticks(ticks)
+    middles = sorted({each[over.key] for each in entries})
+    if over.is_logarithmic:
+        ax.set_xscale("log")
+        ax.set_xticks(
+            [tick for tick in (0.25, 0.5, 1, 2, 4, 8, 16, 32) if middles[0] / 1.3 <= tick <= 1.3 * middles[-1]]
+        )
+    else:
+        ax.set_xticks(middles)
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
     values = [1000 * v for e in entries for v in (e["total_m"], e["measured_m"]) if v > 0]
@@ -137,9 +166,10 @@ def _axes(entries: list[Entry], names: Sequence[str]) -> tuple[Any, Any]:
     return fig, ax
 
 
-def _draw(ax: Any, entries: list[Entry], colour: str, mark: str, label: str) -> None:
-    entries = sorted(entries, key=lambda each: each["range_m"])
-    x = [each["range_m"] for each in entries]
+def _draw(ax: Any, entries: list[Entry], over: Over, look: tuple[str, str], label: str) -> None:
+    colour, mark = look
+    entries = sorted(entries, key=lambda each: each[over.key])
+    x = [each[over.key] for each in entries]
     ax.plot(x, [1000 * each["total_m"] for each in entries], color=colour, linewidth=1.2)
     measured = np.array([1000 * each["measured_m"] for each in entries])
     ends = np.array([each["measured_ci95_m"] or [np.nan, np.nan] for each in entries]) * 1000
@@ -148,37 +178,38 @@ def _draw(ax: Any, entries: list[Entry], colour: str, mark: str, label: str) -> 
 
 
 @theme.panel
-def _alone(entries: list[Entry]) -> Picture:
+def _alone(entries: list[Entry], over: Over) -> Picture:
     names = list(dict.fromkeys(_named(each) for each in entries))
-    fig, ax = _axes(entries, names)
+    fig, ax = _axes(entries, names, over)
     for name, look in _looks(entries).items():
-        _draw(ax, [each for each in entries if _named(each) == name], *look, theme.plain(name))
+        _draw(ax, [each for each in entries if _named(each) == name], over, look, theme.plain(name))
     theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=_columns(names))
-    ends = "; ".join(f"{name} {_last(entries, name):.1f} mm" for name in names)
+    ends = "; ".join(f"{name} {_last(entries, name, over):.1f} mm" for name in names)
     return theme.picture(
-        fig, f"Range errors by cause against range; at the longest range {ends}.", "(a) each cause alone"
+        fig, f"Range errors by cause against {over.words}; at the last {ends}.", "(a) each cause alone"
     )
 
 
-def _last(entries: list[Entry], name: str) -> float:
-    return 1000 * float(max((e for e in entries if _named(e) == name), key=lambda e: e["range_m"])["measured_m"])
+def _last(entries: list[Entry], name: str, over: Over) -> float:
+    return 1000 * float(max((e for e in entries if _named(e) == name), key=lambda e: e[over.key])["measured_m"])
 
 
 @theme.panel
-def _together(entries: list[Entry]) -> Picture:
+def _together(entries: list[Entry], over: Over) -> Picture:
     joint = [each for each in entries if len(each["causes"]) > 1] or entries
     names = [*dict.fromkeys(map(_named, joint)), _FROM_EACH]
-    fig, ax = _axes(joint, names)
+    fig, ax = _axes(joint, names, over)
     for name, look in _looks(joint).items():
-        _draw(ax, [each for each in joint if _named(each) == name], *look, theme.plain(name))
-    known = sorted((each for each in joint if each["alone_m"]), key=lambda each: each["range_m"])
+        _draw(ax, [each for each in joint if _named(each) == name], over, look, theme.plain(name))
+    known = sorted((each for each in joint if each["alone_m"]), key=lambda each: each[over.key])
     if known:
-        x, y = [each["range_m"] for each in known], [1000 * each["alone_m"] for each in known]
+        x, y = [each[over.key] for each in known], [1000 * each["alone_m"] for each in known]
         ax.plot(x, y, "x", color=theme.PIXEL, markersize=6, label=_FROM_EACH)
     theme.legend_above(ax, *ax.get_legend_handles_labels(), gap=0.3, most=_columns(names))
-    last = max(joint, key=lambda each: each["range_m"])
+    last = max(joint, key=lambda each: each[over.key])
     alt = (
-        f"Range errors of all causes together: {1000 * last['measured_m']:.1f} mm measured at {last['range_m']:.1f} m."
+        f"Range errors of all causes together: {1000 * last['measured_m']:.1f} mm measured at {last[over.key]:.1f} "
+        f"{over.unit}."
     )
     return theme.picture(fig, alt, "(b) all together")
 
