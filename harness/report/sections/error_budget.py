@@ -97,12 +97,15 @@ def _pictures(entries: list[Entry], over: "Over") -> list[Picture]:
 
 def _worst(entries: list[Entry]) -> str:
     """Where errors are more than 10 % off what follows from the draws, beyond doubt, with the ratio."""
-    said: dict[str, list[float]] = {}
+    said: dict[str, dict[float, list[float]]] = {}
     for each in entries:
         ratio, ends = each["over_drawn"], each["over_drawn_ci95"]
         if ends and abs(ratio - 1) > 0.1 and not ends[0] <= 1 <= ends[1]:
-            said.setdefault(f"{_named(each)} at {each['range_m']:.2g} m", []).append(ratio)
-    return "; ".join(f"{name} {_between(ratios)}" for name, ratios in said.items())
+            said.setdefault(_named(each), {}).setdefault(each["range_m"], []).append(ratio)
+    return "; ".join(
+        f"{name} {', '.join(f'{_between(ratios)} at {range_m:.2g} m' for range_m, ratios in at.items())}"
+        for name, at in said.items()
+    )
 
 
 def _between(values: list[float]) -> str:
