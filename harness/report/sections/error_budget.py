@@ -58,7 +58,7 @@ class Over(NamedTuple):
     """What errors are drawn against."""
 
     key: str
-    """Of an entry."""
+    """The field of an entry that holds it."""
     words: str
     label: str
     unit: str
