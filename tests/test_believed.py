@@ -255,3 +255,11 @@ def test_only_mirrors_are_misaligned():
 def test_a_camera_that_sees_nothing_in_its_mirror_is_refused():
     with pytest.raises(InputError, match=r"sensor\.misalignment: no pixel of the image sees the mirror"):
         harness.render("box", sensor={"misalignment": {"x_mm": 500.0}}, position_m=(0, 0, 1), samples=1)
+
+
+def test_errors_that_one_of_two_sensors_cannot_have_are_named():
+    rig = Rig((Sensor(), harness.load_sensor("fisheye")), Motion(np.eye(3), np.array([0.5, 0, 0])))
+    with pytest.raises(InputError, match=r"trial\.believed: an error of 'model\.a_m' is believed, .* has no such"):
+        believed_rig(rig, Believed(shape=0.01), {})
+    focal = [each.camera.focal_px for each in believed_rig(rig, Believed(focal=0.01), {}).sensors]
+    assert focal == pytest.approx([1.01 * each.camera.focal_px for each in rig.sensors])

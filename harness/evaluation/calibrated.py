@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from harness.camera.sensor import Sensor
 from harness.errors import InputError
-from harness.evaluation.propagation import Parameter, Rig
+from harness.evaluation.propagation import Parameter, Rig, with_error
 from harness.files import path_of, read_regular
 from harness.geometry.angles import Array
 from harness.spec import Spec
@@ -114,8 +114,7 @@ def _along(keys: tuple[str, ...], column: Array) -> Any:
 def _moved(sensor: Sensor, keys: tuple[str, ...], by: Array) -> Sensor:
     for key, error in zip(keys, by.tolist(), strict=True):
         part, _, name = key.partition(".")
-        inner = getattr(sensor, part)
-        sensor = sensor.model_copy(update={part: inner.model_copy(update={name: getattr(inner, name) + error})})
+        sensor = with_error(sensor, part, name, error)
     return sensor
 
 

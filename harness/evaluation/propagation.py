@@ -27,6 +27,7 @@ from harness.camera.models.unified import Unified
 from harness.camera.reflection import project_points
 from harness.camera.sensor import Sensor, unproject
 from harness.display import OneLine
+from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import range_from_angles
@@ -145,15 +146,28 @@ def _of_both_sensors(part: str, name: str, *, relative: bool = False) -> Callabl
     """A key of the sensor that took both views; of each its own, by as much, where the views have two."""
 
     def changed(rig: Rig, by: float) -> Rig:
-        first, second = (_with(each, part, name, by, relative=relative) for each in rig.sensors)
+        first, second = (with_error(each, part, name, by, relative=relative) for each in rig.sensors)
         return replace(rig, sensors=(first, second))
 
     return changed
 
 
-def _with(sensor: Sensor, part: str, name: str, by: float, *, relative: bool) -> Sensor:
+def with_error(sensor: Sensor, part: str, name: str, by: float, *, relative: bool = False) -> Sensor:
+    """The sensor with an error of one number of its `camera`, `model`, `lens` or `misalignment`, or a share of it.
+
+    Raises
+    ------
+    InputError
+        When it has no such number, as one of two sensors of different models may.
+    """
     inner = getattr(sensor, part)
-    old = getattr(inner, name)
+    old = getattr(inner, name, None)
+    if not isinstance(old, float):
+        raise InputError(
+            f"an error of '{part}.{name}' is believed, and one of the two sensors, {sensor.model.title}, has no such "
+            "number; leave such errors out where the sensors are of different models",
+            key="trial.believed",
+        )
     new = old * (1 + by) if relative else old + by
     return sensor.model_copy(update={part: inner.model_copy(update={name: new})})
 

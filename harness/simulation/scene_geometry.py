@@ -262,7 +262,8 @@ def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
         When it is outside the bounds of a closed scene, or inside a solid object.
     """
     p = np.asarray(viewpoint, dtype=np.float64)
-    where = f"({', '.join(f'{value:.10g}' for value in p + geometry.centre)}) m"
+    # Rounded: cos(90°) is 6e-17 in floating point.
+    where = f"({', '.join(f'{value:.10g}' for value in np.round(p + geometry.centre, 9) + 0.0)}) m"
     low, high = geometry.bounds
     if geometry.closed and not ((p > low) & (p < high)).all():
         in_world = zip("xyz", low + geometry.centre, high + geometry.centre, strict=True)
