@@ -23,7 +23,7 @@ from harness.spec import dump_toml, parse
 from harness.toml import read_toml
 
 GREY = GreyTexture(kind="grey", value=100)
-SHIPPED = ("box", "corridor", "room")
+SHIPPED = ("box", "corridor", "poles", "room")
 
 
 @pytest.mark.parametrize("name", SHIPPED)

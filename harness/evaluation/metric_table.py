@@ -114,6 +114,14 @@ METRICS: dict[str, Metric] = _metrics(
     Metric("view_holes", "New views", "holes", "%", 100, ".2f", "lower"),
     Metric("view_ceiling_psnr_db", "New views", "PSNR, true ranges", "dB", 1, ".2f", "higher"),
     Metric("view_floor_psnr_db", "New views", "PSNR, nearest image", "dB", 1, ".2f", "higher"),
+    Metric("scan_density", "Range profile", "density", "%", 100, ".1f", "higher"),
+    Metric("scan_bias_m", "Range profile", "bias", "mm", 1000, "+.1f", "near zero"),
+    Metric("scan_rms_m", "Range profile", "RMS error", "mm", 1000, ".1f", "lower"),
+    Metric("scan_median_abs_m", "Range profile", "median |error|", "mm", 1000, ".1f", "lower", geometric=True),
+    Metric("scan_within_1_sigma", "Range profile", "within 1 σ", "%", 100, ".1f", "higher"),
+    Metric("scan_missed", "Range profile", "missed", "%", 100, ".2f", "lower"),
+    Metric("scan_false", "Range profile", "false", "%", 100, ".2f", "lower"),
+    Metric("scan_thin_found", "Range profile", "thin obstacles found", "%", 100, ".0f", "higher"),
     Metric("refined", "Refined", "", "%", 100, ".1f", "higher"),
 )
 """All metrics by name, in the order of the columns. An entry with `of` needs nothing else: rows have it, and all that

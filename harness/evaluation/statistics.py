@@ -65,6 +65,16 @@ def mean_over_seeds(values: "pd.DataFrame", *, logarithmic: bool = False) -> Cur
     return Curve(list(values.columns), means[0], low, high)
 
 
+def mean_with_interval(values: Array) -> tuple[float, list[float] | None]:
+    """The mean, and its 95 % interval by bootstrap over seeds; None of one seed."""
+    weights = resampled(len(values))
+    means = (weights @ values) / weights.sum(axis=1)
+    if len(values) < 2:
+        return float(means[0]), None
+    low, high = between(means[1:, None], len(values))
+    return float(means[0]), [float(low[0]), float(high[0])]
+
+
 def median_over_seeds(values: Array, seeds: NDArray[np.integer]) -> tuple[float, float, float]:
     """Median of all values, with an interval by bootstrap over seeds."""
     order = np.argsort(values, kind="stable")

@@ -18,11 +18,9 @@ from harness.camera.unwrap import sample
 from harness.display import OneLine
 from harness.evaluation.view_scores import ViewScore, score_view
 from harness.geometry.angles import Array
-from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import AT_REST, Motion, Pose, relative_motion
-from harness.geometry.triangulation import sigma_of_range
-from harness.matching.uncertainty import sigma_alpha_2
+from harness.pipeline.sigma import sigma_m
 from harness.pipeline.trial import Outcome
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.render import render
@@ -78,7 +76,7 @@ def novel_views(outcome: Outcome, distances_m: Sequence[float] | None = None) ->
     if not poses or not outcome.valid.any():
         return []
     viewpoints = [relative_motion(trial.poses[0], pose).t_v1 for pose in poses]
-    source = Source(RangeSurface(trial.panorama, outcome.range_m, _sigma_m(outcome)), AT_REST)
+    source = Source(RangeSurface(trial.panorama, outcome.range_m, sigma_m(outcome)), AT_REST)
     images, looking = _images(outcome, pair.motion), directions(trial.panorama)
     # What no matcher changes is made once for all of them.
     bounds = pair.shared("ceiling and floor", line, lambda: _ceilings_and_floors(outcome, viewpoints))
@@ -136,10 +134,3 @@ def _expected(
     grey, valid = sample(render(scene, sensor, pose, samples), sensor, looking)
     seen = truth(scene, pose, looking, in_use(sensor, looking), pose_2=pose_1, sensor_2=sensor)
     return np.where(valid, grey, np.float32(np.nan)), valid, valid & ~seen.visible
-
-
-def _sigma_m(outcome: Outcome) -> Array:
-    """The predicted standard deviation of the range; NaN where there is none."""
-    pair, matches = outcome.pair, outcome.matches
-    sigma = sigma_alpha_2(pair, outcome.trial.matching, matches)
-    return sigma_of_range(alpha_1(pair.grid, pair.t_v1), matches.alpha_2, sigma, pair.motion.baseline_m)

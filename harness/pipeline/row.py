@@ -20,6 +20,7 @@ from harness.evaluation.regions import FLOOR, VISIBLE, WALL
 from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
+from harness.pipeline import scan
 from harness.pipeline.error_budget import error_budget
 from harness.pipeline.novel_views import figures_of
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
@@ -36,7 +37,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
         `remark`, the matcher's, if it has one; `motion`, the status of an estimated one and why; `novel_views`: see
-        `novel_views.figures_of`.
+        `novel_views.figures_of`; `scan`, see `scan.figures_of`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
@@ -51,6 +52,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "remark": outcome.matches.remark or None,
         "motion": _status(outcome),
         "novel_views": views or None,
+        "scan": scan.figures_of(outcome),
     }
     return {
         "figures": {
@@ -63,6 +65,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **_of_confidence(optional),
             **_of_motion(outcome),
             **_of_novel_views(views),
+            **_of_scan(optional["scan"]),
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
@@ -111,6 +114,17 @@ def _of_novel_views(views: list[dict[str, Any]]) -> dict[str, float | None]:
     }
     own = {f"view_{name}": _mean(view["warped"][name] for view in views) for name in ("ws_psnr_db", "ssim", "holes")}
     return figures | own
+
+
+_OF_SCAN = ("density", "bias_m", "rms_m", "median_abs_m", "within_1_sigma", "missed", "false")
+
+
+def _of_scan(score: dict[str, Any] | None) -> dict[str, float | None]:
+    """The profile's figures, and the share of thin obstacles found; none without a profile."""
+    if score is None:
+        return {}
+    thin = score["thin_found"] / score["thin"] if score["thin"] else None
+    return {f"scan_{name}": score[name] for name in _OF_SCAN} | {"scan_thin_found": thin}
 
 
 def _mean(values: Iterable[float]) -> float:

@@ -10,7 +10,6 @@ import pandas as pd
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
 from harness.runs.cases import CASE
 from harness.runs.methods import METHOD_KEYS, MethodName, in_words
-from harness.runs.novel_views import views_conclusions
 from harness.runs.values import identity_of, shown, text_of
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ def conclusions(
     rows: Sequence["Row"],
     law: dict[str, Any] | None,
     labels: Mapping[MethodName, str] | None = None,
-    views: list[dict[str, Any]] | None = None,
+    further: Sequence[str] = (),
 ) -> list[str]:
     """A sentence about the methods, one for each axis, and one for each slope of the law.
 
@@ -42,8 +41,8 @@ def conclusions(
         The test of the law, if there is one.
     labels
         What methods are called by the cases that name them.
-    views
-        The scores of warped views, if there are any: `novel_views.novel_views_of`.
+    further
+        Sentences on what else the trials were scored by, such as warped views.
     """
     table, axes = _table(rows, labels or {})
     measured = [(place, name) for place, name in _FIGURES if not table.empty and (table[name] > 0).any()]
@@ -57,7 +56,7 @@ def conclusions(
     for key in axes:
         sentences += _about_axis(of_best, key, axes, figure, f"{best}, {where}")
     sentences += _about_law(law, labels or {})
-    sentences += views_conclusions(views or [], labels or {})
+    sentences += further
     seeds = table["seed"].nunique()
     if sentences and seeds < FEW_SEEDS:
         sentences.append(f"Intervals are over {seeds} seeds, and come out too short.")

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.evaluation.statistics import between, resampled
-from harness.geometry.angles import Array
+from harness.evaluation.statistics import mean_with_interval
 from harness.runs.experiment import Planned
 from harness.runs.methods import MethodName, in_words
 
@@ -76,8 +75,8 @@ def _entry(
 ) -> dict[str, Any]:
     psnr = {name: np.array([view[name]["psnr_db"] for view in views]) for name in _VIEWS}
     own = {name: [view["warped"][name] for view in views] for name in views[0]["warped"]}
-    gain, gain_ends = _mean(psnr["warped"] - psnr["floor"])
-    means = {name: _mean(values) for name, values in psnr.items()}
+    gain, gain_ends = mean_with_interval(psnr["warped"] - psnr["floor"])
+    means = {name: mean_with_interval(values) for name, values in psnr.items()}
     unseen = [each for each in own["disoccluded_rmse_grey"] if each is not None]
     return {
         "matcher": matcher,
@@ -92,13 +91,3 @@ def _entry(
         **{name: float(np.mean(own[name])) for name in ("ws_psnr_db", "ssim", "holes", "disoccluded")},
         "disoccluded_rmse_grey": float(np.mean(unseen)) if unseen else None,
     }
-
-
-def _mean(values: Array) -> tuple[float, list[float] | None]:
-    """The mean, and its 95 % interval by bootstrap over seeds; None of one seed."""
-    weights = resampled(len(values))
-    means = (weights @ values) / weights.sum(axis=1)
-    if len(values) < 2:
-        return float(means[0]), None
-    low, high = between(means[1:, None], len(values))
-    return float(means[0]), [float(low[0]), float(high[0])]

@@ -94,11 +94,14 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     scored += panorama * (2.0 * scoring.budget + 2.0 * bool(scoring.bound or scoring.sample_px))
     views = len(trial.novel_views.distances_m)
     scored += views * (panorama * _VIEW_S_A_MP + images[0] * (0.08 + 0.006 * trial.render.samples))
+    scored += _SCAN_S * bool(trial.scan.bearings)
     return scored + sum(stages.get(stage, 0.0) for stage in new)
 
 
 _VIEW_S_A_MP = 8.0
 """Seconds that it takes to warp a new view, and its ceiling, for a megapixel of the panorama."""
+_SCAN_S = 0.3
+"""Seconds that a range profile and the true one take."""
 _MOTION_S = 6.0
 """Seconds that it takes to estimate a motion from two images."""
 

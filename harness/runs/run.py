@@ -33,9 +33,10 @@ from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
-from harness.runs.novel_views import novel_views_of
+from harness.runs.novel_views import novel_views_of, views_conclusions
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
+from harness.runs.scans import scans_conclusions, scans_of
 from harness.runs.scheduler import run_batches
 from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
@@ -222,7 +223,9 @@ def result_from(
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
     trials = [(row.planned, row.payload) for row in done]
     cells = cell_table(trials)
-    law, views = law_of(cells), novel_views_of(trials)
+    law, views, scans = law_of(cells), novel_views_of(trials), scans_of(trials)
+    labels = experiment.method_labels
+    said = [*views_conclusions(views, labels), *scans_conclusions(scans, labels)]
     optional = {
         "limit": limit_of(trials),
         "budget": budget_of(trials),
@@ -231,7 +234,8 @@ def result_from(
         "cases": figures_of_cases(experiment, trials),
         "law": law,
         "novel_views": views,
-        "conclusions": conclusions(done, law, experiment.method_labels, views),
+        "scans": scans,
+        "conclusions": conclusions(done, law, labels, said),
     }
     summary |= {name: value for name, value in optional.items() if value}
     made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
