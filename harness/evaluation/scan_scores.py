@@ -32,7 +32,7 @@ class Obstacle:
     """The first of its fine bearings, and the one after the last; the latter may exceed their number."""
     width_deg: float
     range_m: float
-    """Of its nearest point in the band, metres."""
+    """Distance of its nearest point in the band, metres."""
     found: bool = False
     """Whether a bearing that it covers, even in part, has an estimate within the tolerance of `range_m`."""
 
@@ -63,7 +63,7 @@ class ScanScore:
     """Obstacles that stand in front of something."""
     obstacles_found: int
     thin: int
-    """Of the obstacles the thin ones."""
+    """The thin ones among them."""
     thin_found: int
 
 
