@@ -25,7 +25,8 @@ from harness.pipeline.specification import SecondView, Trial
 from harness.pipeline.trial import run_trial
 from harness.runs.load import load_matcher
 from harness.simulation.scene import load_scene
-from harness.testing.conformity import CHECKS, GRID, Finding, Subject, conformity, examine, quarter_turn, scenery
+from harness.testing.conformity import CHECKS, Finding, Subject, conformity, examine
+from harness.testing.pairs import GRID, quarter_turn, scenery
 
 pytest_plugins = "pytester"
 ROOT = Path(__file__).parent.parent

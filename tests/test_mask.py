@@ -27,7 +27,7 @@ from harness.pipeline.trial import MATCH, NOISE, PAIR, RENDER, TRUTH, run_trial
 from harness.simulation.noise import words_of
 from harness.simulation.scene import load_scene
 from harness.spec import as_table, parse
-from harness.testing.conformity import GRID, SENSOR, TURNED, fresh, scenery
+from harness.testing.pairs import GRID, SENSOR, TURNED, fresh, scenery
 
 ARM = np.s_[96:130, 70:92]
 """Rows and columns of what a robot's arm covers: from 16 pixels below the middle to 50."""

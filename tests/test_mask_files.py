@@ -19,7 +19,7 @@ from harness.runs.load import load_experiment
 from harness.runs.recorded import record, recorded
 from harness.runs.store import Store
 from harness.spec import dump_toml, parse
-from harness.testing.conformity import SENSOR, fresh, scenery
+from harness.testing.pairs import SENSOR, fresh, scenery
 
 SHAPE = (120, 160)
 ARM = np.s_[70:105, 60:75]

@@ -91,7 +91,10 @@ def test_parameters_are_the_matchers_to_change(module: Write, pair: Pair) -> Non
         ("raise ValueError('what now')", "fails: ValueError: what now ("),
         ("raise SystemExit", "fails: SystemExit"),
         ("pair.images[0][0] = 1", "a pair's arrays are shared: change a copy"),
-        ("return 3", "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; it returned int"),
+        (
+            "return 3",
+            "alpha_2 as an array, a pair (alpha_2, confidence), Matches, or views.answer(...); it returned int",
+        ),
     ],
 )
 def test_a_matcher_that_fails(body: str, said: str, module: Write, pair: Pair) -> None:
@@ -147,7 +150,7 @@ def test_good_answers_are_copied(answer: object) -> None:
         (
             None,
             "form",
-            "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; it returned NoneType",
+            "alpha_2 as an array, a pair (alpha_2, confidence), Matches, or views.answer(...); it returned NoneType",
         ),
         ([GOOD, GOOD], "form", "it returned list"),
         ((GOOD, GOOD, GOOD), "form", "it returned tuple"),

@@ -70,6 +70,7 @@ def test_every_command_is_tried_here() -> None:
         "omnirange check plane_sweep:match",
         "omnirange run beside",
         "omnirange run smoke",
+        "omnirange check block_match:match",
         "omnirange run program",
     )
     assert [next(each for each in tried if line.startswith(each)) for line in COMMANDS] == list(tried)
@@ -78,12 +79,22 @@ def test_every_command_is_tried_here() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_check_says_what_the_page_says(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(command("omnirange check")) == 0
+    assert main(command("omnirange check plane_sweep")) == 0
     said = capsys.readouterr().out
     shown = re.search(r"^```text\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL).group(1)
     assert len(shown.splitlines()) == len(CHECKS) + 1
     # Figures may differ in their last digit on another machine.
     assert re.sub(r"\d+\.\d+", "#", said) == re.sub(r"\d+\.\d+", "#", shown)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_a_matcher_of_rectified_images_passes_every_check(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(command("omnirange check block_match")) == 0
+    said = capsys.readouterr().out
+    assert "disparity_px, confidence on a rectified image of 360 x 180 pixels" in said
+    # It searches along epipolar curves in steps of a column, with a parabola: better than half a column in a box.
+    assert float(re.search(r"median error (\S+) columns", said).group(1)) < 0.5
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ from harness.runs.load import load_experiment
 from harness.simulation.noise import words_of
 from harness.simulation.scene import load_scene
 from harness.spec import as_table, dump_toml, parse
-from harness.testing.conformity import GRID, OTHER_SENSOR, SENSOR, TURNED, fresh, scenery
+from harness.testing.pairs import GRID, OTHER_SENSOR, SENSOR, TURNED, fresh, scenery
 
 MATCHERS = {
     "window": WindowMatcher(),

@@ -1,5 +1,6 @@
 """Mirror images re-projected onto the unit cylinder (section 2 of the paper)."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
 
@@ -63,10 +64,29 @@ def sample(
     ValueError
         When the image has not the sensor's size.
     """
-    _check_size(image, sensor)
+    (values,), valid = sample_bands((image,), sensor, directions, interpolation)
+    return values, valid
+
+
+def sample_bands(
+    images: Sequence[NDArray[np.float32]], sensor: Sensor, directions: Array, interpolation: Interpolation = "cubic"
+) -> tuple[list[NDArray[np.float32]], NDArray[np.bool_]]:
+    """The same of several images of one sensor, such as red, green and blue; valid where all of them are.
+
+    Raises
+    ------
+    ValueError
+        When an image has not the sensor's size.
+    """
     order = _ORDERS[interpolation]
     coordinates, in_view = _coordinates(sensor, directions)
-    return _sampled(image, sensor, coordinates, in_view & _all_taps_visible(sensor, coordinates, order), order)
+    valid = in_view & _all_taps_visible(sensor, coordinates, order)
+    values = []
+    for image in images:
+        _check_size(image, sensor)
+        sampled, valid = _sampled(image, sensor, coordinates, valid, order)
+        values.append(sampled)
+    return values, valid
 
 
 def _check_size(image: NDArray[np.float32], sensor: Sensor) -> None:

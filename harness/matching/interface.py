@@ -16,6 +16,7 @@ from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, epipolar_curves
 from harness.geometry.panorama import Grid
+from harness.matching.answers import Answer, converted, outside
 from harness.spec import Positive, Spec, as_table, checked_plain
 
 if TYPE_CHECKING:
@@ -255,7 +256,7 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
     Parameters
     ----------
     answer
-        `Matches`, an array `alpha_2`, or a pair of arrays `(alpha_2, confidence)`.
+        `Matches`, an array `alpha_2`, a pair of arrays `(alpha_2, confidence)`, or an `Answer` on pixels of its own.
     name
         What to call the matcher in a message.
 
@@ -266,6 +267,9 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
     """
     for fault in faults(answer, grid):
         raise InputError(fault.text, file=name)
+    if isinstance(answer, Answer):
+        on_panorama = converted(answer, grid)
+        answer = Matches(on_panorama.alpha_2, on_panorama.confidence, on_panorama.sigma_alpha_2)
     given = _arrays_of(answer)
     matched = ~np.isnan(np.asarray(given["alpha_2"]))
     reason = np.where(matched, np.uint8(Reason.MATCHED), np.uint8(Reason.NO_MATCH))
@@ -289,20 +293,29 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
     Required is what `as_matches` takes, where every array has the panorama's shape and holds real numbers; `alpha_2`
     within 0 .. pi radians, or NaN where there is no match; `confidence`, `sigma_alpha_2` and `k` finite where there is
     a match and NaN where there is none, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
-    `refined` true only there.
+    `refined` true only there. Of an `Answer` the same is asked on its own pixels, and values that its quantity can
+    have.
     """
+    if isinstance(answer, Answer):
+        yield from _answer_faults(answer, grid)
+        return
     given = _arrays_of(answer)
     if not given:
         yield Fault(
             "form",
-            "must return alpha_2 as an array, a pair (alpha_2, confidence) or Matches; it returned "
-            f"{type(answer).__name__}",
+            "must return alpha_2 as an array, a pair (alpha_2, confidence), Matches, or views.answer(...); "
+            f"it returned {type(answer).__name__}",
         )
         return
     if given["alpha_2"] is None:
         yield Fault("form", "alpha_2 is missing")
         return
-    broken = [fault for name, value in given.items() if value is not None for fault in _array_faults(name, value, grid)]
+    broken = [
+        fault
+        for name, value in given.items()
+        if value is not None
+        for fault in _array_faults(name, value, grid.shape, "the panorama's")
+    ]
     yield from broken
     if broken:
         return
@@ -314,18 +327,7 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
         alpha_2,
         matched & ~((alpha_2 >= 0) & (alpha_2 <= np.pi)),
     )
-    for name in ("confidence", "sigma_alpha_2", "k"):
-        if given[name] is None:
-            continue
-        value = np.asarray(given[name], dtype=np.float64)
-        yield from _fault_where(
-            "missing", f"{name} must be finite where there is a match", value, matched & ~np.isfinite(value)
-        )
-        yield from _fault_where(
-            "missing", f"{name} must be NaN where there is no match", value, ~matched & ~np.isnan(value)
-        )
-        if name == "sigma_alpha_2":
-            yield from _fault_where("angles", f"{name} must be above zero", value, matched & (value <= 0))
+    yield from _faults_beside({name: given[name] for name in ("confidence", "sigma_alpha_2", "k")}, matched)
     if given["reason"] is not None:
         reason = np.asarray(given["reason"])
         yield from _fault_where(
@@ -345,6 +347,39 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
         yield from _fault_where("missing", "refined must be false where there is no match", refined, refined & ~matched)
 
 
+def _faults_beside(arrays: Mapping[str, Any], matched: NDArray[np.bool_]) -> Iterator[Fault]:
+    """Faults of arrays that are finite where there is a match and NaN elsewhere; a standard deviation is above zero."""
+    for name, given in arrays.items():
+        if given is None:
+            continue
+        value = np.asarray(given, dtype=np.float64)
+        yield from _fault_where(
+            "missing", f"{name} must be finite where there is a match", value, matched & ~np.isfinite(value)
+        )
+        yield from _fault_where(
+            "missing", f"{name} must be NaN where there is no match", value, ~matched & ~np.isnan(value)
+        )
+        if name.startswith("sigma"):
+            yield from _fault_where("angles", f"{name} must be above zero", value, matched & (value <= 0))
+
+
+def _answer_faults(answer: Answer, grid: Grid) -> Iterator[Fault]:
+    """Faults of an answer on pixels of its own."""
+    whose = "the panorama's" if answer.projection is None else "its views'"
+    broken = [
+        fault
+        for name, value in answer.arrays.items()
+        for fault in _array_faults(name, value, answer.shape(grid), whose)
+    ]
+    yield from broken
+    if broken:
+        return
+    values = np.asarray(answer.values, dtype=np.float64)
+    wrong, text = outside(answer)
+    yield from _fault_where("angles", text, values, wrong)
+    yield from _faults_beside({"confidence": answer.confidence, "sigma": answer.sigma}, ~np.isnan(values))
+
+
 def _arrays_of(answer: Any) -> dict[str, Any]:
     """The arrays of a result by name; none if its form is not known."""
     if isinstance(answer, np.ndarray):
@@ -355,8 +390,8 @@ def _arrays_of(answer: Any) -> dict[str, Any]:
     return {name: getattr(answer, name) for name in names} if isinstance(answer, Matches) else {}
 
 
-def _array_faults(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
-    """Why a value is not an array of the panorama."""
+def _array_faults(name: str, value: Any, shape: tuple[int, int], whose: str) -> Iterator[Fault]:
+    """Why a value is not an array of this shape."""
     kinds, what = ("b", "booleans") if name == "refined" else ("iu", "whole numbers")
     if name not in {"refined", "reason"}:
         kinds, what = "fiu", "real numbers"
@@ -365,8 +400,8 @@ def _array_faults(name: str, value: Any, grid: Grid) -> Iterator[Fault]:
     elif isinstance(value, np.ma.MaskedArray):
         yield Fault("form", f"{name} must be a plain array with NaN where there is no match; its mask would be lost")
     else:
-        if value.shape != grid.shape:
-            yield Fault("shape", f"{name} must have the panorama's shape {grid.shape}; it has {value.shape}")
+        if value.shape != shape:
+            yield Fault("shape", f"{name} must have {whose} shape {shape}; it has {value.shape}")
         if value.dtype.kind not in kinds:
             yield Fault("dtype", f"{name} must be an array of {what}; its dtype is {value.dtype}")
 

@@ -4,6 +4,7 @@ Panoramas and filtered panoramas are made when they are first needed, and shared
 same.
 """
 
+import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,10 +22,16 @@ from harness.geometry.epipolar import alpha_1
 from harness.geometry.panorama import Grid, Panorama, directions
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
+from harness.matching.answers import Answer
 from harness.matching.filter import laplacian_of_gaussian
+from harness.matching.projections import Along, Equirectangular, Rectified, perspective
+from harness.matching.views import Views, made_answer, views_of
 
 T = TypeVar("T")
 G = TypeVar("G", bound=np.generic)
+
+Bands = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+"""Red, green and blue, each like an image."""
 
 Share = Callable[[str, Hashable, Callable[[], Any]], Any]
 """`share(stage, key, make)`: the result of a stage with this key, made if it has not been made yet."""
@@ -68,6 +75,8 @@ class Pair(OneLine):
     keys: tuple[Hashable, Hashable] = field(default_factory=lambda: (object(), object()))
     """What identifies each image and its pose where results are shared."""
     share: Share = field(default_factory=sharing)
+    bands: Callable[[int], Bands] | None = None
+    """`bands(view)`: red, green and blue of an image, made when asked for; None where there is only grey."""
     owner: str = ""
     """The third-party matcher that calls `shared`, if any: two of them may use the same words for their settings."""
 
@@ -154,6 +163,122 @@ class Pair(OneLine):
 
         first, second = (cast("Panorama", self.share("filter", keys[i], partial(one, i))) for i in (0, 1))
         return first, second
+
+    def colours(self, view: int) -> Bands:
+        """Red, green and blue of the image of a view, 0 or 1; the grey image thrice where there are no colours."""
+        if self.bands is None:
+            return (self.images[view],) * 3
+        red, green, blue = (_locked(each) for each in self.bands(view))
+        return red, green, blue
+
+    def equirectangular(
+        self,
+        width_px: int,
+        height_px: int | None = None,
+        *,
+        elevation_deg: tuple[float, float] = (-90.0, 90.0),
+        colour: bool = False,
+        interpolation: Interpolation | None = None,
+    ) -> Views:
+        """Both views as equirectangular images; see `projections.Equirectangular`.
+
+        Parameters
+        ----------
+        height_px
+            Rows; as many as make pixels square at the horizon if None.
+        elevation_deg
+            Of the lower and the upper edge, degrees.
+        colour
+            Red, green and blue rather than grey levels.
+
+        Raises
+        ------
+        InputError
+            When there are no such images.
+        """
+        bottom, top = elevation_deg
+        height = round(width_px * (top - bottom) / 360) if height_px is None else height_px
+        projection = Equirectangular(height, width_px, math.radians(top), math.radians(bottom))
+        return views_of(self, projection, colour=colour, interpolation=interpolation)
+
+    def rectified(
+        self,
+        around_px: int,
+        *,
+        along: Along = "rows",
+        colour: bool = False,
+        interpolation: Interpolation | None = None,
+    ) -> Views:
+        """Both views in longitude and latitude about the baseline; see `projections.Rectified`.
+
+        Parameters
+        ----------
+        around_px
+            Pixels once around the baseline, even: the rows, with half as many columns, or the other way round.
+        along
+            Whether a row or a column is an epipolar curve.
+
+        Raises
+        ------
+        InputError
+            When there are no such images.
+        """
+        if around_px % 2:
+            raise InputError(f"must be even; found {around_px}", key="around_px")
+        shape = (around_px, around_px // 2) if along == "rows" else (around_px // 2, around_px)
+        x, y, z = (float(each) for each in self.t_v1)
+        return views_of(self, Rectified(*shape, (x, y, z), along), colour=colour, interpolation=interpolation)
+
+    def perspective(
+        self,
+        width_px: int,
+        height_px: int,
+        *,
+        fov_deg: float = 90.0,
+        azimuth_deg: float | None = None,
+        elevation_deg: float = 0.0,
+        rectified: bool = True,
+        colour: bool = False,
+        interpolation: Interpolation | None = None,
+    ) -> Views:
+        """Both views as pinhole images in a direction; see `projections.perspective`.
+
+        Parameters
+        ----------
+        fov_deg
+            Between the left and the right edge, degrees.
+        azimuth_deg, elevation_deg
+            Of the optical axis, degrees. Azimuth None: to the left of t.
+        rectified
+            Whether rows are epipolar curves: the camera is turned until its x axis is along t.
+
+        Raises
+        ------
+        InputError
+            When there are no such images.
+        """
+        t_v1 = self.t_v1 if rectified else None
+        projection = perspective(width_px, height_px, fov_deg, azimuth_deg, elevation_deg, t_v1)
+        return views_of(self, projection, colour=colour, interpolation=interpolation)
+
+    def answer(
+        self,
+        *,
+        range_m: Array | None = None,
+        disparity_deg: Array | None = None,
+        alpha_2: Array | None = None,
+        confidence: Array | None = None,
+        sigma: Array | None = None,
+    ) -> Answer:
+        """An answer on the panorama's own pixels, for a matcher to return; see `Views.answer`.
+
+        Raises
+        ------
+        InputError
+            When not exactly one quantity is given.
+        """
+        quantities = {"range_m": range_m, "disparity_deg": disparity_deg, "alpha_2": alpha_2}
+        return made_answer(None, self.t_v1, None, quantities, confidence, sigma)
 
     def shared(self, stage: str, settings: Hashable, make: Callable[[], T]) -> T:
         """Something made of this pair with some settings, shared with other matchers that need the same.

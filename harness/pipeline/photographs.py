@@ -26,7 +26,7 @@ from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sigma_of_range
 from harness.images import LIMIT_BYTES, decode
 from harness.matching.interface import MatcherSettings, Matches, Reason
-from harness.matching.pair import Pair, Share, sharing
+from harness.matching.pair import Bands, Pair, Share, sharing
 from harness.matching.ranges import ranges_of
 from harness.matching.semi_global.match import forget_large
 from harness.matching.uncertainty import sigma_alpha_2
@@ -192,7 +192,8 @@ def estimate(
     check_sensor(sensors[1], grid, key="sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
     sharpness = compare_sharpness((first.grey, second.grey), sensors, motion, grid)
     images = equalised((first.grey, second.grey), sensors, sharpness)
-    pair = Pair(images, sensors, motion, grid, share=_sharing_panoramas())
+    bands = _bands_of((first, second), sensors, sharpness)
+    pair = Pair(images, sensors, motion, grid, share=_sharing_panoramas(), bands=bands)
     matches = without_unlike(pair, matcher, _matched(pair, matcher, sharpness))
     geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
@@ -219,12 +220,31 @@ def estimate(
     )
 
 
+def _bands_of(
+    photographs: tuple[Photograph, Photograph], sensors: tuple[Sensor, Sensor], sharpness: Sharpness
+) -> Callable[[int], Bands] | None:
+    """The photographs' colours, equally sharp as the grey images; None where they have none."""
+    colours = tuple(each.colour for each in photographs)
+    alike = all(each.colour.shape[:2] == each.grey.shape for each in photographs)
+    if not alike or all((each[..., :1] == each).all() for each in colours):
+        return None
+
+    def bands(view: int) -> Bands:
+        made = []
+        for i in range(3):
+            both = tuple(np.ascontiguousarray(each[..., i], dtype=np.float32) for each in colours)
+            made.append(equalised((both[0], both[1]), sensors, sharpness)[view])
+        return made[0], made[1], made[2]
+
+    return bands
+
+
 def _sharing_panoramas() -> Share:
     """Share panoramas alone: a single matcher runs once, and costs of the size of a volume are not worth keeping."""
     keep = sharing()
 
     def share(stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
-        return keep(stage, key, make) if stage in {"unwrap", "filter"} else make()
+        return keep(stage, key, make) if stage in {"unwrap", "filter", "project"} else make()
 
     return share
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol, TypeVar, cast
 
 T = TypeVar("T")
 
-SIZES = {"render": 4, "exposure": 4, "noise": 4, "unwrap": 4, "filter": 4}
+SIZES = dict.fromkeys(("render", "exposure", "noise", "colour", "unwrap", "filter", "project"), 4)
 """How many results of a stage are held, two views per trial; `OTHERS` for all other stages, as they may be large."""
 OTHERS = 2
 

@@ -3,6 +3,7 @@
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from harness.geometry.epipolar import Curves, sample_at
 from harness.geometry.panorama import Panorama, directions
 from harness.geometry.pose import Motion, Pose
 from harness.matching.interface import Matches, Support
-from harness.matching.pair import Pair
+from harness.matching.pair import Bands, Pair
 from harness.matching.ranges import ranges_of
 from harness.pipeline.estimated_motion import MotionOfImages, motion_of_images
 from harness.pipeline.sight import check_sight
@@ -138,9 +139,13 @@ RENDER = Stage("render", _render, _rendered_from, per_view=True)
 
 
 def _expose(work: Work, view: int) -> Image:
+    return _exposed(work, view, work(RENDER, view))
+
+
+def _exposed(work: Work, view: int, image: Image) -> Image:
     trial = work.trial
     sensor, exposure = trial.sensors[view], trial.exposure_2
-    image = with_optics(work(RENDER, view), sensor, trial.lenses[view])
+    image = with_optics(image, sensor, trial.lenses[view])
     exposed = with_exposure(image, sensor, exposure.gain, exposure.offset_grey) if view else image
     return _finite(exposed, work, "trial.exposure_2")
 
@@ -156,14 +161,19 @@ EXPOSURE = Stage(
 
 
 def _add_noise(work: Work, view: int) -> Image:
+    return _noisy(work, view, work(EXPOSURE, view))
+
+
+def _noisy(work: Work, view: int, light: Image, band: str = "") -> Image:
+    """The image that the chip captured of the light; the noise of each `band` of colours is drawn by itself."""
     trial, setup = work.trial, work.setup
     sensor = trial.sensors[view]
     # Named by the aligned sensor: trials that differ in the misalignment alone have the same draws.
     white, shot = (
-        generator(trial.seed, purpose, setup.scene, words_of(sensor.aligned), f"view {view + 1}")
+        generator(trial.seed, purpose, setup.scene, words_of(sensor.aligned), f"view {view + 1}{band}")
         for purpose in ("noise", "shot noise")
     )
-    light, sigma_grey = work(EXPOSURE, view), trial.noise.sigma_grey
+    sigma_grey = trial.noise.sigma_grey
     if trial.chip.is_ideal:
         return _finite(with_noise(light, sensor, sigma_grey, white), work, "trial.noise")
     return _finite(captured(light, sensor, trial.chip, sigma_grey, shot, white), work, "trial.chip")
@@ -176,6 +186,28 @@ def _noise_settings(setup: Setup, view: int) -> Hashable:
 
 NOISE = Stage("noise", _add_noise, _noise_settings, after=(EXPOSURE,), per_view=True)
 """The mirror image that the chip captured, with its noise."""
+
+
+def _colour(work: Work, view: int) -> Bands:
+    trial = work.trial
+    sensor, pose = trial.sensors[view], work.setup.poses[view]
+    image = render(trial.scene, sensor, pose, trial.render.samples, work.threads, colour=True)
+    _refuse_changed_scene(work)
+    red, green, blue = (
+        _noisy(work, view, _exposed(work, view, np.ascontiguousarray(image[..., i])), f" {band}")
+        for i, band in enumerate(("red", "green", "blue"))
+    )
+    return red, green, blue
+
+
+def _colour_settings(setup: Setup, view: int) -> Hashable:
+    trial = setup.trial
+    light = _rendered_from(setup, view), trial.lenses[view], trial.exposure_2 if view else None
+    return light, _noise_settings(setup, view)
+
+
+COLOUR = Stage("colour", _colour, _colour_settings, per_view=True)
+"""Red, green and blue of a view, rendered, exposed and with noise of their own; for matchers that ask for them."""
 
 
 def _truth(work: Work, _view: int) -> Truth:
@@ -239,6 +271,7 @@ def _pair(work: Work, _view: int) -> Pair:
         threads=work.threads,
         keys=(work.keys.of(NOISE, 0), work.keys.of(NOISE, 1)),
         share=work.share,
+        bands=partial(work, COLOUR),
     )
 
 
@@ -341,7 +374,9 @@ def _bound_settings(setup: Setup, _view: int) -> Hashable:
 BOUND = Stage("bound", _bound, _bound_settings, after=(EXPOSURE, TRUTH))
 """The Cramér-Rao bound of the matcher's own window."""
 
-STAGES: tuple[Stage[Any], ...] = (RENDER, EXPOSURE, NOISE, TRUTH, MOTION, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND)
+STAGES: tuple[Stage[Any], ...] = (
+    RENDER, EXPOSURE, NOISE, COLOUR, TRUTH, MOTION, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND
+)  # fmt: skip
 """All of them, in the order of the pipeline."""
 
 _ORDERED_BY = (RENDER, TRUTH, NOISE, PAIR)

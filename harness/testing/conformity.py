@@ -5,38 +5,20 @@ fixture `omnirange_check` are the two ways in.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from harness import shipped
-from harness.camera.intrinsics import Camera
-from harness.camera.lens import Lens
-from harness.camera.models import Mirror
-from harness.camera.sensor import Sensor, pixel_directions
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
-from harness.geometry.pose import Motion
 from harness.geometry.triangulation import alpha_2_at_range
-from harness.matching.interface import Fault, MatcherSettings, Matches, faults
-from harness.matching.pair import Pair, sharing
-from harness.matching.window.settings import WindowMatcher
-from harness.pipeline.specification import SecondView, Trial
-from harness.pipeline.stage_cache import StageCache
-from harness.pipeline.stages import Work
-from harness.pipeline.trial import PAIR, REFERENCE
-from harness.simulation.scene import load_scene
-
-Mask = NDArray[np.bool_]
-
-ROWS = 160
-"""Side of the mirror image, a square: turning it by 90° is exact. A third of the paper's resolution, to be quick."""
-GRID = Grid(width_px=240, height_px=66)
-OTHER_GRIDS = (Grid(width_px=96, height_px=30), Grid(width_px=300, height_px=40, z_max=0.2, z_min=-0.6))
+from harness.matching.answers import Answer
+from harness.matching.interface import Fault, MatcherSettings, Matches, as_matches, faults
+from harness.matching.pair import Pair
+from harness.testing.pairs import GRID, OTHER_SENSOR, PAIRS, TURNED, Mask, Scenery, blank, fresh, one_image, scenery
 
 TOLERANCE_PX = 0.1
 """How far beyond a limit an angle may lie, in columns: rounding, and a sub-pixel step from the last candidate."""
@@ -140,7 +122,7 @@ class Subject:
             raise NotReached("its result is invalid")
         if wrong:
             raise Broken(wrong[0].text)
-        return as_given(self.raw(name))
+        return as_given(self.raw(name), PAIRS[name]().grid)
 
     def now(self, pair: Pair, **limits: float) -> Matches:
         """Its result for any pair, computed again, with other limits."""
@@ -149,102 +131,16 @@ class Subject:
         given = matcher.answer(pair)
         for fault in faults(given, pair.grid):
             raise Broken(fault.text)
-        return as_given(given)
+        return as_given(given, pair.grid)
 
 
-def as_given(raw: Any) -> Matches:
+def as_given(raw: Any, grid: Grid) -> Matches:
     """A sound answer as `Matches`."""
+    if isinstance(raw, Answer):
+        return as_matches(raw, grid, "")
     if isinstance(raw, Matches):
         return raw
     return Matches(*raw) if isinstance(raw, tuple) else Matches(raw)
-
-
-# --- The pairs ----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Scenery:
-    """A pair and its truth."""
-
-    pair: Pair
-    alpha_2: Array
-    """True angles, radians."""
-    domain: Mask
-    """Pixels that both views see, away from the epipoles."""
-
-
-TURNED = SecondView(yaw_deg=40.0, pitch_deg=4.0, roll_deg=-3.0)
-SENSOR = Sensor(
-    camera=Camera(
-        width_px=ROWS, height_px=ROWS, focal_px=614.12 * ROWS / 480, cx_px=(ROWS - 1) / 2, cy_px=(ROWS - 1) / 2
-    )
-)
-OTHER_SENSOR = Sensor(
-    model=Mirror(a_m=0.030, b_m=0.0234),
-    camera=Camera(width_px=224, height_px=208, focal_px=230.0, aspect=1.03, cx_px=104.4, cy_px=108.7),
-    lens=Lens(k1=-0.1, p1=0.002),
-)
-"""Another mirror, focal length, lens, size of image and centre, and somewhat more pixels to the radian."""
-
-
-@lru_cache(maxsize=8)
-def scenery(
-    view_2: SecondView = SecondView(),  # noqa: B008 - frozen
-    grid: Grid = GRID,
-    sensor_2: Sensor | None = None,
-) -> Scenery:
-    """The paper's box, without noise."""
-    scene = load_scene(str(shipped.find("scenes", "box")))
-    # The reference is asked for without a matcher's answer; samples in alpha are defined for every baseline.
-    trial = Trial(
-        scene=scene,
-        sensor=SENSOR,
-        sensor_2=sensor_2,
-        panorama=grid,
-        view_2=view_2,
-        matching=WindowMatcher(sampling="alpha"),
-    )
-    work = Work(trial, StageCache())
-    reference, _ = work(REFERENCE)
-    return Scenery(work(PAIR), reference.alpha_2, reference.domain)
-
-
-def fresh(pair: Pair, *, threads: int | None = None) -> Pair:
-    """The same pair of which nothing is known yet, in memory of its own."""
-    first, second = (image.copy() for image in pair.images)
-    return replace(pair, images=(first, second), threads=threads, keys=(object(), object()), share=sharing())
-
-
-def quarter_turn(pair: Pair) -> Pair:
-    """What the same rig sees after it was turned by 90°, to the last bit: phi grows by 90° everywhere."""
-    first, second = (np.ascontiguousarray(np.rot90(image, -1)) for image in pair.images)
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    R, t = pair.motion.R_v2_from_v1, pair.motion.t_v1
-    return replace(fresh(pair), images=(first, second), motion=Motion(turn @ R @ turn.T, turn @ t))
-
-
-def _one_image() -> Pair:
-    pair = scenery().pair
-    return replace(fresh(pair), images=(pair.images[0], pair.images[0]))
-
-
-def _blank() -> Pair:
-    pair = scenery().pair
-    first, second = (np.where(pixel_directions(each)[1], np.float32(128), np.float32(0)) for each in pair.sensors)
-    return replace(fresh(pair), images=(first, second))
-
-
-PAIRS: dict[str, Callable[[], Pair]] = {
-    "easy": lambda: scenery().pair,
-    "turned": lambda: scenery(TURNED).pair,
-    "up": lambda: scenery(SecondView(elevation_deg=90.0)).pair,
-    "slanted": lambda: scenery(SecondView(azimuth_deg=130.0, elevation_deg=25.0)).pair,
-    "grid 1": lambda: scenery(grid=OTHER_GRIDS[0]).pair,
-    "grid 2": lambda: scenery(grid=OTHER_GRIDS[1]).pair,
-    "sensors": lambda: scenery(TURNED, sensor_2=OTHER_SENSOR).pair,
-    "quarter": lambda: quarter_turn(scenery().pair),
-    "blank": _blank,
-}
 
 
 # --- The checks ---------------------------------------------------------------------------------------------------
@@ -254,7 +150,11 @@ def _runs(subject: Subject) -> str:
     for fault in subject.faults("easy"):
         if fault.rule == "form":
             raise Broken(fault.text)
-    given = as_given(subject.raw("easy"))
+    raw = subject.raw("easy")
+    if isinstance(raw, Answer):
+        where = "the panorama" if raw.projection is None else raw.projection.words
+        return f"{', '.join(raw.arrays)} on {where}"
+    given = as_given(raw, GRID)
     more = [name for name in ("confidence", "sigma_alpha_2", "reason") if getattr(given, name) is not None]
     return f"alpha_2{''.join(f', {name}' for name in more)}"
 
@@ -389,7 +289,7 @@ def _seam(subject: Subject) -> str:
 
 
 def _one_image_twice(subject: Subject) -> str:
-    pair = _one_image()
+    pair = one_image()
     matches = subject.now(pair, d_max_m=1000.0)
     sure = _judged(pair) & ~np.isnan(matches.alpha_2)
     if matches.confidence is not None and sure.any():
@@ -407,7 +307,7 @@ def _one_image_twice(subject: Subject) -> str:
 
 
 def _blank_images(subject: Subject) -> str:
-    pair = _blank()
+    pair = blank()
     matches, easy = subject.matches("blank"), subject.matches("easy")
     judged = _judged(pair)
     matched = judged & ~np.isnan(matches.alpha_2)
