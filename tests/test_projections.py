@@ -195,7 +195,7 @@ HEIGHT_M = 0.9
 
 
 def floor_range(looking: np.ndarray) -> np.ndarray:
-    """Of a level floor below and a ceiling above: the range of a plane is its distance over the cosine."""
+    """The range of a level floor below and a ceiling above: that of a plane is its distance over the cosine."""
     return HEIGHT_M / np.maximum(np.abs(looking[..., 2]), 0.05)
 
 

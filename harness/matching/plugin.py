@@ -1,6 +1,5 @@
 """A matcher that is a third-party function."""
 
-import copy
 import inspect
 import re
 import traceback
@@ -23,8 +22,9 @@ class Plugin(Parametrised):
 
     `kind` is `package.module:function` or the name of an entry point. The function is called with the pair, the
     limits and the `parameters` as keywords: `matcher(pair, limits, **parameters)`; see `interface.faults` for what
-    it may return. A parameter named `file`, or ending in `_file`, names a file: a relative path is relative to the
-    experiment's file, and the contents count as settings do.
+    it may return. A class is made of the parameters once a worker, and its instance is called with pair and limits.
+    A parameter named `file`, or ending in `_file`, names a file: a relative path is relative to the experiment's file,
+    and the contents count as settings do.
     """
 
     kind: str
@@ -75,7 +75,8 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
     function = plugins.find(matcher.kind)
     try:
         with plugins.contained(), np.errstate():  # what it sets is its own
-            return function(replace(pair, owner=matcher.kind), matcher, **copy.deepcopy(matcher.parameters))
+            run = plugins.runner(matcher.kind, matcher.parameters)
+            return run(replace(pair, owner=matcher.kind), matcher)
     except InputError:
         raise
     except BaseException as error:  # asyncio's and Rust's errors too are no Exception
@@ -87,7 +88,10 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
 
 
 def _place_in(function: Callable[..., Any], error: BaseException) -> str:
-    """Where in the function's own file an error was raised."""
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    lines = [each for each in traceback.extract_tb(error.__traceback__) if code and each.filename == code.co_filename]
+    """Where in the function's, or class's, own file an error was raised."""
+    try:
+        file = inspect.getsourcefile(inspect.unwrap(function))
+    except TypeError:  # built in, or made at run time
+        return ""
+    lines = [each for each in traceback.extract_tb(error.__traceback__) if file and each.filename == file]
     return f" ({lines[-1].filename}, line {lines[-1].lineno})" if lines else ""

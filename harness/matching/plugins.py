@@ -1,13 +1,18 @@
-"""Third-party functions: found by name, checked for their parameters, and identified by their source.
+"""Third-party functions, and classes that are loaded once: found by name, checked for their parameters, and identified
+by their source.
 
 A name is `package.module:function`, or a name from the entry point group `omnirange.matchers`.
 """
 
+import copy
 import hashlib
 import importlib
 import importlib.metadata
 import inspect
+import json
 import os
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -52,8 +57,43 @@ def find(kind: str) -> Callable[..., Any]:
     return function
 
 
+def runner(kind: str, parameters: Mapping[str, Any]) -> Callable[[Any, Any], Any]:
+    """What answers for a pair and limits: a function with its parameters, or the instance that a class made of them.
+
+    An instance is made once in a thread, and made again when its source or a file among its parameters has changed; of
+    the latest `MOST_LOADED` each thread keeps one. Whatever is slow to start, such as a network, is loaded so once a
+    worker.
+
+    Raises
+    ------
+    InputError
+        When it cannot be found.
+    """
+    target = find(kind)
+    if not inspect.isclass(target):
+        return lambda pair, limits: target(pair, limits, **copy.deepcopy(dict(parameters)))
+    if not hasattr(_of_thread, "loaded"):
+        _of_thread.loaded = OrderedDict()
+    loaded: OrderedDict[tuple[str, str, str], Any] = _of_thread.loaded
+    key = kind, json.dumps(dict(parameters), sort_keys=True), digest(kind, parameters)
+    if key not in loaded:
+        while len(loaded) >= MOST_LOADED:
+            loaded.popitem(last=False)  # before the new one is made: two networks need not fit
+        loaded[key] = target(**copy.deepcopy(dict(parameters)))
+    loaded.move_to_end(key)
+    instance: Callable[[Any, Any], Any] = loaded[key]
+    return instance
+
+
+MOST_LOADED = 4
+"""How many instances of classes a thread keeps: networks may be large, and a run may compare a few."""
+
+_of_thread = threading.local()
+
+
 def check(kind: str, parameters: Mapping[str, Any]) -> None:
-    """Check that a function can be called as `function(pair, limits, **parameters)`.
+    """Check that a function can be called as `function(pair, limits, **parameters)`, or a class so that
+    `Class(**parameters)` can be called as `(pair, limits)`.
 
     Raises
     ------
@@ -67,7 +107,9 @@ def check(kind: str, parameters: Mapping[str, Any]) -> None:
     try:
         taken = _taken(function)
     except TypeError:
-        raise InputError(f"{kind} must take (pair, limits, **parameters)", key="kind") from None
+        must = "have a method __call__(self, pair, limits)" if inspect.isclass(function) else "take (pair, limits, "
+        must += "" if inspect.isclass(function) else "**parameters)"
+        raise InputError(f"{kind} must {must}", key="kind") from None
     if taken is None:
         return
     known, anything = taken
@@ -118,19 +160,39 @@ def _address(kind: str) -> tuple[str, str]:
 def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], bool] | None:
     """The parameters after the pair and the limits, and whether there may be any others; None when it does not say.
 
+    Those of a class are what it is made from; its instances take the pair and the limits.
+
     Raises
     ------
     TypeError
         When it does not take two arguments.
     """
+    first_two: Mapping[str, Any] = {}
     try:
         signature = inspect.signature(function)
+        if inspect.isclass(function):
+            inspect.signature(_call_of(function)).bind(None, None, None)
+        else:
+            first_two = signature.bind_partial(None, None).arguments
     except ValueError:
         return None
-    first_two = signature.bind_partial(None, None).arguments
     later = {name: each for name, each in signature.parameters.items() if name not in first_two}
     known = {name: each for name, each in later.items() if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)}
     return known, any(each.kind == each.VAR_KEYWORD for each in later.values())
+
+
+def _call_of(target: type) -> Callable[..., Any]:
+    """What runs when an instance of a class is called.
+
+    Raises
+    ------
+    TypeError
+        When it cannot be called.
+    """
+    for each in target.__mro__:
+        if callable(call := vars(each).get("__call__")):
+            return call
+    raise TypeError
 
 
 # --- What is run --------------------------------------------------------------------------------------------------
