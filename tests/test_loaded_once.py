@@ -93,7 +93,7 @@ MADE = "class f:\n    def __init__(self{}):\n        {}\n" + CALL.format("pass")
 @pytest.mark.parametrize(
     ("source", "parameters", "said"),
     [
-        ("class f:\n    pass\n", {}, "f have a method __call__(self, pair, limits)"),
+        ("class f:\n    pass\n", {}, "f must have a method __call__(self, pair, limits)"),
         (
             "class f:\n    def __call__(self, pair):\n        pass\n",
             {},
