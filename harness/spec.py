@@ -57,9 +57,8 @@ class _SpecType(ModelMetaclass):
 class Spec(BaseModel, metaclass=_SpecType):
     """Base of all specifications. Unknown keys are refused; no instance can be changed."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=False, allow_inf_nan=True, use_attribute_docstrings=True
-    )
+    # Docstrings of keys are for `runs.key_meanings`: pydantic would parse the sources anew at each start.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=True)
 
     def __repr__(self) -> str:
         """The class and what differs from its defaults, in one line."""

@@ -17,6 +17,7 @@ from harness.pipeline.specification import Trial
 from harness.renamed import up_to_date_key
 from harness.runs.cases import NAME, NAME_MEANING
 from harness.runs.experiment import Experiment
+from harness.runs.key_meanings import key_meanings
 from harness.spec import LARGEST, LARGEST_COEFFICIENT
 
 UNITS = {
@@ -144,10 +145,13 @@ def _tables() -> frozenset[str]:
 
 def _of_spec(spec: Any, stem: str, kinds: tuple[str, ...], expanded: dict[Any, str]) -> Iterator[Setting]:
     for name, field in spec.model_fields.items():
-        yield from _of_field(f"{stem}{name}", field, kinds, expanded)
+        meaning = field.description or key_meanings(spec).get(name, "")
+        yield from _of_field(f"{stem}{name}", field, meaning, kinds, expanded)
 
 
-def _of_field(key: str, field: FieldInfo, kinds: tuple[str, ...], expanded: dict[Any, str]) -> Iterator[Setting]:
+def _of_field(
+    key: str, field: FieldInfo, meaning: str, kinds: tuple[str, ...], expanded: dict[Any, str]
+) -> Iterator[Setting]:
     tables, is_list = _tables_in(field.annotation)
     first = expanded.setdefault(tables, key) if tables else key
     described = _described(field.annotation, field.metadata) if not tables else "list of tables" if is_list else "table"
@@ -157,7 +161,7 @@ def _of_field(key: str, field: FieldInfo, kinds: tuple[str, ...], expanded: dict
         type=described if first == key else f"table, with the keys of {first}",
         unit=unit_of(key),
         default=_default_of(field, is_table=bool(tables)),
-        meaning=" ".join((field.description or "").split()),
+        meaning=" ".join(meaning.split()),
     )
     if tables and first == key:
         stem = f"{key}.{ITEM}." if is_list else f"{key}."
