@@ -1,4 +1,4 @@
-"""Where the scenes, sensors and experiments that come with the program lie."""
+"""Where the scenes, sensors, experiments and data sets that come with the program lie."""
 
 import difflib
 from pathlib import Path
@@ -8,7 +8,7 @@ from harness.errors import InputError
 from harness.files import path_of
 from harness.toml import read_toml
 
-Kind = Literal["scenes", "sensors", "experiments"]
+Kind = Literal["scenes", "sensors", "experiments", "datasets"]
 
 _PACKAGE = Path(__file__).parent
 

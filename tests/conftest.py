@@ -30,6 +30,21 @@ def paper():
     return run_experiment(load_experiment("paper"))
 
 
+@pytest.fixture(scope="session")
+def small_set(tmp_path_factory):
+    """Gives the folder of a small data set by the name of its specification; made once, and not to be written to."""
+    from small_sets import made, small
+
+    folders = {}
+
+    def of(name):
+        if name not in folders:
+            folders[name] = made(small(name), tmp_path_factory.mktemp("sets") / name)
+        return folders[name]
+
+    return of
+
+
 @pytest.fixture
 def module(tmp_path, monkeypatch):
     """Writes a module that can be imported, and gives its name: a new one each time, as modules are loaded once."""

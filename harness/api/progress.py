@@ -26,12 +26,20 @@ class Progress:
     On a terminal as a bar, in a notebook as a line that is updated, elsewhere as a line per minute and one at the end.
     """
 
-    def __init__(self, name: str, total: int, done: int) -> None:
+    def __init__(self, name: str, total: int, done: int, noun: str = "trials") -> None:
+        """Begin to show it.
+
+        Parameters
+        ----------
+        noun
+            What is counted.
+        """
         from rich import progress as bar
         from rich.console import Console
         from rich.markup import escape
 
-        self._name, self._total, self._before = name, total, done
+        self._name, self._total, self._before, self._noun = name, total, done, noun
+        self._verb = "run" if noun == "trials" else "made"
         self._done, self._failed = done, 0
         self._begun = self._said = time.monotonic()
         self._console = Console()
@@ -66,17 +74,21 @@ class Progress:
 
     def update(self, rows: "Sequence[Finished]") -> None:
         """Count rows that were just finished."""
-        self._done += len(rows)
-        self._failed += sum(row.state == "failed" for row in rows)
+        self.count(len(rows), sum(row.state == "failed" for row in rows))
+
+    def count(self, done: int, failed: int = 0) -> None:
+        """Count some that were just finished, and how many of them failed."""
+        self._done += done
+        self._failed += failed
         rate = (self._done - self._before) / max(time.monotonic() - self._begun, 1e-9)
-        failed = f", {self._failed} failed" if self._failed else ""
-        pace = f"{failed.lstrip(', ')} {rate:.1f}/s, {duration((self._total - self._done) / rate)} left".lstrip()
+        failures = f", {self._failed} failed" if self._failed else ""
+        pace = f"{failures.lstrip(', ')} {rate:.1f}/s, {duration((self._total - self._done) / rate)} left".lstrip()
         self._bar.update(self._task, completed=self._done, pace=pace)
         if self._is_notebook:
-            self._write_over(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}")
+            self._write_over(f"{self._name}: {self._done} of {self._total} {self._noun}{failures}, {pace}")
         elif not self._console.is_terminal and time.monotonic() - self._said > _LINE_EVERY_S:
             self._said = time.monotonic()
-            print(f"{self._name}: {self._done} of {self._total} trials{failed}, {pace}", flush=True)
+            print(f"{self._name}: {self._done} of {self._total} {self._noun}{failures}, {pace}", flush=True)
 
     def _write_over(self, text: str) -> None:
         """Replace the previous line, if it has been shown long enough to be read."""
@@ -90,7 +102,7 @@ class Progress:
         ran = self._done - self._before
         self.stop()
         if not ran:
-            print(f"{self._name}: all {self._total} trials are done")
+            print(f"{self._name}: all {self._total} {self._noun} are done")
             return
         seconds = time.monotonic() - self._begun
         failed = f", {self._failed} of them failed" if self._failed else ""
@@ -98,8 +110,8 @@ class Progress:
         if self._longest:  # the last line replaces the one in a notebook
             print(f"\r{'':<{self._longest}}\r", end="")
         print(
-            f"{self._name}: {ran} of {self._total} trials run{failed}, in {duration(seconds)} "
-            f"({ran / seconds:.1f} trials/s){before}",
+            f"{self._name}: {ran} of {self._total} {self._noun} {self._verb}{failed}, in {duration(seconds)} "
+            f"({ran / seconds:.1f} {self._noun}/s){before}",
             flush=True,
         )
 

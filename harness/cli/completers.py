@@ -35,6 +35,11 @@ def sensors(prefix: str, **_: Any) -> list[str]:
     return _beginning(prefix, shipped.names("sensors"))
 
 
+def datasets(prefix: str, **_: Any) -> list[str]:
+    """Shipped data sets."""
+    return _beginning(prefix, shipped.names("datasets"))
+
+
 def files(*endings: str) -> Completer:
     """A completer of files with some endings (all files by default) and of folders, which end in a slash."""
 

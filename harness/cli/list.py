@@ -16,8 +16,8 @@ def add(commands: Commands) -> None:
     commands.add(
         "list",
         run,
-        brief="list the shipped experiments, scenes and sensors, the matchers and the camera models",
-        description="Print a line about each shipped experiment, scene, sensor, matcher and camera model.",
+        brief="list the shipped experiments, scenes, sensors and data sets, the matchers and the camera models",
+        description="Print a line about each shipped experiment, scene, sensor, data set, matcher and camera model.",
     )
 
 
@@ -31,6 +31,7 @@ def run(_options: Namespace) -> None:
         ("experiments", "omnirange run NAME", shipped.descriptions("experiments")),
         ("scenes", "--set scene=NAME", shipped.descriptions("scenes")),
         ("sensors", "--set sensor=NAME", shipped.descriptions("sensors")),
+        ("data sets", "omnirange dataset NAME --out DIR", shipped.descriptions("datasets")),
         ("matchers", "--set matching.kind=NAME", matchers),
         ("camera models", "sensor.model.kind", {kind: model.title for kind, model in MODELS.items()}),
     )

@@ -40,10 +40,11 @@ def run(options: Namespace) -> None:
         print(settings_markdown(settings))
         return
     width = min(_WIDEST, shutil.get_terminal_size().columns)
-    print("\n\n".join(_entry(each, width) for each in settings))
+    print("\n\n".join(entry(each, width) for each in settings))
 
 
-def _entry(setting: "Setting", width: int) -> str:
+def entry(setting: "Setting", width: int) -> str:
+    """A setting as a paragraph of text."""
     facts = {
         "kind": ", ".join(setting.kinds),
         "type": setting.type,

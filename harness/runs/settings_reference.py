@@ -72,6 +72,11 @@ def settings_reference() -> tuple[Setting, ...]:
     return (*keys, *own, Setting(f"cases.{ITEM}.{NAME}", (), "text", "", _REQUIRED, NAME_MEANING))
 
 
+def reference_of(spec: type[BaseModel]) -> tuple[Setting, ...]:
+    """Every key of another specification."""
+    return tuple(_of_spec(spec, "", (), {}))
+
+
 def find_settings(key: str | None = None) -> tuple[Setting, ...]:
     """The settings that a key names.
 

@@ -1,0 +1,112 @@
+"""`omnirange dataset`: make a data set, and check one."""
+
+import os
+import shutil
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from harness import interrupts, shipped
+from harness.cli import completers
+from harness.cli.exits import OK
+from harness.cli.options import Commands, add_backend, add_changes, add_out
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.datasets.specification import DatasetSpec
+
+_START_S = 2.0
+"""Seconds until the first pair is made: libraries and compiled code are loaded."""
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "dataset",
+        run,
+        brief="make a data set of pairs with their truth over random scenes",
+        description="Make a data set: pairs of images with range, correspondences, occlusion, normals, poses and "
+        "calibrations over seeded random scenes. An interrupted set goes on where it stopped.",
+        epilog=f"shipped data sets: {', '.join(shipped.names('datasets'))}",
+    )
+    what = command.add_argument(
+        "spec", nargs="?", default="rooms", metavar="SPEC", help="a shipped data set's name, or a TOML file (rooms)"
+    )
+    completers.offer(what, completers.datasets, completers.files(".toml"))
+    add_out(command)
+    add_changes(command, axes=False)
+    command.add_argument(
+        "--dry-run", action="store_true", help="make a few pairs in memory; print the time and the space that all need"
+    )
+    command.add_argument("--describe", action="store_true", help="print every key of a specification, and its meaning")
+    add_backend(command)
+
+
+def run(options: Namespace) -> int:
+    """Make what is missing of the set."""
+    if options.describe:
+        _describe()
+        return OK
+    from harness.runs.executors import ONE_THREAD, backend_for
+
+    os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
+
+    from harness.datasets.loading import load_spec
+
+    spec = load_spec(options.spec, options.set)
+    if options.dry_run:
+        _plan(spec)
+        return OK
+    if options.out is None:
+        raise InputError("is missing: the folder in which the set is to be made", key="--out")
+
+    from harness.api.progress import Progress
+    from harness.datasets.making import Journal, is_complete, make
+    from harness.files import make_folder
+
+    folder: Path = options.out
+    make_folder(folder)
+    if is_complete(spec, folder):
+        print(f"{spec.name}: all {spec.pairs} pairs are made; nothing to do")
+        return OK
+    journal = Journal(spec, folder)
+    interrupts.check()
+    done = len(journal.done) * spec.pairs_per_scene
+    with Progress(spec.name, spec.pairs, done, "pairs") as progress:
+        try:
+            left = spec.scenes - len(journal.done)
+            backend = backend_for(float(spec.pairs - done), max(left, 1), options.workers, options.dask)
+            progress.say(f"{spec.pairs - done} pairs to make {backend.name}, {done} made before")
+            make(spec, folder, backend, journal, progress.count)
+        except KeyboardInterrupt:
+            progress.stop()
+            done = len(journal.done) * spec.pairs_per_scene
+            raise KeyboardInterrupt(f"{done} of {spec.pairs} pairs are made; run the same command to resume") from None
+        progress.finish()
+    print(f"{spec.pairs} pairs in {spec.scenes} scenes, {spec.layout} layout: {folder}")
+    return OK
+
+
+def _plan(spec: "DatasetSpec") -> None:
+    from harness.api.progress import duration
+    from harness.datasets.making import measure
+    from harness.machine import available_cpus
+
+    cost = measure(spec)
+    seconds, cpus = cost.seconds(spec), available_cpus()
+    print(
+        f"{spec.name}: {spec.pairs} pairs in {spec.scenes} scenes, {cost.bytes(spec) / 1e9:.3g} GB, about "
+        f"{duration(_START_S + seconds / cpus)} on {cpus} CPUs (measured on a few: {cost.seconds_a_pair:.2f} s and "
+        f"{cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene, on one thread)"
+    )
+    for workers in (16, 128):
+        print(f"  on {workers} workers of a cluster, each as fast: {duration(_START_S + seconds / workers)}")
+
+
+def _describe() -> None:
+    from harness.cli.settings import entry
+    from harness.datasets.specification import DatasetSpec
+    from harness.runs.settings_reference import reference_of
+
+    width = min(100, shutil.get_terminal_size().columns)
+    print("\n\n".join(entry(each, width) for each in reference_of(DatasetSpec)))
