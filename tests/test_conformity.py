@@ -101,6 +101,10 @@ BAD = {
     "shape": ("return alpha_2[1:]", "(66, 240); it has (65, 240)"),
     "dtype": ("return alpha_2 > 1", "its dtype is bool"),
     "angles": ("return np.degrees(alpha_2)", "alpha_2 must lie within 0 .. pi"),
+    "mixed-up": (
+        "return pair.answer(range_m=np.where(alpha_2 > 0, alpha_2, np.nan))",
+        "range_m looks like alpha_2 in radians: are these metres? Then answer(alpha_2=...) says so",
+    ),
     "missing": ("alpha_2[:] = np.nan", "confidence must be NaN where there is no match"),
     "repeats": (
         "calls.append(1)\nalpha_2 += 1e-9 * len(calls)",

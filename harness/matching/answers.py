@@ -143,6 +143,13 @@ def converted(answer: Answer, grid: Grid) -> Converted:
     )
 
 
+def disparity_of(answer: Answer, grid: Grid) -> Array:
+    """alpha_2 - alpha_1, radians, on the answer's own pixels `[height, width]`; NaN where there is no match."""
+    a_1 = angle_between(_looking(answer, grid), answer.t_v1)
+    baseline = float(np.linalg.norm(answer.t_v1))
+    return _alpha_2(_inverse_range(answer, a_1, baseline)[0], a_1, baseline) - a_1
+
+
 def _looking(answer: Answer, grid: Grid) -> Array:
     return directions(grid) if answer.projection is None else answer.projection.directions
 

@@ -18,7 +18,20 @@ from harness.geometry.triangulation import alpha_2_at_range
 from harness.matching.answers import Answer
 from harness.matching.interface import Fault, MatcherSettings, Matches, as_matches, faults
 from harness.matching.pair import Pair
-from harness.testing.pairs import GRID, OTHER_SENSOR, PAIRS, TURNED, Mask, Scenery, blank, fresh, one_image, scenery
+from harness.testing.pairs import (
+    GRID,
+    OTHER_SENSOR,
+    PAIRS,
+    TURNED,
+    Mask,
+    Scenery,
+    blank,
+    fresh,
+    lopsided,
+    one_image,
+    scenery,
+)
+from harness.testing.slips import slip_in
 
 TOLERANCE_PX = 0.1
 """How far beyond a limit an angle may lie, in columns: rounding, and a sub-pixel step from the last candidate."""
@@ -176,6 +189,21 @@ def _keeps(rule: str, good: str) -> Callable[[Subject], str]:
         return good
 
     return check
+
+
+def _not_mixed_up(subject: Subject) -> str:
+    there = lopsided()
+    try:
+        raw = subject.raw("lopsided")
+        wrong = [fault for fault in faults(raw, there.pair.grid) if fault.rule in {"form", "shape", "dtype"}]
+    except InputError as error:
+        raise NotReached("it returns no result") from error
+    if wrong:
+        raise NotReached("its result is not an array of the right shape and type")
+    answer = raw if isinstance(raw, Answer) else there.pair.answer(alpha_2=as_given(raw, GRID).alpha_2)
+    if slip := slip_in(answer, there):
+        raise Broken(f"{answer.quantity} looks like {slip}")
+    return f"{answer.quantity} looks like nothing else"
 
 
 def _repeats(subject: Subject) -> str:
@@ -382,6 +410,7 @@ CHECKS: tuple[Check, ...] = (
     Check("shape", "one value for each pixel of view 1's panorama", _keeps("shape", f"{GRID.shape}")),
     Check("dtype", "real numbers", _keeps("dtype", "every array")),
     Check("angles", "angles within 0 .. pi, standard deviations above zero", _keeps("angles", "everywhere")),
+    Check("mixed-up", "units, signs and half pixels as they are said to be", _not_mixed_up),
     Check("missing", "NaN where there is no match, and only there", _keeps("missing", "everywhere")),
     Check("repeats", "the same result when called again", _repeats),
     Check("memory", "the same result after another pair", _remembers_nothing),

@@ -14,7 +14,7 @@ from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor, pixel_directions
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
-from harness.geometry.pose import Motion
+from harness.geometry.pose import Motion, Pose
 from harness.matching.pair import Pair, sharing
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.specification import SecondView, Trial
@@ -22,6 +22,7 @@ from harness.pipeline.stage_cache import StageCache
 from harness.pipeline.stages import Work
 from harness.pipeline.trial import PAIR, REFERENCE
 from harness.simulation.scene import load_scene
+from harness.simulation.truth import Truth, truth
 
 Mask = NDArray[np.bool_]
 
@@ -40,8 +41,21 @@ class Scenery:
     """True angles, radians."""
     domain: Mask
     """Pixels that both views see, away from the epipoles."""
+    work: Work
+    """The trial that it comes from."""
+
+    def truth(self, looking: Array) -> tuple[Truth, Array]:
+        """The truth along any directions `[rows, columns, 3]` of v1, and the range from viewpoint 2 along the same
+        directions, metres.
+        """
+        trial, poses = self.work.trial, self.work.setup.poses
+        every = np.ones(looking.shape[:-1], dtype=bool)
+        seen = truth(trial.scene, poses[0], looking, every, pose_2=poses[1], sensor_2=self.pair.sensors[1])
+        alike = poses[0].model_copy(update={"position_m": poses[1].position_m})
+        return seen, truth(trial.scene, alike, looking, every).range_m
 
 
+SLANTED = SecondView(azimuth_deg=130.0, elevation_deg=25.0)
 TURNED = SecondView(yaw_deg=40.0, pitch_deg=4.0, roll_deg=-3.0)
 SENSOR = Sensor(
     camera=Camera(
@@ -61,6 +75,7 @@ def scenery(
     view_2: SecondView = SecondView(),  # noqa: B008 - frozen
     grid: Grid = GRID,
     sensor_2: Sensor | None = None,
+    view_1: Pose = Pose(position_m=(0.0, 0.0, 1.0)),  # noqa: B008 - frozen,
 ) -> Scenery:
     """The paper's box, without noise."""
     scene = load_scene(str(shipped.find("scenes", "box")))
@@ -70,12 +85,20 @@ def scenery(
         sensor=SENSOR,
         sensor_2=sensor_2,
         panorama=grid,
+        view_1=view_1,
         view_2=view_2,
         matching=WindowMatcher(sampling="alpha"),
     )
     work = Work(trial, StageCache())
     reference, _ = work(REFERENCE)
-    return Scenery(work(PAIR), reference.alpha_2, reference.domain)
+    return Scenery(work(PAIR), reference.alpha_2, reference.domain, work)
+
+
+def lopsided() -> Scenery:
+    """A pair without symmetries: away from the middle of the box, and along none of its walls."""
+    return scenery(
+        SecondView(azimuth_deg=70.0, elevation_deg=12.0), view_1=Pose(position_m=(1.5, -0.8, 1.2), yaw_deg=20.0)
+    )
 
 
 def fresh(pair: Pair, *, threads: int | None = None) -> Pair:
@@ -110,10 +133,11 @@ PAIRS: dict[str, Callable[[], Pair]] = {
     "easy": lambda: scenery().pair,
     "turned": lambda: scenery(TURNED).pair,
     "up": lambda: scenery(SecondView(elevation_deg=90.0)).pair,
-    "slanted": lambda: scenery(SecondView(azimuth_deg=130.0, elevation_deg=25.0)).pair,
+    "slanted": lambda: scenery(SLANTED).pair,
     "grid 1": lambda: scenery(grid=OTHER_GRIDS[0]).pair,
     "grid 2": lambda: scenery(grid=OTHER_GRIDS[1]).pair,
     "sensors": lambda: scenery(TURNED, sensor_2=OTHER_SENSOR).pair,
     "quarter": lambda: quarter_turn(scenery().pair),
+    "lopsided": lambda: lopsided().pair,
     "blank": blank,
 }
