@@ -3,13 +3,13 @@
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, Request, Route, sync_playwright
+from playwright.sync_api import BrowserContext, Page, Playwright, Request, Route, sync_playwright
 
 FLAGS = [
     "--no-sandbox",
@@ -45,7 +45,7 @@ def chromium_path() -> str:
 
 
 @contextmanager
-def chromium(profile: Path, *, scripts: bool = True) -> Iterator[BrowserContext]:
+def chromium(profile: Path, *, scripts: bool = True, driver: Playwright | None = None) -> Iterator[BrowserContext]:
     """A browser with a new, empty profile.
 
     Parameters
@@ -54,9 +54,11 @@ def chromium(profile: Path, *, scripts: bool = True) -> Iterator[BrowserContext]
         A folder that does not exist yet or is empty.
     scripts
         False turns JavaScript off, for the page but not for the test.
+    driver
+        What starts the browser, for a second one beside another: there is one of them in a thread.
     """
-    with sync_playwright() as driver:
-        context = driver.chromium.launch_persistent_context(
+    with nullcontext(driver) if driver else sync_playwright() as starter:
+        context = starter.chromium.launch_persistent_context(
             profile, executable_path=chromium_path(), headless=True, args=FLAGS, java_script_enabled=scripts
         )
         try:

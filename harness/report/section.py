@@ -132,7 +132,17 @@ class InAbstract:
     html: Markup
 
 
-Block = Paragraph | Figure | LineKey | TableBlock | FixedTable | InAbstract
+@dataclass(frozen=True)
+class Interactive:
+    """What needs a script: it has no number, and says itself what there is to read without one."""
+
+    kind: ClassVar = "interactive"
+    html: Markup
+    script: Markup
+    """JavaScript, put at the end of the page."""
+
+
+Block = Paragraph | Figure | LineKey | TableBlock | FixedTable | InAbstract | Interactive
 
 
 @dataclass(frozen=True)
