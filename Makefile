@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help paper test quick lint docs lock install clean
+.PHONY: help paper test findings quick lint docs lock install clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*##/\1	/p' $(MAKEFILE_LIST)
@@ -16,6 +16,10 @@ paper: $(STAMP)  ## reproduce the paper; the report is results/paper/report.html
 
 test: $(STAMP)  ## run the tests, on all cores
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+findings: $(STAMP)  ## measure anew what the README quotes, into results/reference/, and print its sentences: hours
+	$(BIN)/python results/reference/regenerate.py
+	$(BIN)/python results/reference/findings.py
 
 quick: $(STAMP)  ## run the tests that are not slow; one that has become slow fails
 	$(BIN)/python -m pytest -n auto --dist loadfile -q -m "not slow" --most-cpu-s 2

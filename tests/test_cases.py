@@ -266,7 +266,7 @@ def test_methods_go_by_their_cases_names(
     monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path / "cache"))
     file = write_small(tmp_path / "e.toml", METHODS + '"matching.window_px" = 9\n')
     said = runs_of(capsys, file, "--out", tmp_path / "out")
-    assert "means over the trials of each case" not in said  # the methods' table has them
+    assert "means over the trials of each case" in said
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     for name in ("the paper's windows", "columns, V fit"):
         assert all(word in said.split() for word in name.split())

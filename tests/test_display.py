@@ -19,7 +19,7 @@ def test_a_specification_shows_what_differs_from_its_defaults() -> None:
     assert repr(Sensor()) == str(Sensor()) == "Sensor()"
     camera = Camera(width_px=160, height_px=120, cx_px=79.5, cy_px=59.5)
     assert repr(camera) == "Camera(width_px=160, height_px=120, cx_px=79.5, cy_px=59.5)"
-    assert repr(load_experiment("paper")) == "Experiment('paper', 2 trials: matching.subpixel (2))"
+    assert repr(load_experiment("paper")) == "Experiment('paper', 24 trials: seed (12), matching.subpixel (2))"
 
 
 @pytest.mark.slow

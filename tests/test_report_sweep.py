@@ -13,6 +13,7 @@ import pytest
 from browser import chromium, visit
 from test_report import BOTH, SMALL, Document, run_small
 
+from harness.pipeline.row import row_of
 from harness.report import theme
 from harness.report.build import build_report
 from harness.report.section import About, Context, Figure
@@ -113,7 +114,7 @@ def test_the_papers_own_experiment_has_regions_figures_and_pixel_locking_but_no_
 @pytest.mark.slow
 def test_every_figure_and_table_is_numbered_once(page):
     for what in ("Figure", "Table"):
-        result = [int(number) for number in re.findall(rf"<b>{what} (\d+)\.</b>", page)]
+        result = [int(number) for number in re.findall(rf"<b>{what} (\d+)(?: \(paper [^<]*\))?\.</b>", page)]
         assert result == list(range(1, len(result) + 1))
 
 
@@ -192,12 +193,12 @@ def test_table_of_all_figures_is_the_mean_over_seeds(swept, page):
 def test_regions_of_the_base_trial_per_pixel_and_per_solid_angle_are_the_rows(paper, paper_page):
     rows = downloads(paper_page)["regions-base-trial"]
     result = {(row["method"], row["split"], row["part"]): row for row in rows}
-    for outcome, method in zip(paper.rows, ("pixel", "subpixel"), strict=True):
-        for region in outcome.payload["regions"]:
+    for outcome, method in zip(paper.outcomes, ("pixel", "subpixel"), strict=True):
+        for region in row_of(outcome)["regions"]:
             part = region["part"]
             row = result[method, region["split"], part if "inf" not in part else "over 6 m"]
             assert float(row["range_median_abs_m"]) == pytest.approx(region["range_median_abs_m"], rel=1e-4)
-        figures = outcome.payload["figures"]
+        figures = row_of(outcome)["figures"]
         whole = result[method, "visibility", "visible in both views"]
         for name in ("density", "range_median_abs_m", "disparity_median_abs_px"):
             measured, expected = float(whole[f"{name}_solid_angle"]), figures[f"solid_angle_{name}"]

@@ -17,10 +17,11 @@ import harness
 # The paper's experiment
 # ----------------------
 #
-# The experiment ``paper`` is shipped: a box of 6 m, two viewpoints half a metre apart, and two trials, which differ
-# in the sub-pixel step alone.
+# The experiment ``paper`` is shipped: a box of 6 m, two viewpoints half a metre apart, and two methods, which differ
+# in the sub-pixel step alone. On the command line it judges the paper's claims over 12 pairs of views; one of these,
+# beside the paper's own, is enough here.
 
-paper = harness.run("paper")
+paper = harness.run("paper", axes={"seed": [1]})
 paper
 
 # %%

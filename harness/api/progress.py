@@ -116,6 +116,38 @@ class Progress:
         )
 
 
+class Steps:
+    """Shows on a terminal how many steps of something are done; elsewhere says what is begun."""
+
+    def __init__(self, what: str) -> None:
+        from rich import progress as bar
+        from rich.console import Console
+
+        console = Console()
+        self._bar = bar.Progress(
+            bar.TextColumn("{task.description}"),
+            bar.BarColumn(bar_width=24),
+            bar.MofNCompleteColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            transient=True,
+        )
+        self._task = self._bar.add_task(what, total=None)
+        if not console.is_terminal:
+            print(what, flush=True)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def update(self, done: int, total: int) -> None:
+        """So many steps are done."""
+        self._bar.update(self._task, completed=done, total=total)
+
+
 def duration(seconds: float) -> str:
     """A duration as text."""
     if seconds < 99.5:

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,15 @@ from harness.files import write
 from harness.pipeline.maps import FOLDER, TrialMaps, maps_of, read_maps
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys, dotted_up_to_date
+from harness.runs.cases import CASE
+from harness.runs.details import with_method
 from harness.runs.dotted import value_at
-from harness.runs.experiment import Experiment
+from harness.runs.experiment import Experiment, Planned
 from harness.runs.recorded import recorded
 from harness.runs.run import Result, Row, columns_of, result_from, rows_of, write_report, write_summary
 from harness.runs.settings_reference import unit_of
 from harness.runs.store import DATABASE, OTHER_CODE, Store
+from harness.runs.values import shown
 from harness.runs.worker import run_here
 from harness.spec import as_table
 
@@ -149,7 +153,8 @@ class RunResult:
         ----------
         trial
             The trial's key, its number in the experiment's order, or values of enough of the keys that vary to
-            identify it; the first trial when None.
+            identify it; the first trial when None. Where the trials that match differ in the seed alone, the base
+            trial is meant, if it matches too.
 
         Returns
         -------
@@ -231,6 +236,8 @@ class RunResult:
                 varied = ", ".join(every[0].coordinates) or "none"
                 raise InputError(f"'{key}' is not a key that varies; those are: {varied}", key="trial")
             matching = [each for each in every if all(each.coordinates[key] == value for key, value in chosen.items())]
+            if len(matching) > 1 and (base := self._base_of(matching, chosen)):
+                return base
         else:
             if not -len(every) <= trial < len(every):
                 raise InputError(f"there is no trial {trial}: there are {len(every)}, the first is 0", key="trial")
@@ -241,6 +248,15 @@ class RunResult:
                 f"{count} ({', '.join(every[0].coordinates) or 'one trial'}); found {trial!r}", key="trial"
             )
         return matching[0]
+
+    def _base_of(self, matching: list[Planned], chosen: Mapping[str, Any]) -> Planned | None:
+        """The base trial by the method of trials that differ in the seed alone; None where it is not as chosen."""
+        apart = {shown(each.coordinates_without(lambda key: key == "seed")) for each in matching}
+        base = with_method(self.experiment.trial, matching[0].trial)
+        table = as_table(base)
+        if len(apart) > 1 or CASE in chosen or any(value_at(table, key) != value for key, value in chosen.items()):
+            return None
+        return replace(matching[0], key=base.key, trial=base)
 
 
 def open_results(folder: str | Path, *, run_code: bool = False) -> RunResult:

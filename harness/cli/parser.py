@@ -28,6 +28,7 @@ from harness.cli import (
 from harness.cli import list as list_command
 from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
+from harness.cli.heartbeat import heartbeat
 from harness.cli.options import Commands, Parser
 from harness.cli.output import patient_output
 from harness.errors import InputError, Notice, described, one_line
@@ -75,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return INPUT
     debug = "--debug" in arguments
     try:
-        with interrupts.heard(), patient_output(), warnings.catch_warnings():
+        with interrupts.heard(), patient_output(), heartbeat(), warnings.catch_warnings():
             warnings.showwarning = _Notices().show
             warnings.simplefilter("default", Notice)  # shown, whatever filters apply to other warnings
             options = _parser().parse_args(arguments)

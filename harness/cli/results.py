@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from harness import interrupts
+from harness.api.progress import Steps
 from harness.cli.exits import FAILED, OK
-from harness.cli.tables import cases_table, methods_table
+from harness.cli.tables import cases_table, claims_table, law_tables, methods_table
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -57,17 +58,20 @@ def write(
 
         result = result_of(experiment, store, run_code=run_code)
         write_summary(result, store, folder)  # first, so that a failure of the report does not lose it
+        show(result.summary)
         not_drawn: list[str] = []
         gc.freeze()  # millions of long-lived rows: no garbage collection while figures are drawn
         try:
-            write_report(result, build_report(result, not_drawn), store, folder)
+            with Steps("writing report") as steps:
+                page = build_report(result, not_drawn, observe=steps.update)
+            write_report(result, page, store, folder)
         finally:
             gc.unfreeze()
         for each in result.details.left_out:
             print(f"omnirange: left out of the report: {each.matcher}: {each.reason}", file=sys.stderr)
         for failure in not_drawn:
             print(f"omnirange: {failure}", file=sys.stderr)
-        show(result.summary, shown)
+        show_report(shown)
     sparse = too_sparse((row.planned.trial, row.payload) for row in rows_of(experiment, store) if row.state == "done")
     for line in filter(None, (sparse, *remarks(rows_of(experiment, store)))):
         warnings.warn(line, Notice, stacklevel=1)
@@ -86,21 +90,39 @@ def write(
     return FAILED
 
 
-def show(summary: dict[str, Any], folder: Path) -> None:
-    """Print the main figures, and the path of the report."""
+def show(summary: dict[str, Any]) -> None:
+    """Print what came out: of a sweep its conclusions, else the figures of its one trial by each method."""
     from rich.console import Console
 
     console = Console()
-    if summary["comparison"]:
+    claims, headline, said = (summary.get(name) for name in ("claims", "headline", "conclusions"))
+    if claims:
+        console.print(claims_table(summary))
+        console.print()
+    if headline:
+        console.print(f"{summary['experiment']}: {headline}", highlight=False, markup=False, style="bold")
+    of_one_trial = bool(summary["comparison"]) and not (headline and said)  # of a sweep, one trial is no answer
+    if of_one_trial:
         console.print(methods_table(summary))
-    if summary.get("cases") and not summary.get("labels"):  # where cases name methods, they are in the table above
+    if summary.get("cases") and not (of_one_trial and summary.get("labels")):  # cases that name methods are in it
         console.print()
         console.print(cases_table(summary))
-    if summary.get("conclusions"):
+    if said:
         console.print()
-    for each in summary.get("conclusions", ()):
+    tested = bool(summary.get("law"))  # its slopes are a table of their own
+    for each in (line for line in said or () if not (tested and line.startswith("The law, "))):
         console.print(f"- {each}", soft_wrap=False, highlight=False, markup=False)
-    console.print(f"\nreport: {folder / 'report.html'}", soft_wrap=True, highlight=False, markup=False)
+    for table in law_tables(summary):
+        console.print()
+        console.print(table)
+    console.print()
+
+
+def show_report(folder: Path) -> None:
+    """Print where the report is."""
+    from rich.console import Console
+
+    Console().print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False, markup=False)
 
 
 def say_unused_rows(unused: "UnusedRows") -> None:

@@ -12,7 +12,7 @@ from harness import interrupts, shipped
 from harness.api.progress import Progress, duration
 from harness.cli import options as declare
 from harness.cli.exits import OK
-from harness.cli.results import say_unused_rows, show, write
+from harness.cli.results import say_unused_rows, show, show_report, write
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -73,7 +73,8 @@ def run(options: Namespace) -> int:
         say_unused_rows(before.unused)
         if before.done == before.total and is_reported(experiment, store, folder):
             print(f"{experiment.name}: all {before.total} trials are done and the report is written; nothing to do")
-            show(json.loads((folder / "summary.json").read_text(encoding="utf-8")), shown)
+            show(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+            show_report(shown)
             return OK
         with Progress(experiment.name, before.total, before.done) as progress:
             try:

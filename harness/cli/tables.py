@@ -1,6 +1,6 @@
 """Tables for the terminal."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -42,6 +42,29 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     return table
 
 
+def claims_table(summary: dict[str, Any]) -> "Table":
+    """A table of the paper's claims: a verdict for each, and the first line of what came out.
+
+    Parameters
+    ----------
+    summary
+        As in `summary.json`.
+    """
+    from rich.markup import escape
+
+    claims = summary["claims"]
+    table = _table(f"{escape(summary['experiment'])}: the paper's claims over {claims[0]['seeds']} pairs of views")
+    table.add_column("verdict", no_wrap=True)
+    table.add_column("claim, and what came out [95 %]")
+    for each in claims:
+        because = f" ({each['because']})" if each["because"] else ""
+        table.add_row(
+            escape(each["verdict"]),
+            f"[bold]{escape(each['claim'])}[/bold]{escape(because)}\n{escape(each['found'][0])}",
+        )
+    return table
+
+
 def cases_table(summary: dict[str, Any]) -> "Table":
     """A table of the main figures of a run's named cases, a line for each case, and method where there are several.
 
@@ -59,17 +82,70 @@ def cases_table(summary: dict[str, Any]) -> "Table":
     table = _table(f"{escape(summary['experiment'])}: means over the trials of each case")
     longest = max(len(word) for each in cases for word in each["case"].split())
     table.add_column("\ncase", min_width=longest)  # names wrap between words, and never inside one
-    if len(methods) > 1:
+    by_method = len(methods) > 1 and not summary.get("labels")
+    if by_method:
         table.add_column("\nmethod", overflow="fold")
     columns = _add_figures(table)
     for each in cases:
         method = each["matcher"] if each["subpixel"] == "own" else f"{each['matcher']} {each['subpixel']}"
         table.add_row(
             escape(each["case"]),
-            *([escape(method)] if len(methods) > 1 else []),
+            *([escape(method)] if by_method else []),
             *(_figure(each[column.name], METRICS[column.name]) for column in columns),
         )
     return table
+
+
+def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
+    """The test of the law: slopes and R² by method and surface, and the best baseline for each range; none untested.
+
+    Parameters
+    ----------
+    summary
+        As in `summary.json`.
+    """
+    from rich.markup import escape
+
+    from harness.evaluation.law import slope_verdict
+    from harness.runs.methods import in_words
+
+    law = summary.get("law") or {}
+    fits = [fit for fit in law.get("images", ()) if fit["law"] == "exact" and fit["slope"] is not None]
+    if fits:
+        table = _table("slope on the law [95 %]; 1 is the law")
+        for heading in ("pixels", "method"):
+            table.add_column(heading, no_wrap=True)
+        for heading in ("slope", "R²"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column("verdict")
+        for fit in fits:
+            method = in_words((fit["matcher"], fit["subpixel"]), {})
+            table.add_row(f"{fit['surface']}s", escape(method), _slope(fit), f"{fit['r2']:.2f}", slope_verdict(fit))
+        yield table
+    best = [each for each in law.get("best_baseline", ()) if each["surface"] == "wall"]
+    if best:
+        table = _table("best baseline on walls, m [95 %], of those that were tried")
+        methods = list(dict.fromkeys((each["matcher"], each["subpixel"]) for each in best))
+        table.add_column("range m", justify="right")
+        for each in methods:
+            table.add_column(escape(in_words(each, {})), justify="right")
+        for range_m in sorted({each["range_m"] for each in best}):
+            of_method = {(each["matcher"], each["subpixel"]): each for each in best if each["range_m"] == range_m}
+            cells = [_baseline(of_method.get(method)) for method in methods]
+            table.add_row(f"{range_m:.1f}", *cells)
+        yield table
+
+
+def _slope(fit: dict[str, Any]) -> str:
+    between = fit["slope_ci95"]
+    return f"{fit['slope']:.2f} " + (f"\\[{between[0]:.2f}, {between[1]:.2f}]" if between else "(one seed)")
+
+
+def _baseline(best: dict[str, Any] | None) -> str:
+    if best is None:
+        return "-"
+    low, high = best["baseline_m_ci95"]
+    return f"{best['baseline_m']:.3g} \\[{low:.3g}, {high:.3g}]"
 
 
 def _add_figures(table: "Table") -> list["Metric"]:

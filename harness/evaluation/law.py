@@ -17,6 +17,9 @@ from harness.evaluation.law_images import (
 
 GROSS = 0.1
 """Where more than this share of the estimates is off by over a pixel, errors are mismatches, not small errors."""
+LEAST_R2 = 0.3
+"""A slope off 1 that explains a smaller share of the variance than this is no law, however short its interval."""
+NO_LAW = "no law to be seen"
 
 
 def test_law(cells: pd.DataFrame) -> dict[str, Any]:
@@ -130,7 +133,25 @@ def _judged(fit: dict[str, Any]) -> str:
     text = f"slope {slope:.2f} [{low:.2f}, {high:.2f}] on the exact law"
     if low <= 1 <= high:
         return f"{text}, which is compatible with 1" if high - low <= 0.3 else f"{text}, too wide to tell"
+    if _explains_nothing(fit):
+        return f"no law to be seen: {text}, which explains {fit['r2']:.0%} of the variance"
     return f"{text}, which excludes 1: the error grows {'faster' if low > 1 else 'more slowly'} than the law says"
+
+
+def slope_verdict(fit: dict[str, Any]) -> str:
+    """What the slope of a fit on the exact law allows to say, in a few words."""
+    if fit["slope_ci95"] is None:
+        return "one seed: nothing can be concluded"
+    low, high = fit["slope_ci95"]
+    if low <= 1 <= high:
+        return "compatible with the law" if high - low <= 0.3 else "too wide to tell"
+    if _explains_nothing(fit):
+        return NO_LAW
+    return f"grows {'faster' if low > 1 else 'more slowly'} than the law"
+
+
+def _explains_nothing(fit: dict[str, Any]) -> bool:
+    return fit["r2"] is not None and fit["r2"] < LEAST_R2
 
 
 def _directions(fit: dict[str, Any]) -> str:

@@ -36,6 +36,8 @@ SURFACES = ("wall", "floor")
 VISIBLE, OCCLUDED = "visible in both views", "occluded in view 2"
 WALL, FLOOR = "wall", "floor or ceiling"
 """Parts of the splits `visibility` and `surface`."""
+NEAR_BASELINE = "within 30° of the baseline"
+"""The part of the split `left out`: outside the domain, so that no other figure counts it."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,7 @@ def _splits(
     # Outside the domain: there is no true match, and an estimate is an invention.
     occluded = looked_at & truth.in_field_2 & ~truth.unoccluded & ~domain
     yield "visibility", (VISIBLE, OCCLUDED), (), _labels(domain, occluded)
+    yield "left out", (NEAR_BASELINE,), (), _labels(truth.visible & ~reference.sideways)
     yield "surface", (WALL, FLOOR), (), _labels(domain & wall, domain & ~wall)
     with np.errstate(invalid="ignore"):
         towards = np.einsum("ijk,ijk->ij", truth.normal, directions_world)

@@ -17,6 +17,7 @@ from harness.evaluation.metrics import (
 )
 from harness.evaluation.motion_cost import motion_figures
 from harness.evaluation.regions import FLOOR, VISIBLE, WALL
+from harness.evaluation.rounding import rounding
 from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
@@ -36,8 +37,9 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `figures`: flat, for `trials.csv`; `regions`: see `metrics.measure_regions`; `cells`: see `cells.Cell`;
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
-        `remark`, the matcher's, if it has one; `motion`, the status of an estimated one and why; `novel_views`: see
-        `novel_views.figures_of`; `scan`, see `scan.figures_of`.
+        `rounding`, where matches are whole samples: see `rounding.rounding`; `remark`, the matcher's, if it has one;
+        `motion`, the status of an estimated one and why; `novel_views`: see `novel_views.figures_of`; `scan`, see
+        `scan.figures_of`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
@@ -49,6 +51,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "confidence": confidence_of(outcome) if trial.scoring.confidence else None,
         "calibration": calibration_of(outcome),
         "budget": error_budget(outcome) if trial.scoring.budget else None,
+        "rounding": _rounding(outcome) or None,
         "remark": outcome.matches.remark or None,
         "motion": _status(outcome),
         "novel_views": views or None,
@@ -74,6 +77,10 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "reasons": _reasons(outcome),
         **{name: value for name, value in optional.items() if value is not None},
     }
+
+
+def _rounding(outcome: Outcome) -> dict[str, float | None]:
+    return rounding(outcome.reference, outcome.errors, outcome.k) if outcome.trial.matching.whole_samples else {}
 
 
 def _reasons(outcome: Outcome) -> dict[str, int]:

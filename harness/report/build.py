@@ -1,17 +1,22 @@
 """Assemble the report: one self-contained HTML file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from harness import interrupts
 from harness.report import theme, words
 from harness.report.markup import html, template
+from harness.report.opening import opening
 from harness.report.section import About, Context, Declared, Paragraph, Section
 from harness.report.sections import SECTIONS
-from harness.report.sections.comparison import coordinates_of
 from harness.runs.run import Result
 
 
-def build_report(result: Result, failures: list[str] | None = None, sections: Sequence[Declared] | None = None) -> str:
+def build_report(
+    result: Result,
+    failures: list[str] | None = None,
+    sections: Sequence[Declared] | None = None,
+    observe: Callable[[int, int], None] = lambda _done, _all: None,
+) -> str:
     """The report of a finished experiment as HTML text, the same for the same result.
 
     Statements about all trials come from their rows. The base trial is shown in detail, once for each method.
@@ -23,15 +28,17 @@ def build_report(result: Result, failures: list[str] | None = None, sections: Se
         in its place.
     sections
         What the page is made of, instead of `SECTIONS`; those about the same keep their order.
+    observe
+        Called with the number of sections that are made, and of all, as each is begun.
     """
     context = Context.of(result)
-    made = sections_of(context, failures, sections)
+    made = sections_of(context, failures, sections, observe)
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
         trial=context.trial,
         sweep=context.sweep,
-        trials=coordinates_of(result, context.methods),
+        opening=opening(context, made),
         abstract=list(words.abstract(result, context.trial, context.compared)),
         overview=list(words.overview(result, context.sweep)),
         sections=made,
@@ -39,24 +46,30 @@ def build_report(result: Result, failures: list[str] | None = None, sections: Se
 
 
 def sections_of(
-    context: Context, failures: list[str] | None = None, sections: Sequence[Declared] | None = None
+    context: Context,
+    failures: list[str] | None = None,
+    sections: Sequence[Declared] | None = None,
+    observe: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[Section]:
     """The sections of a report in their order, without those that have nothing to show; see `build_report`."""
+    declared = _in_order(SECTIONS if sections is None else sections, context)
+    made: list[Section] = []
     with theme.style() as missing:
-        made = [
-            section
-            for each in _in_order(SECTIONS if sections is None else sections, context)
-            if (section := _made(each, context, missing))
-        ]
+        for number, each in enumerate(declared):
+            observe(number, len(declared))
+            section = _made(each, context, missing)
+            made += [section] if section else []
     if failures is not None:
         failures.extend(missing)
     return made
 
 
 def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:
-    """All trials come first in a sweep, the base trial elsewhere; the run itself comes last."""
+    """All trials come first in a sweep, the base trial elsewhere, and where the paper's claims open the page: its
+    figures show them. The run itself comes last.
+    """
     first, second = About.ALL_TRIALS, About.BASE_TRIAL
-    if not context.sweep.several:
+    if not context.sweep.several or context.summary.get("claims"):
         first, second = second, first
     order = (first, second, About.THE_RUN)
     return sorted(sections, key=lambda each: order.index(each.about))

@@ -4,7 +4,7 @@ import csv
 import io
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -69,6 +69,8 @@ class Cell:
     """The colour of a method's key beside the text."""
     below: str = ""
     """A second, smaller line."""
+    faint: bool = False
+    """In the first column: the row is set in grey, as something that does not count."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,20 @@ class Table:
     """Rows that are in the data only."""
     screen_only: tuple[int, ...] = ()
     """Columns that a sheet of paper has no room for."""
+
+    @property
+    def known(self) -> "Table":
+        """The same table without the columns in which no row has a number."""
+        empty = {i for i in range(len(self.headings)) if self.rows and all(row[i].text == "–" for row in self.rows)}
+        if not empty:
+            return self
+        kept = [i for i in range(len(self.headings)) if i not in empty]
+        return replace(
+            self,
+            headings=[self.headings[i] for i in kept],
+            rows=[[row[i] for i in kept] for row in self.rows],
+            screen_only=tuple(kept.index(i) for i in self.screen_only if i in kept),
+        )
 
 
 def words(text: str, colour: str = "") -> Cell:

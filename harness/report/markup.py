@@ -15,9 +15,10 @@ def html(text: str, **values: Any) -> Markup:
     Parameters
     ----------
     text
-        Jinja source. It has the filters `figure` (a number with a true minus sign) and `symbols` (plain text with its
-        symbols typeset), and the functions `d(n)` and `alpha(n)` (the symbols with their index) and
-        `key(label, colour)` (a method's name beside its colour).
+        Jinja source. It has the filters `figure` (a number with a true minus sign), `symbols` (plain text with its
+        symbols typeset), `typeset` (plain text with true minus signs) and `sentence` (with a capital), and the
+        functions `d(n)` and `alpha(n)` (the symbols with their index) and `key(label, colour)` (a method's name beside
+        its colour).
     """
     # Safe: the source is ours, and what is put in is escaped by Jinja.
     return Markup(_fragment(text).render(values))  # noqa: S704
@@ -48,6 +49,8 @@ def _environment() -> Environment:
     )
     environment.filters["figure"] = typography.figure
     environment.filters["symbols"] = typography.symbols
+    environment.filters["typeset"] = typography.typeset
+    environment.filters["sentence"] = lambda text: f"{text[:1].upper()}{text[1:]}"
     environment.globals["d"] = lambda n: Markup("<i>d</i><sub>{}</sub>").format(n)
     environment.globals["alpha"] = lambda n: Markup("<i>α</i><sub>{}</sub>").format(n)
     environment.globals["key"] = lambda label, colour: Markup('<span class="key" style="--key: {}">{}</span>').format(

@@ -91,6 +91,8 @@ class Figure:
     """The numbers behind it, to download."""
     missing: str = ""
     """What to say when there is no picture; empty for the usual words."""
+    paper: str = ""
+    """The figure of the paper that it repeats, such as `fig. 5(a)`."""
 
 
 @dataclass(frozen=True)

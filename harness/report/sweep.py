@@ -85,6 +85,11 @@ class Axis:
         """The name with its unit."""
         return name_of(self.key)
 
+    @property
+    def slug(self) -> str:
+        """What its figure and data are called."""
+        return f"sweep-{self.key.replace('.', '-').replace('_', '-')}"
+
     @cached_property
     def texts(self) -> list[str]:
         """Its values in words, each different from all others."""

@@ -330,7 +330,14 @@ def shade(ax: Axes, x: NDArray[np.floating], where: NDArray[np.bool_], colour: s
 
 
 def dots(
-    ax: Axes, x: NDArray[np.floating], y: NDArray[np.floating], colour: str, size: float, length: float = 0.0
+    ax: Axes,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    colour: str,
+    size: float,
+    length: float = 0.0,
+    *,
+    alpha: float = 1.0,
 ) -> None:
     """Many dots as one path: a tenth of the bytes that as many markers take.
 
@@ -340,6 +347,8 @@ def dots(
         Diameter in points.
     length
         In units of y; draws each as an upright stroke instead.
+    alpha
+        Opacity.
     """
     ends = np.stack([np.stack([x, y], axis=-1), np.stack([x, y + length], axis=-1)], axis=1).reshape(-1, 2)
     if not ends.size:
@@ -347,7 +356,7 @@ def dots(
     path = Path(ends, np.tile([Path.MOVETO, Path.LINETO], len(ends) // 2))
     path.should_simplify = False
     cap = "butt" if length else "round"
-    patch = PathPatch(path, fill=False, edgecolor=colour, linewidth=size, capstyle=cap, zorder=3)
+    patch = PathPatch(path, fill=False, edgecolor=colour, linewidth=size, capstyle=cap, zorder=3, alpha=alpha)
     patch.set_clip_path(ax.patch)
     # Not add_patch, which looks for the extrema of every segment to set the axes' limits.
     ax.add_artist(patch)

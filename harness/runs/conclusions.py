@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from harness.evaluation.law import LEAST_R2
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
 from harness.runs.cases import CASE
 from harness.runs.methods import METHOD_KEYS, MethodName, in_words
@@ -15,7 +16,7 @@ from harness.runs.values import identity_of, shown, text_of
 if TYPE_CHECKING:
     from harness.runs.run import Row
 
-_FIGURES = (("wall", "wall_range_median_abs_m"), ("all", "range_median_abs_m"))
+FIGURES = (("wall", "wall_range_median_abs_m"), ("all", "range_median_abs_m"))
 """Median |range error| of walls, where square windows fit; of everything where there are no walls."""
 _LEAST = 0.02
 """A difference of less than 2 % is none worth a sentence, however sure it is."""
@@ -44,8 +45,8 @@ def conclusions(
     further
         Sentences on what else the trials were scored by, such as warped views.
     """
-    table, axes = _table(rows, labels or {})
-    measured = [(place, name) for place, name in _FIGURES if not table.empty and (table[name] > 0).any()]
+    table, axes = table_of(rows, labels or {})
+    measured = [(place, name) for place, name in FIGURES if not table.empty and (table[name] > 0).any()]
     if not measured or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
         return []
     place, figure = measured[0]
@@ -63,7 +64,7 @@ def conclusions(
     return sentences
 
 
-def _table(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
+def table_of(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
     """A row a trial: its method, seed, figures, and for each axis the index of its value; and the axes' values."""
     not_axes = ("seed", *METHOD_KEYS, *([CASE] if labels else []))
     known: dict[str, dict[str, Any]] = {}
@@ -79,7 +80,7 @@ def _table(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.
         records.append(
             {"method": in_words(row.planned.method, labels), "seed": row.planned.trial.seed}
             | {key: of_key[identity_of(key, row.coordinates[key])] for key, of_key in index.items()}
-            | {name: math.nan if figures.get(name) is None else figures[name] for _, name in _FIGURES}
+            | {name: math.nan if figures.get(name) is None else figures[name] for _, name in FIGURES}
         )
     return pd.DataFrame(records), axes
 
@@ -117,7 +118,7 @@ def _about_methods(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str,
     ratio = _ratio(pivot, first, second)
     if not _has_interval(ratio):
         return
-    error = f"{_length(curve.mean[order[0]])} {where}" + (", averaged over settings" if axes else "")
+    error = f"{length(curve.mean[order[0]])} {where}" + (", averaged over settings" if axes else "")
     if _differs(ratio):
         yield f"{first} has the smallest median range error, {error}: {_times(ratio)} that of {second}, the next."
     else:
@@ -142,7 +143,7 @@ def _about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figur
         )
         yield f"{key} {says} ({who}: at most {_times(ratio)})."
         return
-    low, high = (f"{_length(curve.mean[i])} at {_value(values[i])}" for i in (least, most))
+    low, high = (f"{length(curve.mean[i])} at {value_text(values[i])}" for i in (least, most))
     yield f"{key}: the median range error ({who}) is {low}, and {_times(ratio)} that, {high}."
 
 
@@ -155,7 +156,7 @@ def _about_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> 
             continue
         method = in_words((fit["matcher"], fit["subpixel"]), labels)
         interval = f"{slope:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]" if ends and None not in ends else f"{slope:.2f}"
-        if fit["r2"] is not None and fit["r2"] < 0.3:
+        if fit["r2"] is not None and fit["r2"] < LEAST_R2:
             yield f"The law, {method} on walls: none to be seen (slope {interval}, R² {fit['r2']:.2f})."
         else:
             said = f"the error grows as its power {interval}, R² {fit['r2']:.2f}; 1 is the law."
@@ -177,9 +178,11 @@ def _times(ratio: tuple[float, float, float]) -> str:
     return f"{mean:.3g} [{low:.3g}, {high:.3g}] times"
 
 
-def _length(metres: float) -> str:
+def length(metres: float) -> str:
+    """A length in millimetres, from a metre on in metres."""
     return f"{metres:.3g} m" if metres >= 0.9995 else f"{1000 * metres:.3g} mm"
 
 
-def _value(value: Any) -> str:
+def value_text(value: Any) -> str:
+    """A value of an axis."""
     return f"{value:g}" if isinstance(value, float) else text_of(value) if not isinstance(value, dict) else shown(value)

@@ -95,7 +95,7 @@ class Experiment(Spec):
     def __repr__(self) -> str:
         """The name, how many trials there are, and what varies."""
         count = math.prod(map(len, self.axes.values())) * max(1, len(self.cases))
-        varied = [f"{key} ({len(values)})" for key, values in self.axes.items()]
+        varied = [f"{key} ({len(values)})" for key, values in self.axes.items() if len(values) > 1]
         varied += [f"{len(self.cases)} cases"] if self.cases else []
         trials = f"{count} trial{'s' if count != 1 else ''}"
         return f"Experiment({self.name!r}, {shortened(': '.join([trials, ', '.join(varied)]).rstrip(': '))})"

@@ -28,10 +28,12 @@ from harness.runs.analysis import cell_table, law_of, limit_of
 from harness.runs.budgets import budget_of
 from harness.runs.case_figures import figures_of_cases
 from harness.runs.cases import CASE
+from harness.runs.claims import claims_of
 from harness.runs.conclusions import conclusions
 from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
+from harness.runs.headline import headline
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.novel_views import novel_views_of, views_conclusions
 from harness.runs.plan import Plan, plan
@@ -224,9 +226,10 @@ def result_from(
     trials = [(row.planned, row.payload) for row in done]
     cells = cell_table(trials)
     law, views, scans = law_of(cells), novel_views_of(trials), scans_of(trials)
-    labels = experiment.method_labels
+    claims, labels = claims_of(trials), experiment.method_labels
     said = [*views_conclusions(views, labels), *scans_conclusions(scans, labels)]
     optional = {
+        "claims": claims,
         "limit": limit_of(trials),
         "budget": budget_of(trials),
         "budget_by_direction": budget_of(trials, "alpha_bin"),
@@ -235,7 +238,8 @@ def result_from(
         "law": law,
         "novel_views": views,
         "scans": scans,
-        "conclusions": conclusions(done, law, labels, said),
+        "headline": None if claims else headline(done, law, labels),
+        "conclusions": [] if claims else conclusions(done, law, labels, said),
     }
     summary |= {name: value for name, value in optional.items() if value}
     made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}

@@ -1,9 +1,9 @@
 """Write the reference numbers anew: `python results/reference/regenerate.py`, or with the names of some of them.
 
-`paper.json` holds the paper's experiment in each of the shipped scenes, `law.json` the test of the sensitivity law over
-all trials of `experiments/law.toml`, `law_best.json` the same with the best matcher, `matchers.json` the ladder of
-matchers on all scenes and how near they come to the bound, `cameras.json` what three cameras make of the range (some
-minutes each), and all of them what made the numbers.
+`paper.json` holds the paper's claims, and its experiment in each of the shipped scenes, `law.json` the test of the
+sensitivity law over all trials of `experiments/law.toml`, `law_best.json` the same with the best matcher,
+`matchers.json` the ladder of matchers on all scenes and how near they come to the bound, `cameras.json` what three
+cameras make of the range (some minutes each), and all of them what made the numbers.
 Tests compare with them (see `tests/test_reference.py`); a change of these numbers belongs into the same commit as the
 change that caused it.
 """
@@ -27,10 +27,18 @@ SCENES = ("box", "corridor", "room")
 
 
 def paper() -> dict[str, Any]:
-    """The comparison of whole pixels and sub-pixel in every scene, as in `summary.json`."""
-    summaries = {scene: run_experiment(load_experiment("paper", sets=[f"scene={scene}"])).summary for scene in SCENES}
+    """The paper's claims in its box, and the comparison of whole pixels and sub-pixel in every scene, as in
+    `summary.json`.
+    """
+    box = run_experiment(load_experiment("paper")).summary
+    others = {
+        scene: run_experiment(load_experiment("paper", sets=[f"scene={scene}"], axes={"seed": [1]})).summary
+        for scene in SCENES
+        if scene != "box"
+    }
     wanted = ("comparison", "comparison_wall")
-    return {"scenes": {scene: {name: summary[name] for name in wanted} for scene, summary in summaries.items()}}
+    scenes = {scene: {name: summary[name] for name in wanted} for scene, summary in ({"box": box} | others).items()}
+    return {"scenes": scenes, "claims": box["claims"]}
 
 
 def law(name: str = "law") -> dict[str, Any]:

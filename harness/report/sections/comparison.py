@@ -63,6 +63,9 @@ def section(context: Context) -> Iterator[Block]:
     methods, left_out, summary = context.methods, context.result.details.left_out, context.summary
     if left_out:
         yield Paragraph(html(_LEFT_OUT, left_out=left_out))
+    if context.sweep.several:  # elsewhere the page opens with it
+        said = " ".join(words.abstract(context.result, context.trial, context.compared))
+        yield Paragraph(html("<p>{{ said }}</p>", said=said))
     if context.compared:
         table = html(
             _TABLE,

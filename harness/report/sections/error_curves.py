@@ -145,10 +145,9 @@ def _over_axis(sweep: Sweep, axis: Axis) -> Swept:
                 x = [axis.positions[i] for i in present]
                 lines.append(_Line(method, surface, name, x, [axis.texts[i] for i in present], curve))
     shapes = _law_over_baselines(sweep) if axis.key == BASELINE else {}
-    slug = f"sweep-{axis.key.replace('.', '-').replace('_', '-')}"
     pictures = [_picture(name, lines, axis, shapes) for name in _MEASURES]
-    data = _data(slug, axis.key, lines)
-    return Swept(slug, axis.name, axis.label, pictures, data, bool(shapes), unbalanced=False, coupled=coupled)
+    data = _data(axis.slug, axis.key, lines)
+    return Swept(axis.slug, axis.name, axis.label, pictures, data, bool(shapes), unbalanced=False, coupled=coupled)
 
 
 def _over_range(sweep: Sweep, column_deg: float) -> Swept:

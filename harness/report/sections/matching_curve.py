@@ -32,7 +32,12 @@ away to {{ "%g" | format(matching.d_min_m) }} m away, one sample every
 {{ search.step_deg | abs | figure(".3g") }}° of <i>{{ angle }}</i><sub>2</sub>. (b) Around the minimum: the parabola is
 fitted by least squares to the best sample and {{ (fitted - 1) // 2 }} neighbours on both sides. Its minimum is
 {{ (search.minimum_deg - search.true_deg) | abs | figure(".3f") }}° from the true position, that of the best sample
-{{ (search.best_deg - search.true_deg) | abs | figure(".3f") }}°. After the paper’s figure 3.
+{{ (search.best_deg - search.true_deg) | abs | figure(".3f") }}°.
+{% if search.gap > 0 and search.least > 0 %}It misses the best sample by {{ search.gap | figure(".3g") }} {{ unit }}
+({{ (100 * search.gap / search.least) | figure(".0f") }} % of its cost) because over these samples the cost is no
+parabola: it falls steeply to its minimum and flattens out beside it, and least squares weigh all {{ fitted }} samples
+alike. The position of the minimum is where its flanks balance; how deep it lies does not enter.{% endif %}
+
 {% else %}
 Cost along one epipolar curve.
 {% endif %}
@@ -54,10 +59,12 @@ def section(context: Context) -> Iterator[Block]:
             matching=context.trial.matching,
             angle="φ" if methods[0].outcome.curves.sampling == "phi" else "α",
             fitted=int(search.near.sum()) if search else 0,
+            unit=_UNITS[_window_matcher(searched).cost] if searched else "",
         ),
         data=_numbers(search) if search else None,
         missing="Not drawn: no pixel of the domain has an estimate by every method and a cost for each sample around "
         "its minimum.",
+        paper="fig. 3",
     )
 
 
@@ -90,6 +97,16 @@ class Curve:
     """Where the fitted parabola is least; the best sample where the fit has no minimum among its samples."""
     true_deg: float
     step_deg: float
+
+    @property
+    def least(self) -> float:
+        """The cost of the best sample."""
+        return float(np.min(self.costs[self.near]))
+
+    @property
+    def gap(self) -> float:
+        """How far the parabola passes above the best sample."""
+        return float(self.fit[-1]) - self.least
 
     def parabola(self, count: int = 61) -> tuple[Array, Array]:
         """The fitted parabola over the samples that it was fitted to: angles in degrees, costs."""
@@ -209,8 +226,7 @@ def _around_minimum(curve: Curve, angle: str, cost: str) -> Picture:
         label=near_name,
         zorder=3,
     )
-    least = float(np.min(curve.costs[curve.near]))
-    ax.plot(curve.best_deg, least, "o", color=theme.PIXEL, markersize=6.5, zorder=4)
+    ax.plot(curve.best_deg, curve.least, "o", color=theme.PIXEL, markersize=6.5, zorder=4)
     for where, colour, dashes, name in (
         (curve.best_deg, theme.PIXEL, (0, (1, 1.5)), "whole-pixel minimum"),
         (curve.minimum_deg, theme.SUBPIXEL, "solid", "sub-pixel minimum"),

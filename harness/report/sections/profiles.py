@@ -29,7 +29,9 @@ domain have an estimate by every method.
 {% if toward is not none %}The second viewpoint lies at azimuth {{ toward | figure(".0f") }}°. {% endif %}
 {% if stepped %}The grey curves in (a) are the ranges at which whole samples of the epipolar curves lie, computed from
 the geometry alone: estimates at whole pixels lie on them, so the steps are discretisation.{% endif %}
- Ticks at the upper and lower edge are estimates beyond the axes. After the paper’s figure 5 (a) and (b).
+ Ticks at the upper and lower edge are estimates beyond the axes. Behind grey, and paler, lies what is within 30° of the
+baseline: {{ (100 * left_out) | figure(".0f") }} % of the row, where one degree costs twice as much and more, and which
+no figure counts.
 """
 _ROWS = """
 Other rows, walls and floor:
@@ -55,9 +57,11 @@ def section(context: Context) -> Iterator[Block]:
             row=row,
             toward=_azimuth_of_t(methods[0].outcome),
             stepped=context.trial.matching.whole_samples,
+            left_out=float(np.mean(~methods[0].outcome.reference.sideways[row.index])),
         ),
         "wide",
         _numbers("profile", methods, [row.index]),
+        paper="fig. 5(a) and (b)",
     )
     yield Figure(
         "figure-rows",
@@ -244,13 +248,19 @@ def _background(ax: Axes, outcome: Outcome, row: int, phi: Array) -> None:
     theme.shade(ax, phi, domain & ~valid, theme.UNMATCHED)
 
 
+_PALE = 0.4
+"""Opacity of what no figure counts."""
+
+
 def _estimate(ax: Axes, method: Method, row: int, span: tuple[float, float], size: float) -> int:
     """Dots, and strokes at the edge for those beyond it; how many of the latter lie in the domain."""
     outcome = method.outcome
     phi, range_m = np.degrees(outcome.trial.panorama.phi), outcome.range_m[row]
     low, high = span
     inside = (range_m >= low) & (range_m <= high)
-    theme.dots(ax, phi[inside], range_m[inside], method.colour, size)
+    counted = outcome.reference.domain[row]
+    for shown, alpha in ((inside & counted, 1.0), (inside & ~counted, _PALE)):
+        theme.dots(ax, phi[shown], range_m[shown], method.colour, size, alpha=alpha)
     for clipped, edge, sign in ((range_m > high, high, -1), (range_m < low, low, 1)):
         theme.dots(
             ax, phi[clipped], np.full(clipped.sum(), edge), method.colour, 0.8, length=sign * 0.03 * (high - low)
@@ -284,5 +294,5 @@ def _key(ax: Axes, method: Method) -> None:
         Patch(facecolor=theme.OUTSIDE),
         Patch(facecolor=theme.UNMATCHED, edgecolor="#CCCCCC", linewidth=0.5),
     ]
-    labels += [theme.plain(method.label), "outside the domain", "no estimate"]
+    labels += [theme.plain(method.label), "not counted: within 30° of the baseline", "no estimate"]
     theme.legend_above(ax, handles, labels, gap=0.2)

@@ -1,7 +1,7 @@
 """Errors by part of the picture, per pixel and per solid angle."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from harness.evaluation.metric_table import METRICS
-from harness.evaluation.regions import OCCLUDED
+from harness.evaluation.regions import NEAR_BASELINE, OCCLUDED
 from harness.evaluation.statistics import mean_over_seeds, weighted_median
 from harness.geometry.angles import Array
 from harness.report import theme
@@ -28,6 +28,7 @@ SPLITS = {
     "alpha_1": "Angle to the baseline α₁",
     "elevation": "Elevation",
     "range": "True range",
+    "left out": "Left out of all figures",
 }
 _MEASURES = tuple(METRICS[name] for name in ("disparity_median_abs_px", "bad_1px", "range_median_abs_m"))
 _KEYS = ("density", *(each.name for each in _MEASURES))
@@ -39,6 +40,8 @@ Median absolute errors of disparity and range by part of the picture
 Parts of one split together are the domain
 {%- if occluded %}; “occluded in view 2” lies outside it: there is no true match, so every estimate
 is wrong{% endif %}.
+{% if left_out %}Grey: what lies within 30° of the baseline, which no other figure counts.{% endif %}
+
 """
 _TABLE = """
 Errors by part of the picture over all trials, all pixels weighted equally: means of logarithms for medians, plain means
@@ -57,7 +60,8 @@ def section(context: Context) -> Iterator[Block]:
     several = context.sweep.several
     pictures, table = over_trials(context.sweep)
     occluded = any(row[1].text == OCCLUDED for row in table.rows)
-    caption = html(_ERRORS, several=several, seeds=len(context.sweep.seeds), occluded=occluded)
+    left_out = any(row[1].text == NEAR_BASELINE for row in table.rows)
+    caption = html(_ERRORS, several=several, seeds=len(context.sweep.seeds), occluded=occluded, left_out=left_out)
     yield Figure("figure-regions", pictures, caption, "wide", None if several else table.data)
     if several:
         yield TableBlock("table-regions", table, html(_TABLE))
@@ -113,6 +117,7 @@ def over_trials(sweep: Sweep) -> tuple[list[Picture], Table]:
                     *(_cell(figures.get(each.name), each.form, each.scale) for each in _MEASURES),
                 ]
             )
+            rows[-1] = _greyed(rows[-1], part.part)
             plain.append([method.matcher, method.subpixel, part.split, part.part])
             for key in _KEYS:
                 plain[-1] += figures.get(key, (np.nan,) * 3)
@@ -134,6 +139,11 @@ def _cell(figure: tuple[float, float, float] | None, form: str, scale: float) ->
         return Cell("–")
     mean, low, high = figure
     return number(mean, form, scale, (low, high) if np.isfinite(low) else None)
+
+
+def _greyed(cells: list[Cell], part: str) -> list[Cell]:
+    """The cells of a part; of what no other figure counts, in grey."""
+    return [replace(cells[0], faint=True), *cells[1:]] if part == NEAR_BASELINE else cells
 
 
 def _ordered(table: pd.DataFrame) -> list[_Part]:
@@ -185,6 +195,9 @@ def _picture(
             theme.logarithmic(ax, "x", float(known.min()) / 1.2, float(known.max()) * 1.2, most=7)
         ax.set_ylim(gaps[-1] + 0.7, -0.7)
         ax.set_yticks(gaps if ax is axes[0] else [])
+        for at, part in zip(gaps, parts, strict=True):
+            if part.part == NEAR_BASELINE:
+                ax.axhspan(at - 0.5, at + 0.5, color=theme.OUTSIDE, linewidth=0, zorder=0)
         ax.hlines(gaps, 0, 1, transform=ax.get_yaxis_transform(), color="#E8E8E8", linewidth=0.5, zorder=0)
         ax.grid(axis="x", color="#E8E8E8", linewidth=0.5)
         ax.set_axisbelow(True)
@@ -242,6 +255,8 @@ def of_base_trial(methods: list[Method]) -> Table:
             plain[-1] += [measures["density"] for measures in figures]
             for each in _MEASURES:
                 rows[-1] += [number(measures[each.name], each.form, each.scale) for measures in figures]
+            rows[-1] = _greyed(rows[-1], region.part)
+            for each in _MEASURES:
                 plain[-1] += [measures[each.name] for measures in figures]
     headings = ["split", "part", "method", "pixels", "solid_angle_weight", "density", "density_solid_angle"]
     headings += [f"{each.name}{end}" for each in _MEASURES for end in ("", "_solid_angle")]

@@ -28,7 +28,7 @@ viewpoints; surfaces are shaded by orientation in this overview only. (b) The im
 the {{ trial.sensor.model.title }} at <i>v</i><sub>1</sub>, {{ trial.sensor.camera.width_px }} ×
 {{ trial.sensor.camera.height_px }} px,
 {{ trial.render.samples }} samples a pixel; grey 0 outside the mirror’s rim and where the camera sees itself
-{%- if masked %}; {{ masked }}{% endif %}. After the paper’s figure 4 (a) and (b).
+{%- if masked %}; {{ masked }}{% endif %}.
 """
 _SECOND_VIEW = """
 The image of <i>v</i><sub>2</sub>, with {{ own }}: {{ sensor.model.title }},
@@ -39,8 +39,7 @@ _PANORAMAS = """
 The view of <i>v</i><sub>1</sub> on a cylinder around the vertical axis, {{ trial.panorama.width_px }} ×
 {{ trial.panorama.height_px }} px, (c) as unwrapped and (d) filtered as it is matched
 {%- if trial.filter.log_sigma_px %}, clipped at the 99th percentile{% endif %}.
-The azimuth descends from left to right, as seen from inside; <i>z</i> is the height on a cylinder of radius 1. After
-the paper’s figure 4 (c) and (d).
+The azimuth descends from left to right, as seen from inside; <i>z</i> is the height on a cylinder of radius 1.
 """
 
 
@@ -57,6 +56,7 @@ def section(context: Context) -> Iterator[Block]:
             ["view", "x_m", "y_m", "z_m"],
             [[i + 1, *pose.position_m] for i, pose in enumerate(outcome.trial.poses)],
         ),
+        paper="fig. 4(a) and (b)",
     )
     if outcome.trial.sensors[0] != outcome.trial.sensors[1]:
         first, second = outcome.trial.sensors
@@ -73,6 +73,7 @@ def section(context: Context) -> Iterator[Block]:
         html(_PANORAMAS, trial=trial),
         "wide",
         in_blocks("panorama-blocks", trial.panorama, fields),
+        paper="fig. 4(c) and (d)",
     )
 
 

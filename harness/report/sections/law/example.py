@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
@@ -23,6 +24,8 @@ BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
 
 EDGES_DEG = np.arange(30.0, 151.0, 10.0)
 """Edges of the bins of alpha_1."""
+_BESIDE_DEG = (np.arange(0.0, 31.0, 10.0), np.arange(150.0, 181.0, 10.0))
+"""Those within 30° of the baseline, which no figure counts."""
 
 
 _ELSEWHERE = """
@@ -52,7 +55,8 @@ _EXAMPLE_TABLE = """
 _CHARTS = """
 (a) Both forms of the law for the worked example. (b) Measured on walls of this experiment, in bins of 10°: the median
 absolute range error of each method, and the law times a quarter of the distance between samples of the curve, which is
-the median that rounding to the nearest sample alone would give.
+the median that rounding to the nearest sample alone would give. Behind grey and paler: within 30° of the baseline,
+which no figure counts.
 """
 _ROUNDING = """
 <p>If rounding to whole samples were the only source of error, every error at whole pixels would lie within the law
@@ -186,13 +190,17 @@ def measured_chart(methods: list[Method]) -> Picture:
         ax.plot(middle, median, "o-", color=method.colour, markersize=4, label=theme.plain(f"measured, {method.label}"))
         if np.isfinite(median).any():
             described.append(f"{method.label} between {np.nanmin(median):.0f} and {np.nanmax(median):.0f} mm")
+        _left_out(ax, method)
     ax.plot(middle, _expected(methods[0]), color=FAINT, linestyle=(0, (4, 2)), label=r"law $\times$ ¼ step")
-    ax.set_xlim(30, 150)
-    ax.set_xticks(range(30, 151, 20))
+    ax.set_xlim(0, 180)
+    ax.set_xticks(range(0, 181, 30))
+    for edges in _BESIDE_DEG:
+        ax.axvspan(edges[0], edges[-1], color=theme.OUTSIDE, linewidth=0, zorder=0)
     ax.set_xlabel(r"angle to the baseline $\alpha_1$ (°)")
     ax.set_ylabel("median absolute range error, walls (mm)")
     if described:
-        ax.set_ylim(0, 1.3 * np.nanmax(np.concatenate([line.get_ydata() for line in ax.get_lines()])))
+        counted = [line.get_ydata() for line in ax.get_lines() if line.get_alpha() is None]
+        ax.set_ylim(0, 1.3 * np.nanmax(np.concatenate(counted)))
         ax.legend(loc="upper center")
     else:
         theme.note(ax, "no wall pixel has an estimate")
@@ -221,6 +229,16 @@ def _measured(method: Method) -> Array:
     there = _walls(method.outcome)
     angle = np.degrees(method.outcome.reference.alpha_1[there])
     return _binned(angle, 1000 * np.abs(method.outcome.errors.range_m[there]), EDGES_DEG)
+
+
+def _left_out(ax: Axes, method: Method) -> None:
+    """Draw the median errors on walls near the baseline's directions, as far as the axes reach."""
+    outcome = method.outcome
+    there = outcome.valid & outcome.truth.visible & ~outcome.reference.sideways & outcome.reference.wall
+    angle = np.degrees(outcome.reference.alpha_1[there])
+    for edges in _BESIDE_DEG:
+        median = _binned(angle, 1000 * np.abs(outcome.errors.range_m[there]), edges)
+        ax.plot((edges[:-1] + edges[1:]) / 2, median, "o-", color=method.colour, markersize=4, alpha=0.4)
 
 
 def _expected(method: Method) -> Array:

@@ -41,26 +41,26 @@ _FINDINGS = """
 {% for each in findings %}
 <li style="--key: {{ each.method.colour }}"><b>{{ surfaces[each.surface] | capitalize }}, {{ each.method.label }}.</b>
  {{ each.words | symbols }}
-{% if reasons and each.reasons %}<ul>{% for reason in each.reasons %}<li>{{ reason | symbols }}</li>{% endfor %}</ul>
+{% if each.reasons %}<ul>{% for reason in each.reasons %}<li>{{ reason | symbols }}</li>{% endfor %}</ul>
 {% endif %}
 </li>
 {% endfor %}
 </ul>
 """
-_IN_ABSTRACT = '<p>The law of the range error over these trials (<a href="#verdict">verdict and reasons</a>):</p>'
+_IN_ABSTRACT = '<p>The law method by method, and where it fails: <a href="#verdict">verdict and reasons</a>.</p>'
 
 
 @section_of(About.ALL_TRIALS, "verdict", "The law of the range error, tested")
 def section(context: Context) -> Iterator[Block]:
-    """What the law says, how it is tested, and the result, which the page's abstract repeats."""
+    """What the law says, how it is tested, and the result."""
     if not context.law:
         return
     judged = findings(context.sweep, context.law)
     seeds = len(context.sweep.seeds)
     yield Paragraph(html(INTRO) + html(_WORDS, seeds=seeds, few_seeds=seeds < FEW_SEEDS))
-    yield Paragraph(html(_FINDINGS, findings=judged, surfaces=SURFACES, reasons=True))
+    yield Paragraph(html(_FINDINGS, findings=judged, surfaces=SURFACES))
     yield Paragraph(html(_NOTE))
-    yield InAbstract(html(_IN_ABSTRACT) + html(_FINDINGS, findings=judged, surfaces=SURFACES, reasons=False))
+    yield InAbstract(html(_IN_ABSTRACT))
 
 
 @dataclass(frozen=True)

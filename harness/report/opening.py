@@ -1,0 +1,88 @@
+"""The head of a report: the paper's claims, or a sweep's conclusion in one sentence and one picture."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from harness.report.section import Context, Figure, LineKey, Section
+from harness.report.sweep import Axis, Sweep
+from harness.report.theme import Picture
+
+FIGURES = {
+    "discretisation": "figure-profile",
+    "compensation": "figure-profile",
+    "one-degree": "figure-law",
+    "other-rows": "figure-rows",
+}
+"""The figure that shows each claim."""
+_OF_RESULTS = ("figure-law-images", "figure-novel-views", "figure-budget", "figure-limit", "figure-cases")
+"""What a sweep that has such figures is about, before figures of its axes."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper, ready for the page."""
+
+    judged: dict[str, Any]
+    """An entry of the summary's `claims`."""
+    figure: str
+    """What its link leads to."""
+    number: int | None
+    """The figure's number; None where it is not on the page."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What comes first."""
+
+    claims: tuple[Claim, ...]
+    headline: str | None
+    picture: Picture | None
+    """Of the figure that shows it."""
+    key: Picture | None
+    """What its lines stand for, where a picture of its own says that."""
+    figure: str
+    number: int | None
+
+
+def opening(context: Context, sections: Sequence[Section]) -> Opening:
+    """The head of the report whose sections these are."""
+    figures = [block for section in sections for block in section.blocks if isinstance(block, Figure)]
+    number = {each.id: i for i, each in enumerate(figures, start=1)}
+    claims = tuple(
+        Claim(each, FIGURES[each["id"]], number.get(FIGURES[each["id"]])) for each in context.summary.get("claims", ())
+    )
+    drawn = {each.id: each for each in figures if each.pictures and not each.pictures[0].failure}
+    shown = None if claims else next((drawn[each] for each in _wanted(context.sweep) if each in drawn), None)
+    return Opening(
+        claims=claims,
+        headline=context.summary.get("headline"),
+        picture=shown.pictures[0] if shown else None,
+        key=_key_of(shown, sections) if shown else None,
+        figure=shown.id if shown else "",
+        number=number[shown.id] if shown else None,
+    )
+
+
+def _key_of(figure: Figure, sections: Sequence[Section]) -> Picture | None:
+    """The key to the lines that comes before a figure in its section."""
+    key = None
+    for block in (block for section in sections for block in section.blocks):
+        if isinstance(block, LineKey):
+            key = block.picture
+        if block is figure:
+            break
+    return key
+
+
+def _wanted(sweep: Sweep) -> list[str]:
+    """Figures that may show the conclusion of a sweep, the first one first; none of one trial."""
+    if not sweep.several:
+        return []
+    axes = sorted(sweep.axes, key=_interest, reverse=True)
+    return [*_OF_RESULTS, *(f"figure-{axis.slug}" for axis in axes), "figure-regions"]
+
+
+def _interest(axis: Axis) -> tuple[bool, int]:
+    """Axes of numbers are lines, and more values make a better one."""
+    return axis.numeric, len(axis.values)
