@@ -38,7 +38,7 @@ class Opening:
     claims: tuple[Claim, ...]
     headline: str | None
     picture: Picture | None
-    """Of the figure that shows it."""
+    """The first panel of the figure that shows it."""
     key: Picture | None
     """What its lines stand for, where a picture of its own says that."""
     figure: str
