@@ -43,8 +43,9 @@ render, estimate_range, estimate_sequence, estimate_motion
     `Status`.
 warp_view
     `NewView`: two images and their ranges as a view from somewhere else.
-range_scan
-    `RangeScan`: two images as a robot's range profile, the nearest obstacle for each bearing.
+range_scan, range_map
+    `RangeScan`: two images as a robot's range profile, the nearest obstacle for each bearing. `RangeMap`: several of
+    these as an occupancy grid.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 describe_rig, find_rigs
@@ -74,7 +75,7 @@ if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult, calibrate
     from harness.api.designing import RigDescription, describe_rig, find_rigs
     from harness.api.loading import load_experiment, load_motion, load_scene, load_sensor
-    from harness.api.mapping import RangeScan, range_scan
+    from harness.api.mapping import RangeMap, RangeScan, range_map, range_scan
     from harness.api.motion import MotionEstimate, Status, estimate_motion
     from harness.api.ranging import RangeEstimate, Verdict, estimate_range
     from harness.api.results import RunResult, open_results
@@ -118,6 +119,7 @@ __all__ = [
     "Panorama",
     "Pose",
     "RangeEstimate",
+    "RangeMap",
     "RangeScan",
     "Reason",
     "RenderedView",
@@ -145,6 +147,7 @@ __all__ = [
     "load_sensor",
     "open_results",
     "project",
+    "range_map",
     "range_scan",
     "relative_motion",
     "render",
@@ -159,7 +162,7 @@ _MODULES = {
     "api.calibrating": ("CalibrationResult", "calibrate"),
     "api.designing": ("RigDescription", "describe_rig", "find_rigs"),
     "api.loading": ("load_experiment", "load_motion", "load_scene", "load_sensor"),
-    "api.mapping": ("RangeScan", "range_scan"),
+    "api.mapping": ("RangeMap", "RangeScan", "range_map", "range_scan"),
     "api.motion": ("MotionEstimate", "Status", "estimate_motion"),
     "api.ranging": ("RangeEstimate", "Verdict", "estimate_range"),
     "api.results": ("RunResult", "open_results"),

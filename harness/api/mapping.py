@@ -1,17 +1,25 @@
-"""Range profiles of two photographs."""
+"""Range profiles of two photographs, and maps of several."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from harness.api.ranging import RangeEstimate
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.geometry.angles import Array
 from harness.geometry.panorama import directions
-from harness.geometry.pose import Pose
+from harness.geometry.pose import Motion, Pose
+from harness.mapping.map_files import write_map
+from harness.mapping.occupancy import OccupancyGrid, Place, frame_around, map_of_profiles
 from harness.mapping.range_profile import RangeProfile, range_profile
 from harness.mapping.scan_files import write_scan
-from harness.mapping.settings import Scan
+from harness.mapping.settings import OccupancyMap, Scan
 from harness.spec import parse
 
 
@@ -139,4 +147,124 @@ def checked_scan(*, estimate_has_metres: bool = True, **settings: float) -> Scan
     return scan
 
 
-__all__ = ["RangeScan", "checked_scan", "range_scan"]
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeMap(OneLine):
+    """What is occupied and what is free around a path; arrays `[rows, columns]`, row 0 at the lowest y.
+
+    Its frame is that of the first view's scan.
+    """
+
+    grid: OccupancyGrid
+    places: tuple[Place, ...]
+    """Where the scans were taken."""
+
+    @property
+    def state(self) -> NDArray[np.uint8]:
+        """`harness.mapping.occupancy.Cell`: unknown, free or occupied."""
+        return self.grid.state
+
+    @property
+    def probability(self) -> Array:
+        """That a cell is occupied."""
+        return self.grid.probability
+
+    @property
+    def origin_m(self) -> tuple[float, float]:
+        """X and y of the lower left corner of the lower left cell, metres."""
+        return self.grid.frame.origin_m
+
+    def write(self, folder: str | Path, name: str = "map") -> None:
+        """Write `map.png` and `map.yaml`, as ROS's map_server reads them.
+
+        Parameters
+        ----------
+        folder
+            Created if it does not exist.
+        name
+            What the files are called.
+
+        Raises
+        ------
+        InputError
+            When the folder cannot be written to.
+        """
+        write_map(self.state, self.grid.frame, Path(folder), name)
+
+
+def range_map(
+    scans: Sequence[RangeScan],
+    places: Sequence[tuple[float, float, float]],
+    *,
+    cell_m: float = 0.05,
+    prior: float = 0.2,
+    false_share: float = 0.05,
+) -> RangeMap:
+    """The occupancy grid that range scans make together, each counted by its own standard deviations.
+
+    Parameters
+    ----------
+    scans
+        What `range_scan` returned.
+    places
+        Where each was taken: x and y, metres, and how its frame is turned against the map's, degrees,
+        counter-clockwise.
+    cell_m
+        Side of a cell, metres.
+    prior
+        Probability that a cell is occupied before anything was measured.
+    false_share
+        Share of the scans' answers that mean nothing.
+
+    Returns
+    -------
+    RangeMap
+        `state`, `probability`, `origin_m`; `write(folder)`.
+
+    Raises
+    ------
+    InputError
+        When an argument is invalid, or the map would have too many cells.
+    """
+    if not scans or len(scans) != len(places):
+        raise InputError(f"must be one for each of 1 scan or more; found {len(places)} for {len(scans)}", key="places")
+    settings = parse(OccupancyMap, {"cell_m": cell_m, "prior": prior, "false_share": false_share})
+    poses = [parse(Pose, {"position_m": [x, y, 0.0], "yaw_deg": turn}) for x, y, turn in places]
+    where = tuple(Place(*pose.position_m[:2], math.radians(pose.yaw_deg)) for pose in poses)
+    met = [
+        np.vstack([scan.profile.points_m @ _turn(place.yaw).T, np.zeros(2)]) + np.array([place.x_m, place.y_m])
+        for scan, place in zip(scans, where, strict=True)
+    ]
+    points = np.concatenate(met)
+    frame = frame_around(points.min(axis=0), points.max(axis=0), settings.cell_m)
+    profiles = [(scan.profile, place) for scan, place in zip(scans, where, strict=True)]
+    grid = map_of_profiles(profiles, frame, prior=settings.prior, false_share=settings.false_share)
+    return RangeMap(grid, where)
+
+
+def _turn(yaw: float) -> Array:
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
+def level_poses(motions: Sequence[Motion], first: Pose) -> list[tuple[Pose, tuple[float, float, float]]]:
+    """Each view's height and tilt, as a pose without its place on the map, and where its scan is taken.
+
+    Parameters
+    ----------
+    motions
+        From each view to the next.
+    first
+        The first view's height and tilt: the map's frame is that of its scan.
+    """
+    turn, position = first.R_world_from_view, np.array(first.position_m)
+    made = []
+    for motion in (*motions, None):
+        yaw, pitch, roll = Rotation.from_matrix(turn).as_euler("ZYX", degrees=True)
+        pose = Pose(position_m=(0.0, 0.0, float(position[2])), pitch_deg=float(pitch), roll_deg=float(roll))
+        made.append((pose, (float(position[0]), float(position[1]), float(yaw))))
+        if motion is not None:
+            position = position + turn @ motion.t_v1
+            turn = turn @ motion.R_v2_from_v1.T
+    return made
+
+
+__all__ = ["RangeMap", "RangeScan", "checked_scan", "level_poses", "range_map", "range_scan"]

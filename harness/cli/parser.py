@@ -26,6 +26,7 @@ from harness.cli import (
     warp,
 )
 from harness.cli import list as list_command
+from harness.cli import map as map_command
 from harness.cli import range as range_command
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
 from harness.cli.heartbeat import heartbeat
@@ -44,6 +45,7 @@ _COMMANDS = (
     range_command,
     warp,
     scan,
+    map_command,
     calibrate,
     check,
     sensor,

@@ -183,7 +183,7 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
         motion,
         settings.matching,
         sensor_2=sensors[1],
-        **_ranging(options, settings),
+        **ranging(options, settings),
     )
 
 
@@ -204,7 +204,7 @@ def _tell(estimate: "RangeEstimate", folder: Path) -> None:
     print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {folder / 'range.html'}")
 
 
-def _ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
+def ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
     """What `estimate_range` is told of panorama, limits and images."""
     own_panorama = "panorama" in settings.model_fields_set
     return {
@@ -242,9 +242,8 @@ def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") ->
         )
 
 
-def _sequence(options: Namespace) -> int:
-    """Match each image with the next, and write a folder for each pair and a page on all."""
-    import harness
+def sequence_settings(options: Namespace) -> "tuple[Sensor, OwnSettings]":
+    """The sensor of a sequence with its mask, and what is set of matcher and panorama."""
     from harness.errors import InputError
 
     (sensor, _), settings = _settings(options)
@@ -254,14 +253,26 @@ def _sequence(options: Namespace) -> int:
         if getattr(options, option) is not None:
             name = f"--{option.replace('_', '-')}"
             raise InputError("is for two images; a sequence has one sensor, and a pose for each image", file=name)
-    images = [options.left, options.right, *options.more]
-    motions = None
+    return sensor, settings
+
+
+def motions_between(options: Namespace, sensor: "Sensor", count: int) -> "list[Motion] | None":
+    """The motions between successive ones of so many images, as they were given; None where they are estimated."""
     if options.pose is not None:
-        motions = _along(options, sensor, len(images))
-    elif options.baseline is not None:
-        motions = [_given(options, (sensor, sensor))] * (len(images) - 1)
-    else:
-        check_length(options)
+        return _along(options, sensor, count)
+    if options.baseline is not None:
+        return [_given(options, (sensor, sensor))] * (count - 1)
+    check_length(options)
+    return None
+
+
+def _sequence(options: Namespace) -> int:
+    """Match each image with the next, and write a folder for each pair and a page on all."""
+    import harness
+
+    sensor, settings = sequence_settings(options)
+    images = [options.left, options.right, *options.more]
+    motions = motions_between(options, sensor, len(images))
 
     def tell(pair: "PairRange") -> None:
         why = f": {'; '.join(pair.reasons)}" if pair.reasons else ""
@@ -277,7 +288,7 @@ def _sequence(options: Namespace) -> int:
         motions,
         settings.matching,
         baseline_m=options.baseline_length,
-        **_ranging(options, settings),
+        **ranging(options, settings),
         tell=tell,
     )
     print(f"page: {options.out / 'range.html'}")

@@ -3,9 +3,10 @@
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from harness.cli.exits import FAILED, OK
-from harness.cli.options import Commands, add_images, add_out
+from harness.cli.options import Commands, Parser, add_images, add_out
 from harness.cli.range import add_matching, estimate_of
 from harness.errors import InputError
 
@@ -35,6 +36,12 @@ def add(commands: Commands) -> None:
     )
     add_images(command)
     add_matching(command)
+    add_band(command)
+    add_out(command, required=True)
+
+
+def add_band(command: Parser) -> None:
+    """Declare what is an obstacle, and where view 1 is above the floor."""
     command.add_argument("--height", type=float, required=True, metavar="M", help="viewpoint 1 above the floor, metres")
     command.add_argument(
         "--band",
@@ -57,12 +64,10 @@ def add(commands: Commands) -> None:
     command.add_argument(
         "--support", type=int, default=8, metavar="N", help="pixels of the panorama that agree on an obstacle (8)"
     )
-    add_out(command, required=True)
 
 
-def run(options: Namespace) -> int:
-    """Match, gather, and write the folder."""
-    import harness
+def band_of(options: Namespace) -> dict[str, Any]:
+    """The settings of a profile that were given; refuses what cannot be."""
     from harness.api.mapping import checked_scan
     from harness.api.warping import viewpoint
 
@@ -73,15 +78,23 @@ def run(options: Namespace) -> int:
         "range_max_m": options.range_max,
         "support_px": options.support,
     }
-    with _naming_options():  # before anything is matched
+    with naming_options():
         checked_scan(**settings)
         viewpoint((0.0, 0.0, options.height), 0.0, *options.tilt_deg)
+    return settings
+
+
+def run(options: Namespace) -> int:
+    """Match, gather, and write the folder."""
+    import harness
+
+    settings = band_of(options)  # before anything is matched
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED
     if not estimate.has_metres:
         raise InputError("a band of heights needs metres; give --baseline, --pose or --baseline-length", file="--band")
-    with _naming_options():
+    with naming_options():
         scan = harness.range_scan(
             estimate, options.height, pitch_deg=options.tilt_deg[0], roll_deg=options.tilt_deg[1], **settings
         )
@@ -99,7 +112,8 @@ def run(options: Namespace) -> int:
 
 
 @contextmanager
-def _naming_options() -> Iterator[None]:
+def naming_options() -> Iterator[None]:
+    """Name the option that an error is about."""
     try:
         yield
     except InputError as error:

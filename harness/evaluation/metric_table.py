@@ -122,6 +122,12 @@ METRICS: dict[str, Metric] = _metrics(
     Metric("scan_missed", "Range profile", "missed", "%", 100, ".2f", "lower"),
     Metric("scan_false", "Range profile", "false", "%", 100, ".2f", "lower"),
     Metric("scan_thin_found", "Range profile", "thin obstacles found", "%", 100, ".0f", "higher"),
+    Metric("map_iou_free", "Map", "IoU, free", "", 1, ".3f", "higher"),
+    Metric("map_iou_occupied", "Map", "IoU, occupied", "", 1, ".3f", "higher"),
+    Metric("map_border_m", "Map", "distance of borders", "mm", 1000, ".1f", "lower"),
+    Metric("map_missed_borders", "Map", "borders missed", "%", 100, ".2f", "lower"),
+    Metric("map_ceiling_iou_free", "Map", "IoU, free, true ranges", "", 1, ".3f", "higher"),
+    Metric("map_ceiling_iou_occupied", "Map", "IoU, occupied, true ranges", "", 1, ".3f", "higher"),
     Metric("refined", "Refined", "", "%", 100, ".1f", "higher"),
 )
 """All metrics by name, in the order of the columns. An entry with `of` needs nothing else: rows have it, and all that

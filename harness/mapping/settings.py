@@ -1,12 +1,16 @@
-"""Which range profile is made of a pair."""
+"""Which range profile is made of a pair, and which map of several."""
 
+import math
+from itertools import pairwise
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from harness.spec import Finite, Positive, Spec
 
 MOST_BEARINGS = 7200
+MOST_PAIRS = 1000
 
 
 class Scan(Spec):
@@ -37,4 +41,52 @@ class Scan(Spec):
     def _ordered(self) -> "Scan":
         if self.low_m >= self.high_m:
             raise ValueError(f"low_m must be below high_m; found {self.low_m:g} and {self.high_m:g}")
+        return self
+
+
+Point = tuple[Finite, Finite]
+
+
+class OccupancyMap(Spec):
+    """A map of what is occupied and what is free, from the range profiles of pairs along a path, scored against the
+    floor plan cut from the scene.
+
+    At each station the rig is turned as the path runs, so that the baseline keeps its direction to it: `view_2`'s
+    azimuth is counted from there. The profiles are those that `scan` describes.
+    """
+
+    path_m: Annotated[tuple[Point, ...], Field(max_length=64)] = ()
+    """Corners of the path in the world, (x, y) each, metres; the heights are view 1's. None for no map; one for a
+    single pair."""
+    every_m: Positive = 0.5
+    """Distance of the pairs along the path, metres."""
+    cell_m: Annotated[float, Field(ge=0.005, le=10)] = 0.05
+    """Side of a cell, metres."""
+    prior: Annotated[float, Field(gt=0, lt=0.5)] = 0.2
+    """Probability that a cell is occupied before anything was measured."""
+    false_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.05
+    """Share of the profiles' answers that mean nothing: what one of them can say at most about a cell."""
+
+    def stations(self) -> list[tuple[float, float, float]]:
+        """(x, y, heading) of each pair: metres, and radians from x towards y."""
+        corners = np.array(self.path_m, dtype=np.float64)
+        if len(corners) < 2:
+            return [(float(x), float(y), 0.0) for x, y in corners]
+        steps = np.diff(corners, axis=0)
+        lengths = np.hypot(*steps.T)
+        steps, lengths, corners = steps[lengths > 0], lengths[lengths > 0], corners[:-1][lengths > 0]
+        if not lengths.size:
+            return [(*self.path_m[0], 0.0)]
+        begins = np.concatenate([[0.0], np.cumsum(lengths)])
+        along = np.arange(int(np.floor(begins[-1] / self.every_m * (1 + 1e-9))) + 1) * self.every_m
+        leg = np.clip(np.searchsorted(begins, along * (1 + 1e-9), side="right") - 1, 0, lengths.size - 1)
+        at = corners[leg] + steps[leg] * ((along - begins[leg]) / lengths[leg])[:, None]
+        heading = np.arctan2(steps[leg, 1], steps[leg, 0])
+        return [(float(x), float(y), float(turn)) for (x, y), turn in zip(at, heading, strict=True)]
+
+    @model_validator(mode="after")
+    def _not_endless(self) -> "OccupancyMap":
+        length = sum(math.dist(a, b) for a, b in pairwise(self.path_m))
+        if length / self.every_m > MOST_PAIRS:
+            raise ValueError(f"a path of {length:.4g} m has more than {MOST_PAIRS} pairs, {self.every_m:g} m apart")
         return self

@@ -21,7 +21,7 @@ from harness.evaluation.rounding import rounding
 from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
-from harness.pipeline import scan
+from harness.pipeline import path_map, scan
 from harness.pipeline.error_budget import error_budget
 from harness.pipeline.novel_views import figures_of
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
@@ -39,7 +39,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
         `rounding`, where matches are whole samples: see `rounding.rounding`; `remark`, the matcher's, if it has one;
         `motion`, the status of an estimated one and why; `novel_views`: see `novel_views.figures_of`; `scan`, see
-        `scan.figures_of`.
+        `scan.figures_of`; `map`, see `path_map.figures_of`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
@@ -56,6 +56,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "motion": _status(outcome),
         "novel_views": views or None,
         "scan": scan.figures_of(outcome),
+        "map": path_map.figures_of(outcome),
     }
     return {
         "figures": {
@@ -69,6 +70,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **_of_motion(outcome),
             **_of_novel_views(views),
             **_of_scan(optional["scan"]),
+            **_of_map(optional["map"]),
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
@@ -132,6 +134,14 @@ def _of_scan(score: dict[str, Any] | None) -> dict[str, float | None]:
         return {}
     thin = score["thin_found"] / score["thin"] if score["thin"] else None
     return {f"scan_{name}": score[name] for name in _OF_SCAN} | {"scan_thin_found": thin}
+
+
+def _of_map(made: dict[str, Any] | None) -> dict[str, float | None]:
+    """The map's scores, and those of the true profiles' map; none without a map."""
+    if made is None:
+        return {}
+    own = {f"map_{name}": made["score"][name] for name in made["score"]}
+    return own | {f"map_ceiling_{name}": made["ceiling"][name] for name in ("iou_free", "iou_occupied")}
 
 
 def _mean(values: Iterable[float]) -> float:

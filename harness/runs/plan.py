@@ -95,6 +95,8 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     views = len(trial.novel_views.distances_m)
     scored += views * (panorama * _VIEW_S_A_MP + images[0] * (0.08 + 0.006 * trial.render.samples))
     scored += _SCAN_S * bool(trial.scan.bearings)
+    own = sum(stages.values()) + _SCAN_S  # of a pair that shares nothing
+    scored += own * len(trial.map.stations())
     return scored + sum(stages.get(stage, 0.0) for stage in new)
 
 

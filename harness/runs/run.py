@@ -36,6 +36,7 @@ from harness.runs.experiment import Experiment, Planned
 from harness.runs.headline import headline
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.novel_views import novel_views_of, views_conclusions
+from harness.runs.path_maps import path_maps_conclusions, path_maps_of, write_path_maps
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
 from harness.runs.scans import scans_conclusions, scans_of
@@ -225,9 +226,10 @@ def result_from(
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
     trials = [(row.planned, row.payload) for row in done]
     cells = cell_table(trials)
-    law, views, scans = law_of(cells), novel_views_of(trials), scans_of(trials)
+    law, views, scans, maps = law_of(cells), novel_views_of(trials), scans_of(trials), path_maps_of(trials)
     claims, labels = claims_of(trials), experiment.method_labels
     said = [*views_conclusions(views, labels), *scans_conclusions(scans, labels)]
+    said += path_maps_conclusions(maps, labels)
     optional = {
         "claims": claims,
         "limit": limit_of(trials),
@@ -238,6 +240,7 @@ def result_from(
         "law": law,
         "novel_views": views,
         "scans": scans,
+        "maps": maps,
         "headline": None if claims else headline(done, law, labels),
         "conclusions": [] if claims else conclusions(done, law, labels, said),
     }
@@ -303,7 +306,7 @@ def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
 
 
 def write_summary(result: Result, store: Store, folder: Path) -> None:
-    """Write `environment.json` and `summary.json`.
+    """Write `environment.json` and `summary.json`, and the maps of trials that have one.
 
     Raises
     ------
@@ -312,6 +315,7 @@ def write_summary(result: Result, store: Store, folder: Path) -> None:
     """
     files = {"environment.json": _json(result.environment), "summary.json": _json(result.summary)}
     write_files(files, folder, store)
+    write_path_maps([(row.planned, row.payload) for row in result.rows if row.state == "done"], folder)
 
 
 def write_report(result: Result, report: str, store: Store, folder: Path) -> None:

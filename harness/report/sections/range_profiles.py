@@ -111,7 +111,7 @@ def _obstacles(entries: list[Entry], labels: Labels) -> Table:
 
 @theme.panel
 def _plan(method: Method, scored: ScoredScan) -> Picture:
-    fig = theme.figure(HALF, 430)
+    fig = theme.figure(HALF, HALF - 16)
     ax = theme.axes(fig, 52, 12, HALF - 72, HALF - 72)
     true, profile = scored.true, scored.profile
     half = 1.1 * float(np.nanmax(true.fine_m)) if np.isfinite(true.fine_m).any() else 1.0

@@ -1,0 +1,97 @@
+"""`omnirange map`: a sequence of photographs of your own as an occupancy grid."""
+
+import sys
+from argparse import Namespace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.cli.exits import FAILED, OK
+from harness.cli.options import Commands, add_images, add_out
+from harness.cli.range import add_matching, motions_between, ranging, sequence_settings
+from harness.cli.scan import add_band, band_of, naming_options
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.camera.sensor import Sensor
+    from harness.geometry.pose import Motion
+
+
+def add(commands: Commands) -> None:
+    """Declare the sub-command."""
+    command = commands.add(
+        "map",
+        run,
+        brief="a map of what is free and what is occupied, from images of your own",
+        description="Match each of several omnidirectional images with the next, as omnirange range does, make range "
+        "profiles of the pairs, as omnirange scan does, and put them together on a grid: map.png and map.yaml, as "
+        "ROS's map_server reads them.",
+        epilog="The map's frame is that of the first view's scan: origin at its viewpoint, x where its x axis points, "
+        "y to the left. Each answer counts by its standard deviation.",
+    )
+    add_images(command)
+    command.add_argument("more", type=Path, nargs="*", default=[], metavar="IMAGE", help="images that follow")
+    add_matching(command)
+    add_band(command)
+    command.add_argument("--cell", type=float, default=0.05, metavar="M", help="side of a cell, metres (0.05)")
+    add_out(command, required=True)
+
+
+def run(options: Namespace) -> int:
+    """Match each image with the next, gather, and write the map."""
+    import harness
+    from harness.api.mapping import level_poses
+    from harness.geometry.pose import Pose
+    from harness.mapping.occupancy import Cell
+    from harness.mapping.settings import OccupancyMap
+    from harness.spec import parse
+
+    band = band_of(options)
+    try:
+        parse(OccupancyMap, {"cell_m": options.cell})
+    except InputError as error:
+        raise InputError(error.problem, file="--cell") from error
+    sensor, settings = sequence_settings(options)
+    images = [options.left, options.right, *options.more]
+    motions = motions_between(options, sensor, len(images)) or _estimated(options, sensor, images)
+    if motions is None:
+        return FAILED
+    tilt = dict(zip(("pitch_deg", "roll_deg"), options.tilt_deg, strict=True))
+    first = Pose(position_m=(0.0, 0.0, options.height), **tilt)
+    scans, places = [], []
+    pairs = zip(images, images[1:], motions, level_poses(motions, first)[:-1], strict=False)
+    for left, right, motion, (pose, place) in pairs:
+        estimate = harness.estimate_range(left, right, sensor, motion, settings.matching, **ranging(options, settings))
+        with naming_options():
+            scan = harness.range_scan(
+                estimate, pose.position_m[2], pitch_deg=pose.pitch_deg, roll_deg=pose.roll_deg, **band
+            )
+        scans.append(scan)
+        places.append(place)
+        print(
+            f"{left.name}, {right.name}: {scan.profile.known.mean():.1%} of the bearings have an obstacle", flush=True
+        )
+    made = harness.range_map(scans, places, cell_m=options.cell)
+    made.write(options.out)
+    free, occupied = (int((made.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
+    print(f"{free:.2f} m2 free, {occupied:.2f} m2 occupied; {options.out / 'map.yaml'}")
+    return OK
+
+
+def _estimated(options: Namespace, sensor: "Sensor", images: list[Path]) -> "list[Motion] | None":
+    """The motions from the images; None, and a line on the terminal, where one is not known in metres."""
+    import harness
+
+    if options.baseline_length is None:
+        raise InputError("a map needs metres; give --baseline, --pose or --baseline-length", file="--height")
+    motions: list[Any] = []
+    for left, right in pairwise(images):
+        motion = harness.estimate_motion(
+            left, right, sensor, sensor, baseline_m=options.baseline_length, bits=options.bits
+        )
+        if motion.direction_v1 is None:
+            why = "; ".join(motion.reasons)
+            print(f"no map: the motion from {left.name} to {right.name} is not known: {why}", file=sys.stderr)
+            return None
+        motions.append(motion.motion)
+    return motions
