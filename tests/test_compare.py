@@ -35,6 +35,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "again": [],
         "column": ["--set", "matching.kind=column"],
         "baselines": ["--axis", "view_2.baseline_m=0.3,0.4"],
+        "slanted": ["--set", "matching.kind=slanted", "--axis", "seed=2,3,4"],
         "noises": ["--set", "noise.sigma_grey=4", "--axis", "seed=1,2"],
     }
     for name, options in changes.items():
@@ -44,7 +45,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def figures_of(folder: Path, name: str) -> dict[tuple[str, str], float]:
     with (folder / "trials.csv").open(encoding="utf-8", newline="") as stream:
-        return {(row["seed"], row["matching.subpixel"]): float(row[name]) for row in csv.DictReader(stream)}
+        return {(row["seed"], row.get("matching.subpixel", "")): float(row[name]) for row in csv.DictReader(stream)}
 
 
 def test_paired_differences_are_those_of_the_trials(runs):
@@ -80,6 +81,41 @@ def test_what_cannot_be_paired_is_said(runs):
     assert "Nothing can be paired: baseline |t| (m) varies" in pairing.why_none
     assert pairing.why_none in Document(comparison.html).text
     assert not list(comparison.lines())
+
+
+def test_runs_of_other_matchers_are_paired_by_scene_pose_and_noise(runs):
+    """A run of two methods and one of a third: each of the two against the third, under the same seeds."""
+    [pairing] = build_comparison(runs["window"], runs["slanted"]).pairings
+    assert (pairing.pairs, pairing.seeds, pairing.why_none) == (4, 2, "")
+    assert pairing.differing["method"] == ("window (whole pixels), window (sub-pixel)", "slanted")
+    groups = {
+        f"slanted against window ({step})": key for step, key in (("whole pixels", "none"), ("sub-pixel", "parabola"))
+    }
+    assert {each.group for each in pairing.differences} == set(groups)
+    for each in pairing.differences:
+        first, second = (figures_of(runs[name], each.figure) for name in ("window", "slanted"))
+        alone = {seed: value for (seed, _), value in second.items()}
+        off = [
+            alone[seed] - value for (seed, step), value in first.items() if step == groups[each.group] and seed in alone
+        ]
+        assert len(off) == each.pairs == 2
+        assert each.difference == pytest.approx(np.mean(off))
+    assert pairing.left_out == [
+        "2 of 6 trials of window have no partner (seed: 1)",
+        "1 of 3 trials of slanted have no partner (seed: 4)",
+    ]
+
+
+def test_nothing_paired_is_exit_code_1(runs, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    page = str(tmp_path / "page.html")
+    assert main(["compare", str(runs["window"]), str(runs["baselines"]), "--out", page]) == 1
+    assert "Nothing can be paired" in capsys.readouterr().out
+    assert main(["compare", str(runs["window"]), str(runs["slanted"]), "--out", page]) == 0
+    said = capsys.readouterr().out
+    assert max(len(line.rstrip()) for line in said.splitlines() if str(tmp_path) not in line) <= 80
+    assert "not paired: 1 of 3 trials of slanted have no partner (seed: 4)" in said
+    assert "1 of 3 trials of slanted have no partner (seed: 4)" in Document(Path(page).read_text(encoding="utf-8")).text
 
 
 def test_folders_that_hold_no_run_are_named(runs, tmp_path):

@@ -4,6 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from harness.cli import completers
+from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_out
 from harness.cli.tables import differences_table
 
@@ -14,7 +15,8 @@ def add(commands: Commands) -> None:
         "compare",
         run,
         brief="compare runs",
-        description="Pair the trials of runs by their settings, print how their main figures differ and write a page.",
+        description="Pair the trials of runs by their settings (scene, pose, noise; the method may differ), print how "
+        "their main figures differ and what has no partner, and write a page. The exit code is 1 if nothing pairs.",
     )
     runs = command.add_argument(
         "folders", type=Path, nargs="+", metavar="DIR", help="output folders of runs; two or more"
@@ -23,8 +25,8 @@ def add(commands: Commands) -> None:
     add_out(command, "the page (default: comparison.html in the last DIR)", metavar="FILE")
 
 
-def run(options: Namespace) -> None:
-    """Write the page, and print a table for every pair of runs."""
+def run(options: Namespace) -> int:
+    """Write the page, and print a table for every pair of runs; the exit code is 1 if nothing was paired."""
     from rich.console import Console
 
     from harness.files import write
@@ -44,4 +46,7 @@ def run(options: Namespace) -> None:
         title = f"{second} against {first}: {pairing.pairs} pairs, {pairing.seeds} seeds; {changed or 'same settings'}"
         console.print(title, markup=False, highlight=False)
         console.print(differences_table(cells for name, *cells in lines if name == second))
+        for phrase in pairing.left_out:
+            console.print(f"not paired: {phrase}", markup=False, highlight=False)
     console.print(f"comparison: {page}", soft_wrap=True, highlight=False, markup=False)
+    return OK if any(pairing.pairs for pairing in comparison.pairings) else FAILED

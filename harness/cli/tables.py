@@ -1,5 +1,6 @@
 """Tables for the terminal."""
 
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -159,7 +160,7 @@ def _add_figures(table: "Table") -> list["Metric"]:
 
 
 def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
-    """A table of the differences of two runs' main figures, one sub-pixel step per line, in 80 columns.
+    """A table of the differences of two runs' main figures, in parts by step or methods, in 80 columns.
 
     Parameters
     ----------
@@ -175,9 +176,10 @@ def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
     for heading in ("figure", "first", "second", "difference [95 %]", "second is"):
         side: Literal["left", "right"] = "right" if heading in {"first", "second"} else "left"
         table.add_column(heading, justify=side, no_wrap=heading in {"figure", "first", "second"})
+    width = max((len(figure) for rows in steps.values() for figure, *_ in rows), default=0)
     for step, rows in steps.items():
-        if step:
-            table.add_row(f"[bold]{escape(step)}[/bold]")
+        for part in textwrap.wrap(step, width):
+            table.add_row(f"[bold]{escape(part)}[/bold]")
         for cells in rows:
             table.add_row(*map(escape, cells))
         table.add_section()

@@ -15,13 +15,13 @@ from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
 from harness.geometry.angles import Array
 from harness.report import theme, written_runs
-from harness.report.data import Cell, Data, Heading, Table, count, interval, listed, number, words
+from harness.report.data import Cell, Data, Heading, Table, count, interval, number, words
 from harness.report.markup import template
-from harness.report.sweep import name_of, texts_of
+from harness.report.pairing import METHOD, Pairs, pairs_of
+from harness.report.sweep import name_of
 from harness.report.theme import WIDE, Picture
 from harness.report.typography import figure
 from harness.report.written_runs import NONE, Run, names_of_folders, read_run
-from harness.runs.cases import CASE
 
 _STEP = "matching.subpixel"
 _STEPS = {"none": "whole pixels", "parabola": "sub-pixel"}
@@ -35,7 +35,8 @@ class Difference:
     step: str
     """The sub-pixel step that both have; empty if it differs or is not there."""
     case: str
-    """The case of the trials of both runs; empty where they are of none, or of cases of different names."""
+    """The case of the trials of both runs; empty where they are of none, or of cases of different names. The two
+    methods, where every method of one run is paired with every method of the other."""
     pairs: int
     first: float
     second: float
@@ -80,6 +81,8 @@ class Pairing:
     differences: list[Difference]
     why_none: str
     """In words, when nothing could be paired."""
+    left_out: list[str]
+    """What has no partner in the other run, in words; a phrase for each run."""
 
 
 @dataclass(frozen=True)
@@ -150,89 +153,26 @@ def build_comparison(*folders: Path) -> Comparison:
 
 
 def _pair(first: Run, second: Run) -> Pairing:
-    differing = _differing(first, second)
-    by_settings = [_by_settings(run, set(differing)) for run in (first, second)]
-    why = ""
-    if not (first.settings and second.settings):
-        why = "One of the runs has no finished trial."
-    elif any(len(distinct) < len(run.settings) for distinct, run in zip(by_settings, (first, second), strict=True)):
-        several = [name_of(key) for key in differing if len(_values(first, key)) > 1 or len(_values(second, key)) > 1]
-        why = (
-            f"Nothing can be paired: {listed(several)} {'varies' if len(several) == 1 else 'vary'} within a run and "
-            "has no value in common with the other, so that a trial has no unique partner."
-        )
-    common = (
-        [] if why else [settings_of_pair for settings_of_pair in by_settings[0] if settings_of_pair in by_settings[1]]
-    )
-    if not common and not why:
-        why = "Nothing can be paired: no trial of one run has the settings of a trial of the other."
-    table = [(by_settings[0][settings_of_pair], by_settings[1][settings_of_pair]) for settings_of_pair in common]
-    seeds = {first.settings[a].get("seed", "") for a, _ in table}
+    made = pairs_of(first, second)
+    seeds = {first.settings[a].get("seed", "") for a, _ in made.table}
+    differences = list(_differences(first, second, made))
     return Pairing(
-        first,
-        second,
-        _differing_in_words(first, second, differing),
-        len(table),
-        len(seeds),
-        list(_differences(first, second, table)),
-        why,
+        first, second, made.differing, len(made.table), len(seeds), differences, made.why_none, made.left_out
     )
 
 
-def _differing(first: Run, second: Run) -> list[str]:
-    """Settings whose values in one run are none of those in the other; `scene.name` and the like among them."""
-    keys = dict.fromkeys(key for run in (first, second) for settings in run.settings for key in settings)
-    return [key for key in keys if not _values(first, key) & _values(second, key)]
-
-
-def _differing_in_words(first: Run, second: Run, differing: list[str]) -> dict[str, tuple[str, str]]:
-    """What differs, each with its values in both runs; keys of cases as the cases, where these have other names."""
-    of_cases = {*first.case_keys, *second.case_keys}
-    names = [list(dict.fromkeys(filter(None, run.cases))) for run in (first, second)]
-    if set(names[0]) == set(names[1]) or not of_cases & set(differing):
-        of_cases = set()
-    words = {key: _in_words(_values(first, key), _values(second, key)) for key in differing if key not in of_cases}
-    if not of_cases:
-        return words
-    one, other = ("; ".join(each[:6]) + ("; …" if len(each) > 6 else "") or "none" for each in names)
-    return {CASE: (one, other), **words}
-
-
-def _values(run: Run, key: str) -> set[str]:
-    return {settings.get(key, NONE) for settings in run.settings}
-
-
-def _in_words(first: set[str], second: set[str]) -> tuple[str, str]:
-    """The values of two runs, each text different from all others: the first few."""
-    known = sorted(first | second)
-    text_of = dict(zip(known, texts_of([json.loads(value) for value in known]), strict=True))
-    one, other = (sorted(text_of[value] for value in values) for values in (first, second))
-    return _few(one), _few(other)
-
-
-def _few(texts: list[str]) -> str:
-    return f"{', '.join(texts[:6])}, …" if len(texts) > 6 else ", ".join(texts) or "none"
-
-
-def _by_settings(run: Run, without: set[str]) -> dict[tuple[tuple[str, str], ...], int]:
-    """Trials by all settings except some."""
-    return {
-        tuple(sorted((key, value) for key, value in settings.items() if key not in without)): index
-        for index, settings in enumerate(run.settings)
-    }
-
-
-def _differences(first: Run, second: Run, table: list[tuple[int, int]]) -> Iterator[Difference]:
+def _differences(first: Run, second: Run, made: Pairs) -> Iterator[Difference]:
+    methods = made.methods or [""] * len(made.table)
     frame = pd.DataFrame(
         [
             {
                 "seed": first.settings[a].get("seed", ""),
-                "step": _common_step(first.settings[a], second.settings[b]),
-                "case": first.cases[a] if first.cases[a] == second.cases[b] else "",
+                "step": "" if method else _common_step(first.settings[a], second.settings[b]),
+                "case": method or (first.cases[a] if first.cases[a] == second.cases[b] else ""),
                 **{f"first_{key}": value for key, value in first.figures[a].items()},
                 **{f"second_{key}": value for key, value in second.figures[b].items()},
             }
-            for a, b in table
+            for (a, b), method in zip(made.table, methods, strict=True)
         ]
     )
     if frame.empty:
@@ -274,7 +214,14 @@ def _signed(form: str) -> str:
 def _table(pairing: Pairing) -> Table:
     head = [
         Heading("Figure", text=True),
-        Heading("Case, step" if any(each.case for each in pairing.differences) else "Step", text=True),
+        Heading(
+            "Methods"
+            if METHOD in pairing.differing
+            else "Case, step"
+            if any(each.case for each in pairing.differences)
+            else "Step",
+            text=True,
+        ),
         Heading("Pairs"),
         Heading(pairing.first.name),
         Heading(pairing.second.name),
