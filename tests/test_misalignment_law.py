@@ -46,7 +46,7 @@ def exponents(share):
     far = log_range - log_baseline > np.log(3.99)
     columns = np.stack([log_range[far], log_baseline[far], np.ones(far.sum())], axis=-1)
     of_share = np.linalg.lstsq(columns, np.log(share[far]), rcond=None)[0]
-    return of_share[:2] + [1, 0]
+    return of_share[:2] + np.array([1.0, 0.0])
 
 
 @pytest.mark.parametrize(
