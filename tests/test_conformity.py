@@ -229,10 +229,10 @@ def test_a_matcher_from_a_file(table: str, tmp_path: Path) -> None:
 
 
 def test_marks_where_the_terminal_knows_letters_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    from harness.cli.check import _marks
+    from harness.cli.check import marks
 
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
-    assert "".join(_marks().values()).isascii()
+    assert "".join(marks().values()).isascii()
 
 
 # --- The fixture --------------------------------------------------------------------------------------------------

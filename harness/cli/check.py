@@ -39,22 +39,22 @@ def run(options: Namespace) -> int:
 
     from harness.testing.conformity import CHECKS, conformity
 
-    marks = _marks()
+    mark = marks()
     width = max(len(check.title) for check in CHECKS)
     passed = 0
     for finding in conformity(matcher):
         passed += finding.passed is True
-        print(f"{marks[finding.passed]} {finding.check.title:<{width}}  {finding.text}", flush=True)
+        print(f"{mark[finding.passed]} {finding.check.title:<{width}}  {finding.text}", flush=True)
     verdict = "all" if passed == len(CHECKS) else f"{passed} of"
     print(f"{options.matcher}: {verdict} {len(CHECKS)} checks passed")
     return OK if passed == len(CHECKS) else FAILED
 
 
-def _marks() -> dict[bool | None, str]:
+def marks() -> dict[bool | None, str]:
     """The marks at the beginning of lines; plain letters if the terminal has no others."""
-    marks: dict[bool | None, str] = {True: "✓", False: "✗", None: "-"}
+    best: dict[bool | None, str] = {True: "✓", False: "✗", None: "-"}
     try:
-        "".join(marks.values()).encode(sys.stdout.encoding or "ascii")
+        "".join(best.values()).encode(sys.stdout.encoding or "ascii")
     except UnicodeEncodeError:
         return {True: "ok", False: "NO", None: "--"}
-    return marks
+    return best

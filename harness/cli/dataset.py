@@ -1,4 +1,4 @@
-"""`omnirange dataset`: make a data set, and check one."""
+"""`omnirange dataset`: make a data set, or look for what is wrong with one."""
 
 import os
 import shutil
@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 from harness import interrupts, shipped
 from harness.cli import completers
-from harness.cli.exits import OK
+from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_backend, add_changes, add_out
 from harness.errors import InputError
 
 if TYPE_CHECKING:
     from harness.datasets.specification import DatasetSpec
 
+_CHECK = "check"
+"""In the place of a specification."""
 _START_S = 2.0
 """Seconds until the first pair is made: libraries and compiled code are loaded."""
 
@@ -24,14 +26,21 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "dataset",
         run,
-        brief="make a data set of pairs with their truth over random scenes",
+        brief="make a data set of pairs with their truth over random scenes, or check one",
         description="Make a data set: pairs of images with range, correspondences, occlusion, normals, poses and "
-        "calibrations over seeded random scenes. An interrupted set goes on where it stopped.",
+        "calibrations over seeded random scenes. An interrupted set goes on where it stopped. With "
+        "check DIR: look for what is wrong with a data set, made here or by anybody else.",
         epilog=f"shipped data sets: {', '.join(shipped.names('datasets'))}",
     )
     what = command.add_argument(
-        "spec", nargs="?", default="rooms", metavar="SPEC", help="a shipped data set's name, or a TOML file (rooms)"
+        "spec",
+        nargs="?",
+        default="rooms",
+        metavar="SPEC",
+        help="a shipped data set's name, or a TOML file (rooms); or the word check",
     )
+    checked = command.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="after check: the set's folder")
+    completers.offer(checked, completers.folders)
     completers.offer(what, completers.datasets, completers.files(".toml"))
     add_out(command)
     add_changes(command, axes=False)
@@ -39,14 +48,21 @@ def add(commands: Commands) -> None:
         "--dry-run", action="store_true", help="make a few pairs in memory; print the time and the space that all need"
     )
     command.add_argument("--describe", action="store_true", help="print every key of a specification, and its meaning")
+    command.add_argument("--only", metavar="A,B", help="with check: names of checks, such as values,images")
     add_backend(command)
 
 
 def run(options: Namespace) -> int:
-    """Make what is missing of the set."""
+    """Make what is missing of the set, or check one."""
     if options.describe:
         _describe()
         return OK
+    if options.spec == _CHECK:
+        if options.folder is None:
+            raise InputError("is missing: the folder of the set to be checked", file="DIR")
+        return _check(options.folder, options.only.split(",") if options.only else [])
+    if options.folder is not None:
+        raise InputError(f"what is it for? A set is made with --out {options.folder}", file=str(options.folder))
     from harness.runs.executors import ONE_THREAD, backend_for
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
@@ -84,6 +100,27 @@ def run(options: Namespace) -> int:
             raise KeyboardInterrupt(f"{done} of {spec.pairs} pairs are made; run the same command to resume") from None
         progress.finish()
     print(f"{spec.pairs} pairs in {spec.scenes} scenes, {spec.layout} layout: {folder}")
+    return OK
+
+
+def _check(folder: Path, names: list[str]) -> int:
+    """Print a line for each check, and what it found below it."""
+    from harness.cli.check import marks
+    from harness.datasets.checks.check import CHECKS, check_set, open_set
+
+    data = open_set(folder)
+    print(f"{folder}: {len(data.pairs)} pairs in {data.layout.title} layout")
+    mark, faults = marks(), 0
+    for check, findings in check_set(data, names):
+        interrupts.check()
+        print(f"{mark[not findings]} {check.title}", flush=True)
+        for each in findings:
+            print(f"    {each.where}: {each.text}" if each.where else f"    {each.text}", flush=True)
+        faults += len(findings)
+    if faults:
+        print(f"{faults} finding{'s' * (faults != 1)}")
+        return FAILED
+    print(f"nothing is wrong by any of {len(names or CHECKS)} checks")
     return OK
 
 

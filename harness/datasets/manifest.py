@@ -131,6 +131,7 @@ def readme_of(spec: DatasetSpec, of_layout: str) -> bytes:
     return (
         f"{about}{what}, {colour}, {spec.rig.width_px} x {spec.rig.height_px} pixels. No scene is in two parts.\n\n"
         f"{of_layout}\n"
-        "manifest.json has the SHA-256 of every file; dataset.toml what the set was drawn from.\n\n"
+        "manifest.json has the SHA-256 of every file; dataset.toml what the set was drawn from;\n"
+        "omnirange dataset check DIR looks for what is wrong.\n\n"
         f"Licence: {LICENCE}. " + " ".join(PROVENANCE) + "\n"
     ).encode()

@@ -140,7 +140,7 @@ def _read(folder: Path) -> list[StoredPair]:
 
 def _of_config(folder: Path, config: Path, split_of: dict[str, str]) -> list[StoredPair]:
     here = config.parent
-    views = [_view(config, i) for i in (0, 1)]
+    views = [_view(config, read_regular(config, 2**22), i) for i in (0, 1)]
     phi_deg = _phi_deg(config)
     pairs = []
     for image in sorted((here / "cam1").glob("*.png")):
@@ -185,19 +185,19 @@ def _phi_deg(config: Path) -> float:
 
 
 @lru_cache(maxsize=256)
-def _view(config: Path, number: int) -> tuple[Sensor, Array, Array]:
+def _view(config: Path, content: bytes, number: int) -> tuple[Sensor, Array, Array]:
     """A camera of a rig: its sensor, the rotation that takes the rig's directions to it, and its place on the rig."""
     read = read_sensor(config, Chosen(camera=number, looks="up"))
     assert read.calibration is not None
-    rig_from_first = _rig_from_first(config)
+    rig_from_first = _rig_from_first(content)
     from_first = transform_between(read.calibration, 0, number)
     from_rig = from_first @ np.linalg.inv(rig_from_first)
     return read.sensor, from_rig[:3, :3], -from_rig[:3, :3].T @ from_rig[:3, 3]
 
 
-def _rig_from_first(config: Path) -> Array:
+def _rig_from_first(content: bytes) -> Array:
     """`[4, 4]`: takes points of the first camera to the rig; what reads calibrations gives poses between cameras."""
-    table = yaml.safe_load(read_regular(config, 2**22).decode())
+    table = yaml.safe_load(content.decode())
     pose = np.asarray(table["cameras"][0]["pose"], dtype=np.float64)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec(pose[:3]).as_matrix(), pose[3:]

@@ -25,9 +25,10 @@ from harness.datasets.layouts.reading import known, numbers_of, read_array
 from harness.datasets.pair import STATES, Pair
 from harness.datasets.rooms import draw_room
 from harness.datasets.specification import DatasetSpec
+from harness.files import read_regular
 from harness.geometry.angles import Array
 from harness.io.view_folder import npy, sensor_files
-from harness.toml import read_toml
+from harness.toml import MOST_BYTES, read_toml
 
 README = f"""\
 train, val, test/SCENE/PAIR/
@@ -104,7 +105,8 @@ def _stored(folder: Path, file: Path) -> StoredPair:
     R = numbers_of(motion, "R_v2_from_v1", (3, 3), file)
     t_v1 = numbers_of(motion, "t_v1_m", (3,), file)
     scene = file.parent.parent.name
-    sensors = [_sensor(folder / "scenes" / scene / f"sensor_{i}.toml") for i in (1, 2)]
+    files = [folder / "scenes" / scene / f"sensor_{i}.toml" for i in (1, 2)]
+    sensors = [_sensor(each, read_regular(each, MOST_BYTES)) for each in files]
     here = file.parent
     ranges = here / "range_1.npy"
     return StoredPair(
@@ -130,7 +132,7 @@ def _stored(folder: Path, file: Path) -> StoredPair:
 
 
 @lru_cache(maxsize=64)
-def _sensor(file: Path) -> Sensor:
+def _sensor(file: Path, content: bytes) -> Sensor:  # noqa: ARG001 - the file may have been changed
     return sensor_of(read_toml(file), file)
 
 
