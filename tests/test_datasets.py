@@ -36,7 +36,7 @@ def pairs(small_set):
 
 
 class TestTruth:
-    """Of the project's own layout; the others are made from the same arrays."""
+    """Truth in the project's own layout; the others are made from the same arrays."""
 
     @pytest.mark.slow
     def test_both_views_agree_on_every_point(self, pairs):

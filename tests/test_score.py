@@ -144,7 +144,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_gives_the_same_ranges(panoramas, tmp_path, form):
-    """Of a set whose own depths are levels of 1/256 m."""
+    """A set whose own depths are levels of 1/256 m."""
     write, change, meaning, tolerance_m = FORMS[form]
     pair = panoramas.pairs[0]
     file = estimate_of(pair, estimates(tmp_path, [pair], change, write))

@@ -290,11 +290,11 @@ class Cost:
     bytes_a_scene: float
 
     def seconds(self, spec: DatasetSpec) -> float:
-        """Of a whole set."""
+        """A whole set on one thread."""
         return self.seconds_a_pair * spec.pairs + self.seconds_a_scene * spec.scenes
 
     def bytes(self, spec: DatasetSpec) -> float:
-        """The same of its files."""
+        """The files of a whole set."""
         return self.bytes_a_pair * spec.pairs + self.bytes_a_scene * spec.scenes
 
 

@@ -44,12 +44,12 @@ class Pair:
     images: tuple[Image, Image]
     """Grey `[height, width]`, or red, green and blue `[height, width, 3]`."""
     range_m: tuple[Array, Array]
-    """Of either view, NaN where there is none."""
+    """Range of both views, NaN where there is none."""
     match: Array
     """`[height, width, 2]`: where view 2's image has the point, (u, v) in pixels; NaN where it is not on that image.
     Known of hidden points, too."""
     state: NDArray[np.uint8]
-    """Of view 1's pixels; see `STATES`."""
+    """What view 1's pixels see; see `STATES`."""
     normal: Array
     """`[height, width, 3]`: unit normals towards view 1, in view 1's frame; NaN where there is no surface."""
     sigma_grey: float

@@ -16,7 +16,7 @@ from harness.images import LUMA
 from harness.simulation.texture import BundledTexture
 
 _TEXEL_M = 4.0 / 512
-"""Of noise: the shortest wave that it can hold is twice as long."""
+"""Size of a texel of noise, metres: the shortest wave that it can hold is twice as long."""
 _LARGE_PX, _SMALL_PX = 512, 256
 """Texels along a tile on the room itself, and on what stands in it."""
 _PATTERN_PX = 64

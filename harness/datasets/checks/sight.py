@@ -51,7 +51,7 @@ class PlainImage:
 
     @classmethod
     def of(cls, grey: NDArray[np.float32], sensor: Sensor) -> "PlainImage":
-        """Of an image of a sensor."""
+        """Free an image of a sensor."""
         seen = pixel_directions(sensor)[1].astype(np.float64)
 
         def mean(values: Array, sigma: float) -> Array:
@@ -98,13 +98,13 @@ class Sight:
 
     @cached_property
     def images(self) -> tuple[PlainImage, PlainImage]:
-        """Of both views."""
+        """Both images."""
         first, second = (PlainImage.of(read_grey(view.image), view.sensor) for view in self.pair.views)
         return first, second
 
     @property
     def views(self) -> tuple[PlacedView, PlacedView]:
-        """Of the pair."""
+        """Both views of the pair."""
         return self.pair.views
 
     def pixels(self, range_m: Array | None = None, motion: Motion | None = None) -> Pixels:

@@ -38,7 +38,7 @@ from harness.io.calibrations.sensors import Chosen, read_sensor
 
 _HALF = 0.5
 _LEAST_COSINE = 0.1
-"""Of a point's angle off the axis: COLMAP's fisheyes end at 90 degrees."""
+"""The least cosine of a point's angle off the axis: COLMAP's fisheyes end at 90 degrees."""
 
 README = """\
 train, val, test/SCENE/
@@ -168,7 +168,7 @@ def _of_model(folder: Path, model: Path) -> list[StoredPair]:
 
 
 _Seen = tuple[str, Sensor, Array, Array, dict[int, tuple[float, float]]]
-"""Of an image: its name, sensor, the rotation from the world, its place there, and its points' pixels by number."""
+"""An image: its name, sensor, the rotation from the world, its place there, and its points' pixels by number."""
 
 
 def _stored(place: str, base: Path, first: _Seen, second: _Seen, points: dict[int, Array]) -> StoredPair:
