@@ -296,6 +296,15 @@ def test_fault_of_disparities_is_found_and_named(spoilt, capsys, fault):
     assert re.search(expected, said), said
 
 
+def test_helvipads_own_crop_needs_no_file_of_ours(spoilt, capsys):
+    """Its images are the rows 192 to 703 of 960; its baseline is 0.191 m."""
+    folder = spoilt("panoramas")
+    (folder / "calibration.toml").unlink()
+    each_png(folder, "*/*/*/*.png", lambda levels: levels[20:73])
+    code, said = check(folder, capsys, "readable,planes,disparity,images")
+    assert code == 0, said
+
+
 def test_wrong_formula_is_found_by_images_where_there_are_no_ranges(spoilt, capsys):
     folder = spoilt("panoramas")
     legacy(folder)

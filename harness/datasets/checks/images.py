@@ -30,9 +30,10 @@ _ACROSS_PX = 0.3
 _LEAST_PATCHES = 20
 _MOST = 0.7
 """Share of the pairs that have to ask for about the same change."""
-_LEAST_OUTLINES = 150
+_LEAST_OUTLINES, _LEAST_OUTLINES_OF_A_PAIR = 150, 30
 _DEVIATIONS = 4.0
-_SHARE = 0.3
+_SHARE = 0.45
+"""What the steps on both sides of outlines differ by, in those at the outline above those around."""
 
 
 # --- Other readings --------------------------------------------------------------------------------------------------
@@ -262,20 +263,25 @@ def _unexplained(sights: Sequence[Sight], stated: float, where: str) -> Iterator
 
 
 def check_outlines(data: StoredSet) -> Iterator[Finding]:
-    """Whether the map's outlines are where image 1 has them: maps that are half a pixel off."""
+    """Whether the map's outlines are where image 1 has them: maps that are half a pixel off.
+
+    Of a map that is half a pixel off, the steps of grey at its outlines and on one side of them are equal. Pixels along
+    one outline are no independent measurements: so the pairs have to agree, too.
+    """
     profiles = [outline_profile(sight) for pair in data.some(_MOST_PAIRS) if (sight := sight_of(pair)) is not None]
     for axis, name in ((0, "u"), (1, "v")):
-        steps = np.concatenate([each[axis] for each in profiles]) if profiles else np.empty((0, 0))
-        if len(steps) < _LEAST_OUTLINES:
+        of_pairs = [each[axis] for each in profiles if len(each[axis]) >= _LEAST_OUTLINES_OF_A_PAIR]
+        if sum(map(len, of_pairs)) < _LEAST_OUTLINES:
             continue
+        steps = np.concatenate(of_pairs)
         middle = steps.shape[1] // 2
-        before, at, after = steps[:, middle - 1].mean(), steps[:, middle].mean(), steps[:, middle + 1].mean()
+        before, at, after = (float(steps[:, middle + i].mean()) for i in (-1, 0, 1))
         around = float(np.median(steps.mean(axis=0)))
         difference = steps[:, middle + 1] - steps[:, middle - 1]
-        deviations = difference.mean() / (difference.std() / np.sqrt(len(steps)))
-        # Of a map that is half a pixel off, the steps at the outline and beside it are equal.
+        deviations = difference.mean() / max(difference.std() / np.sqrt(len(steps)), 1e-12)
         share = (after - before) / max(max(at, after, before) - around, 1e-9)
-        if abs(deviations) > _DEVIATIONS and abs(share) > _SHARE:
+        one_way = [np.sign(np.mean(each[:, middle + 1] - each[:, middle - 1])) == np.sign(share) for each in of_pairs]
+        if abs(deviations) > _DEVIATIONS and abs(share) > _SHARE and np.mean(one_way) >= _MOST:
             text = (
                 f"the map is shifted against image 1 along {name}: across {len(steps)} outlines image 1 changes by "
                 f"{before:.2f}, {at:.2f}, {after:.2f} a pixel before, at and after them ({deviations:+.1f} sigma)"
