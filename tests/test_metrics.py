@@ -91,6 +91,7 @@ def test_more_figures_are_their_definitions(outcome):
         # A quantile of 10^5 values, whichever of two neighbours is taken.
         assert figures[f"disparity_a{share}_px"] == pytest.approx(np.quantile(absolute, share / 100), rel=1e-3)
     assert figures["range_abs_rel"] == pytest.approx(np.mean(np.abs(estimate - true) / true))
+    assert figures["range_sq_rel_m"] == pytest.approx(np.mean((estimate - true) ** 2 / true))
     assert figures["range_silog"] == pytest.approx(np.std(np.log(estimate) - np.log(true)))
     for limit in (1.05, 1.1, 1.25):
         assert figures[f"range_delta_{limit:g}"] == pytest.approx(np.mean(ratio < limit), abs=1e-4)

@@ -4,10 +4,12 @@ A metric over a part of the domain has that part before its name, as in
 `wall_range_median_abs_m`; see `metric`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
+from harness.evaluation.shape_scores import EDGES_M, NORMALS_DEG
 from harness.evaluation.tally import Tally
 
 Better = Literal["lower", "higher", "near zero"]
@@ -80,6 +82,35 @@ def _metrics(*entries: Metric) -> dict[str, Metric]:
     return {each.name: each for each in entries}
 
 
+def _boundaries() -> Iterator[Metric]:
+    """Precision and recall of boundaries, of three heights."""
+    for i, limit in enumerate(EDGES_M):
+        what = f"Boundaries above {limit:g}\u00a0m"
+        yield Metric(
+            f"boundary_precision_{limit:g}m", what, "precision", "%", 100, ".1f", "higher", partial(_precision, i)
+        )
+        yield Metric(f"boundary_recall_{limit:g}m", what, "recall", "%", 100, ".1f", "higher", partial(_recall, i))
+
+
+def _precision(i: int, errors: Tally) -> float:
+    return errors.shape.precision[i]
+
+
+def _recall(i: int, errors: Tally) -> float:
+    return errors.shape.recall[i]
+
+
+def _normals() -> Iterator[Metric]:
+    """Shares of normals within three angles."""
+    for i, limit in enumerate(NORMALS_DEG):
+        name, what = f"normal_within_{limit:g}deg", f"within {limit:g}°"
+        yield Metric(name, "Normals", what, "%", 100, ".1f", "higher", partial(_normals_within, i))
+
+
+def _normals_within(i: int, errors: Tally) -> float:
+    return errors.shape.normal_within[i]
+
+
 METRICS: dict[str, Metric] = _metrics(
     Metric("density", "Density", "", "%", 100, ".1f", "higher"),
     Metric("disparity_median_abs_px", "Disparity", "median |error|", "px", 1, ".3f", "lower", geometric=True),
@@ -99,10 +130,17 @@ METRICS: dict[str, Metric] = _metrics(
     Metric("disparity_a95_px", "A95", "", "px", 1, ".3f", "lower", lambda t: t.quantiles_px[3]),
     Metric("disparity_a99_px", "A99", "", "px", 1, ".2f", "lower", lambda t: t.quantiles_px[4]),
     Metric("range_abs_rel", "AbsRel", "", "%", 100, ".2f", "lower", lambda t: t.abs_rel),
+    Metric("range_sq_rel_m", "SqRel", "", "mm", 1000, ".2f", "lower", lambda t: t.sq_rel_m),
     Metric("range_silog", "SILog", "", "", 1, ".4f", "lower", lambda t: float(t.logarithm.std())),
     Metric("range_delta_1.05", "δ < 1.05", "", "%", 100, ".1f", "higher", lambda t: t.within[0] / t.matched),
     Metric("range_delta_1.1", "δ < 1.1", "", "%", 100, ".1f", "higher", lambda t: t.within[1] / t.matched),
     Metric("range_delta_1.25", "δ < 1.25", "", "%", 100, ".1f", "higher", lambda t: t.within[2] / t.matched),
+    Metric("seam_range_m", "Seam", "LRCE of range", "mm", 1000, ".1f", "lower", lambda t: t.shape.seam_m),
+    Metric("seam_disparity_px", "Seam", "LRCE of disparity", "px", 1, ".3f", "lower", lambda t: t.shape.seam_px),
+    *_boundaries(),
+    Metric("normal_mean_deg", "Normals", "mean error", "°", 1, ".2f", "lower", lambda t: t.shape.normal_mean_deg),
+    Metric("normal_rmse_deg", "Normals", "RMSE", "°", 1, ".2f", "lower", lambda t: t.shape.normal_rmse_deg),
+    *_normals(),
     Metric("motion_rotation_deg", "Rotation of the motion", "error", "°", 1, ".4f", "lower", geometric=True),
     Metric("motion_direction_deg", "Direction of t", "error", "°", 1, ".4f", "lower", geometric=True),
     Metric("motion_range_predicted", "Range by the motion", "predicted σ", "%", 100, ".3f", "lower", geometric=True),

@@ -61,11 +61,14 @@ def _core(disparity: Array, distance: Array) -> Measures:
 
 
 def measure_more(errors: Tally) -> Measures:
-    """The metrics beyond the core, over the domain: every entry of `METRICS` with a function of its own."""
+    """The metrics beyond the core, over the domain: every entry of `METRICS` with a function of its own; None where
+    there is nothing to take one from.
+    """
     made = {name: metric.of for name, metric in METRICS.items() if metric.of is not None}
     if not errors.matched:
         return dict.fromkeys(made)
-    return {name: float(of(errors)) for name, of in made.items()}
+    values = {name: float(of(errors)) for name, of in made.items()}
+    return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
 
 def measure_by_solid_angle(errors: Tally) -> Measures:

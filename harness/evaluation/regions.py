@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from harness.display import OneLine
 from harness.evaluation.groups import Groups, Sorted, bins, grouped, members, sorted_parts
 from harness.evaluation.pixel_errors import Reference
+from harness.evaluation.shape_scores import Shape, shape_of
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
 from harness.simulation.truth import Truth
@@ -84,6 +85,7 @@ class Layout(OneLine):
     by_range: Sorted
     by_law: Sorted
     """True range, and the law, cell by cell."""
+    shape: Shape
 
 
 def layout(reference: Reference, truth: Truth, grid: Grid, directions_world: Array) -> Layout:
@@ -106,6 +108,7 @@ def layout(reference: Reference, truth: Truth, grid: Grid, directions_world: Arr
         range_m=range_m,
         by_range=sorted_parts(cell, len(cells), range_m),
         by_law=sorted_parts(cell, len(cells), law),
+        shape=shape_of(reference.range_m, reference.domain, directions_world, truth.discontinuity),
     )
 
 

@@ -1,6 +1,7 @@
 """A trial's errors added up and sorted, once for all figures."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from harness.evaluation import _grouping_kernels as _kernels
 from harness.evaluation.groups import ascending, mean_of_middles, medians
 from harness.evaluation.pixel_errors import Errors
 from harness.evaluation.regions import SURFACES, Layout
+from harness.evaluation.shape_scores import ShapeScores, shape_scores
 from harness.geometry.angles import Array
 
 Mask = NDArray[np.bool_]
@@ -53,6 +55,21 @@ class Tally:
     weighted_median_m: float
     histogram: NDArray[np.int64]
     """`[surfaces, bins]`: absolute errors in pixels between `ERROR_EDGES_PX`."""
+
+    errors: Errors
+    valid: Mask
+    """`[height, width]`: pixels with an estimate."""
+
+    @cached_property
+    def shape(self) -> ShapeScores:
+        """The figures of the map's shape; made when one of them is asked for."""
+        return shape_scores(self.layout.shape, self.errors.range_m, self.errors.disparity_px, self.valid)
+
+    @property
+    def sq_rel_m(self) -> float:
+        """The mean over the domain of the squared error over the true range, metres."""
+        true = self.layout.range_m[self.scored & (self.layout.surface >= 0)]
+        return float(np.mean(true * np.expm1(self.logarithm) ** 2))
 
     @property
     def matched(self) -> int:
@@ -111,4 +128,6 @@ def tally(layout: Layout, valid: Mask, errors: Errors) -> Tally:
         quantiles_px=quantiles,
         weighted_median_m=_kernels.weighted_middle(by_m, off_m, surface, weight, half),
         histogram=histogram,
+        errors=errors,
+        valid=valid,
     )

@@ -1,0 +1,116 @@
+"""Figures of the shape of a map of ranges, which errors pixel by pixel do not show: its seam, boundaries and normals.
+
+As in the benchmarks Helvipad (the seam) and Pano3D (boundaries, after Hu et al., WACV 2019, and normals).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.display import OneLine
+from harness.evaluation import _shape_kernels as _kernels
+from harness.geometry.angles import Array
+
+Mask = NDArray[np.bool_]
+
+EDGES_M = (0.25, 0.5, 1.0)
+"""A pixel is on a boundary where Sobel's gradient of the range, unnormalised, is longer than this."""
+NORMALS_DEG = (11.25, 22.5, 30.0)
+
+
+@dataclass(frozen=True, repr=False)
+class Shape(OneLine):
+    """The true shape of a picture, on view 1's panorama `[height, width]`: trials share it."""
+
+    range_m: Array
+    domain: Mask
+    directions: Array
+    """`[height, width, 3]`, unit vectors; normals are in the same frame."""
+    edge: Array
+    """The length of Sobel's gradient of the true range, metres; NaN where a neighbour has no range."""
+    normal: Array
+    """`[height, width, 3]`, by the true points of the four neighbours: smeared at an edge as an estimate's are."""
+    smooth: Mask
+    """Pixels of the domain that are not next to a jump in range."""
+
+
+def shape_of(range_m: Array, domain: Mask, directions: Array, discontinuity: Mask) -> Shape:
+    """The true shape."""
+    edge, normal = edges_and_normals(range_m, directions)
+    return Shape(range_m, domain, directions, edge, normal, domain & ~discontinuity)
+
+
+def edges_and_normals(range_m: Array, directions: Array) -> tuple[Array, Array]:
+    """The length of Sobel's gradient, metres, and unit normals towards the viewpoint, of a map of ranges."""
+    edge, normal = np.empty(range_m.shape), np.empty(directions.shape)
+    range_m = np.ascontiguousarray(range_m, dtype=np.float64)
+    _kernels.sobel(range_m, edge)
+    _kernels.normals(range_m, np.ascontiguousarray(directions), normal)
+    return edge, normal
+
+
+@dataclass(frozen=True)
+class ShapeScores:
+    """The figures; NaN where there is nothing to take one from."""
+
+    seam_m: float
+    """Left-right consistency error: the mean over rows of the difference between the range errors in the first and in
+    the last column, absolute, metres. A jump at the seam that is not in the scene."""
+    seam_px: float
+    """The same of disparities."""
+    precision: tuple[float, float, float]
+    """The share of the estimate's boundary pixels that are boundary pixels of the truth, for each of `EDGES_M`."""
+    recall: tuple[float, float, float]
+    """The share of the truth's boundary pixels that are boundary pixels of the estimate; one without an estimate, or
+    without a neighbour's, is missed."""
+    normal_mean_deg: float
+    normal_rmse_deg: float
+    """The angle between the normals of estimate and truth."""
+    normal_within: tuple[float, float, float]
+    """Shares of normals within each of `NORMALS_DEG`."""
+
+
+def shape_scores(shape: Shape, range_error_m: Array, disparity_error_px: Array, valid: Mask) -> ShapeScores:
+    """The figures of an estimate.
+
+    Parameters
+    ----------
+    range_error_m, disparity_error_px
+        `[height, width]`, estimate minus truth; NaN where there is none.
+    valid
+        Pixels with an estimate.
+    """
+    error = np.where(valid, range_error_m, np.nan)
+    edge, normal = edges_and_normals(shape.range_m + error, shape.directions)
+    counted = shape.domain & np.isfinite(shape.edge)
+    precision, recall = [], []
+    for limit in EDGES_M:
+        true = counted & (shape.edge > limit)
+        found = counted & (edge > limit)  # a NaN is not
+        precision.append(_share(true, found))
+        recall.append(_share(found, true))
+    cosine = np.einsum("ijk,ijk->ij", normal, shape.normal)[shape.smooth]
+    angle = np.degrees(np.arccos(np.clip(cosine[np.isfinite(cosine)], -1, 1)))
+    within = [float(np.mean(angle < limit)) if angle.size else np.nan for limit in NORMALS_DEG]
+    return ShapeScores(
+        seam_m=_seam(error, shape.domain),
+        seam_px=_seam(np.where(valid, disparity_error_px, np.nan), shape.domain),
+        precision=(precision[0], precision[1], precision[2]),
+        recall=(recall[0], recall[1], recall[2]),
+        normal_mean_deg=float(np.mean(angle)) if angle.size else np.nan,
+        normal_rmse_deg=float(np.sqrt(np.mean(angle**2))) if angle.size else np.nan,
+        normal_within=(within[0], within[1], within[2]),
+    )
+
+
+def _seam(error: Array, domain: Mask) -> float:
+    """The mean over rows of the difference of errors across the seam; NaN where no row has both columns."""
+    apart = np.abs(error[:, 0] - error[:, -1])[domain[:, 0] & domain[:, -1]]
+    known = apart[np.isfinite(apart)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def _share(part: Mask, whole: Mask) -> float:
+    number = np.count_nonzero(whole)
+    return float(np.count_nonzero(part & whole) / number) if number else np.nan
