@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help paper test findings quick lint docs lock install clean
+.PHONY: help paper test findings quick long lint docs lock install clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*##/\1	/p' $(MAKEFILE_LIST)
@@ -15,7 +15,7 @@ paper: $(STAMP)  ## reproduce the paper; the report is results/paper/report.html
 	$(BIN)/omnirange run paper
 
 test: $(STAMP)  ## run the tests, on all cores
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not long"
 
 findings: $(STAMP)  ## measure anew what the README quotes, into results/reference/, and print its sentences: hours
 	$(BIN)/python results/reference/regenerate.py
@@ -23,6 +23,9 @@ findings: $(STAMP)  ## measure anew what the README quotes, into results/referen
 
 quick: $(STAMP)  ## run the tests that are not slow; one that has become slow fails
 	$(BIN)/python -m pytest -n auto --dist loadfile -q -m "not slow" --most-cpu-s 2
+
+long: $(STAMP)  ## run the tests that are left out of `make test`: long repetitions of what it tests
+	$(BIN)/python -m pytest -n auto --dist worksteal -m long
 
 lint: $(STAMP)  ## style, formatting, types and the one-way imports
 	$(BIN)/ruff check .

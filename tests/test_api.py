@@ -239,6 +239,7 @@ def test_a_result_shows_itself_as_a_table(result: "harness.RunResult") -> None:
     assert "disparity_median_abs_px" in shown
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_report_is_the_one_of_the_command_line(small: Path, tmp_path: Path) -> None:
     from harness.cli import main

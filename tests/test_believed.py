@@ -144,6 +144,7 @@ def test_a_wrong_belief_shifts_ranges_as_the_closed_form_says(key, value, size):
     assert np.median((shift / expected)[clear]) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value", "cause"),

@@ -189,6 +189,7 @@ class TestArguments:
             harness.calibrate(corners=corners, size=size)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_from_rendered_images_to_the_sensor_that_took_them(tmp_path):
     """The whole chain against the truth: images, corners, sensor."""
@@ -215,6 +216,7 @@ def test_from_rendered_images_to_the_sensor_that_took_them(tmp_path):
     assert any("8 of 8" in line for line in said)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_misalignment_is_told_and_written_with_the_best_central_sensor_beside_it(tmp_path, capsys):
     askew = Sensor(misalignment=Misalignment(x_mm=1, rotation_y_deg=0.5))

@@ -28,12 +28,14 @@ def check(kind: str, seed: int, boards: int = 10) -> None:
     assert np.sqrt(np.nanmean(error**2)) < 3 * np.sqrt(np.mean(calibration.ray_sigma_px**2))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_rays_without_and_with_noise(kind):
     check(kind, 1, 5)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 6))
 @pytest.mark.parametrize("kind", KINDS)

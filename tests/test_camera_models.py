@@ -327,6 +327,7 @@ class TestModelFromOutside:
         with pytest.raises(InputError, match="equiangular lens cannot be written in the unified model"):
             to_unified(self.trial().sensor)
 
+    @pytest.mark.long
     @pytest.mark.slow  # its loops are compiled for it in every run
     def test_renders_unwraps_matches_and_has_a_bound(self):
         cache = StageCache()

@@ -69,6 +69,7 @@ def luma(image: np.ndarray) -> np.ndarray:
     return np.asarray(image.astype(np.float64) @ LUMA)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 def test_a_pixel_of_a_wall_has_the_walls_colour(sensor, tmp_path):
     scene = painted(tmp_path)
@@ -232,6 +233,7 @@ def test_the_command_writes_pictures_in_colour(tmp_path):
     assert shown[39, shown.shape[1] // 2].tolist() == list(WALLS["x_max"])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_points_have_the_colours_of_the_image_where_they_are(tmp_path):
     scene = speckled(tmp_path)

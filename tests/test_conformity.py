@@ -70,6 +70,7 @@ def finding(kind: str, name: str) -> Finding:
     return examine(Subject(load_matcher(kind)), next(check for check in CHECKS if check.name == name))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_matcher_of_this_program_passes(kind: str) -> None:

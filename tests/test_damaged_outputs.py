@@ -42,6 +42,7 @@ def damaged(data: bytes, draws: random.Random) -> bytes:
     return data + draws.randbytes(100)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["experiment.toml", "trials.csv", "summary.json", "report.html"])
 def test_what_differs_is_written_anew(made: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,6 +156,7 @@ def test_compare_names_the_file_that_it_cannot_read(
     assert said.count("\n") == 1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("harm", ["a digit", "cut", "settings", "facts"])
 def test_compare_refuses_a_file_that_is_not_as_it_was_written(

@@ -138,6 +138,7 @@ def test_the_search_leaves_no_cheaper_rig_out():
     assert all(each.margin == pytest.approx(0.04 / each.answer.error_m) for each in found)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "rig",

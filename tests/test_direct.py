@@ -240,6 +240,7 @@ def test_what_is_held_stays():
         assert abs(direct.turn.t[2]) < 1e-12
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_standard_deviations_are_those_of_repeated_draws():
     off, spread, said = [], [], []
@@ -257,6 +258,7 @@ def test_standard_deviations_are_those_of_repeated_draws():
     assert ratio == pytest.approx([1, 1], abs=0.25)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_spread_is_that_of_the_bound():
     """The Cramér-Rao bound of the motion on the tiles that were used, with planes, gains and offsets unknown."""

@@ -159,6 +159,7 @@ def test_a_worker_that_a_matcher_ends(folder: Path) -> None:
 # --- What is printed ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["[/b]", "[bold]x", "$x$", "a b'"])
 def test_names_are_no_markup(folder: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:

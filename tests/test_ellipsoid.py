@@ -57,6 +57,7 @@ def found(rig, points, draws, seed=0):
     return np.array(places)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "rig",

@@ -24,6 +24,7 @@ def random_motions(count, seed):
         yield rng, Motion(Rotation.random(rng=rng).as_matrix(), t / np.linalg.norm(t) * rng.uniform(0.05, 2))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_true_correspondences_lie_on_the_curve_and_give_the_true_range():
     """10^4 random motions, 48 points each, through both ways of sampling."""

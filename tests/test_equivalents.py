@@ -102,6 +102,7 @@ class TestNearest:
         assert converted[1e-5].optics.model.alpha == pytest.approx(0.9 / 1.9, abs=1e-3)
         assert converted[1e-5].optics.camera.focal_px == pytest.approx(290 / 1.9, rel=1e-3)
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("first", "target", "most_px"),
         [

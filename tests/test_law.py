@@ -78,6 +78,7 @@ def test_a_sigma_that_grows_with_disparity_is_found(exponent):
     assert not low <= 1 <= high
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_interval_covers_the_truth_as_often_as_it_says():
     """With eight seeds a percentile bootstrap is known to be a little short: 95 % become 85 to 95."""

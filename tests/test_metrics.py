@@ -287,6 +287,7 @@ def test_a_row_is_strict_json(outcome):
     assert json.loads(json.dumps(row, allow_nan=False)) == row
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_metric_from_outside_is_in_rows_tables_and_comparisons(monkeypatch, tmp_path, capsys):
     """One entry, and nothing else: it is computed, written, and shown with its heading, unit and direction."""

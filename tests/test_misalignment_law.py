@@ -41,7 +41,7 @@ def shares(misalignment, turn_deg, seed):
 
 
 def exponents(share):
-    """Of the range and of the baseline in the error, where the range is four baselines or more."""
+    """Exponents of the range and of the baseline in the error, where the range is four baselines or more."""
     log_range, log_baseline = np.meshgrid(np.log(RANGES_M), np.log(BASELINES_M))
     far = log_range - log_baseline > np.log(3.99)
     columns = np.stack([log_range[far], log_baseline[far], np.ones(far.sum())], axis=-1)

@@ -52,6 +52,7 @@ def test_no_model_is_left_out():
     assert SENSORS.keys() == MODELS.keys()
 
 
+@pytest.mark.long
 @pytest.mark.slow  # the loops of rendering and of slanted windows are compiled for each model
 @pytest.mark.parametrize("model", SENSORS)
 def test_every_matcher(model):
@@ -206,6 +207,7 @@ def test_same_rays_same_panorama():
             assert np.abs(other.values - made[0].values)[made[0].valid].max() < 0.05  # single precision, 255 levels
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_omnidir_was_given_is_said(tmp_path):
     sets = """

@@ -193,6 +193,7 @@ def test_shortcut_equals_every_sample_through_any_mount(which: str) -> None:
     assert np.abs(image - render_every_sample(load_scene("room"), sensor, pose)).max() <= 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["column", "sgm", "slanted"])
 def test_a_trial_through_a_turned_mount_and_from_turned_poses(kind: str) -> None:

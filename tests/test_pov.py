@@ -143,6 +143,7 @@ POV-Ray 3.7.0.10 loses 201 of them, and none or one of the others.
 MISALIGNMENTS = {"default": {}, "shifted": {"x_mm": 1.0}, "tilted": {"rotation_x_deg": 0.5}}
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("misaligned", MISALIGNMENTS)
 @pytest.mark.parametrize("name", PLACES)

@@ -294,6 +294,7 @@ def test_a_table_of_the_hyperboloid_has_a_central_sensor():
     assert apart.max() < 1e-4  # the polynomial's
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @profiles
 def test_residuals_are_those_of_the_points_at_that_distance(profile):

@@ -174,6 +174,7 @@ def assumed_range(trial: Trial, geometry) -> np.ndarray:
     return np.where(unknown, np.nan, triangulate(*angles, trial.true_motion.baseline_m)[0])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("misalignment", [{"y_mm": 0.3}, {"z_mm": 0.5}, {"x_mm": 0.2, "rotation_x_deg": -0.1}])
 def test_ranges_are_wrong_by_what_geometry_says(misalignment):

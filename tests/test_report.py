@@ -149,6 +149,7 @@ def test_the_page_says_its_language_and_fits_small_screens(report):
     assert any(meta.get("name") == "viewport" for meta in document.every("meta"))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_same_result_same_report(small):
     assert build_report(small) == build_report(small)
@@ -277,6 +278,7 @@ def test_what_users_write_shows_as_text():
     assert any(evil in image["alt"] for image in document.every("img"))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),

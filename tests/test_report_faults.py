@@ -183,6 +183,7 @@ def foreign(tmp_path: Path) -> tuple[Path, Path]:
     return toml(tmp_path, matching={"kind": "program", "command": command}), mark
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_report_runs_no_program_unless_it_is_let(foreign, tmp_path, capsys):
     experiment, mark = foreign
@@ -277,6 +278,7 @@ def test_a_report_without_the_files_of_its_scene_says_what_is_left_out(tmp_path,
     assert (out / "summary.json").read_text(encoding="utf-8").count("wall") >= 1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_methods_beyond_those_that_fit_a_page_are_named(tmp_path, capsys):
     experiment, out = toml(tmp_path), tmp_path / "out"

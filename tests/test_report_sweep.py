@@ -126,6 +126,7 @@ def test_every_figure_has_its_numbers(page):
     assert without == ["regions"]  # the table below has them
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_same_rows_same_page(swept, page):
     assert build_report(swept) == page

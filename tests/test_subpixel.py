@@ -140,6 +140,7 @@ def found(k, **matcher):
 FRACTIONS = (7.0, 7.15, 7.3, 7.5, 7.7, 7.85)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["window", "column"])
 @pytest.mark.parametrize("cost", ["ssd", "census"])

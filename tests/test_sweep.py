@@ -163,6 +163,7 @@ def test_killed_worker_costs_time_alone(room: Path, whole: bytes) -> None:
     assert (out / "trials.csv").read_bytes() == whole
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.usefixtures("whole")
 def test_nothing_left_to_do_is_quick(room: Path) -> None:
@@ -177,6 +178,7 @@ def test_nothing_left_to_do_is_quick(room: Path) -> None:
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_report_from_the_folder_alone(room: Path, whole: bytes) -> None:
     out = room / "whole"
@@ -190,6 +192,7 @@ def test_report_from_the_folder_alone(room: Path, whole: bytes) -> None:
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_trial_that_fails(room: Path) -> None:
     write_small(
@@ -220,6 +223,7 @@ def test_a_trial_that_fails(room: Path) -> None:
     assert "2 done before" in again.stdout
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_rows_of_other_code_are_set_aside(tmp_path: Path) -> None:
     write_small(tmp_path / "code.toml", "[axes]\nseed = [1, 2]\n", name="code")
@@ -235,6 +239,7 @@ def test_rows_of_other_code_are_set_aside(tmp_path: Path) -> None:
     assert (out / "trials.csv").read_bytes() == trials
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_scene_changed_since(tmp_path: Path) -> None:
     scene = tmp_path / "room.toml"

@@ -85,6 +85,7 @@ FISHEYE = Sensor(
 )
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["window", "column", "sgm", "slanted"])
 def test_a_fisheye_that_looks_down_beside_a_mirror(kind):
