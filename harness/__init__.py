@@ -46,6 +46,9 @@ warp_view
 range_scan, range_map
     `RangeScan`: two images as a robot's range profile, the nearest obstacle for each bearing. `RangeMap`: several of
     these as an occupancy grid.
+make_dataset, open_dataset
+    `DataSet`: pairs with their truth, each a `DatasetPair`; `check` has a `Finding` for each fault, `score` gives a
+    `DatasetScore` of anybody's maps.
 calibrate
     A sensor from images of a chessboard: `CalibrationResult`, with standard deviations of its numbers and rays.
 describe_rig, find_rigs
@@ -73,6 +76,7 @@ from harness.version import __version__
 
 if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult, calibrate
+    from harness.api.datasets import DataSet, DatasetPair, DatasetScore, make_dataset, open_dataset
     from harness.api.designing import RigDescription, describe_rig, find_rigs
     from harness.api.loading import load_experiment, load_motion, load_scene, load_sensor
     from harness.api.mapping import RangeMap, RangeScan, range_map, range_scan
@@ -89,6 +93,7 @@ if TYPE_CHECKING:
     from harness.camera.lens import Lens
     from harness.camera.models.hyperboloid import Mirror
     from harness.camera.sensor import Sensor, project, unproject
+    from harness.datasets.checks.finding import Finding
     from harness.errors import InputError
     from harness.geometry.panorama import Grid, Panorama
     from harness.geometry.pose import Motion, Pose, relative_motion
@@ -104,8 +109,12 @@ if TYPE_CHECKING:
 __all__ = [
     "CalibrationResult",
     "Camera",
+    "DataSet",
+    "DatasetPair",
+    "DatasetScore",
     "Experiment",
     "FieldOfView",
+    "Finding",
     "Grid",
     "InputError",
     "Lens",
@@ -145,6 +154,8 @@ __all__ = [
     "load_motion",
     "load_scene",
     "load_sensor",
+    "make_dataset",
+    "open_dataset",
     "open_results",
     "project",
     "range_map",
@@ -160,6 +171,7 @@ __all__ = [
 
 _MODULES = {
     "api.calibrating": ("CalibrationResult", "calibrate"),
+    "api.datasets": ("DataSet", "DatasetPair", "DatasetScore", "make_dataset", "open_dataset"),
     "api.designing": ("RigDescription", "describe_rig", "find_rigs"),
     "api.loading": ("load_experiment", "load_motion", "load_scene", "load_sensor"),
     "api.mapping": ("RangeMap", "RangeScan", "range_map", "range_scan"),
@@ -176,6 +188,7 @@ _MODULES = {
     "camera.lens": ("Lens",),
     "camera.models.hyperboloid": ("Mirror",),
     "camera.sensor": ("Sensor", "project", "unproject"),
+    "datasets.checks.finding": ("Finding",),
     "errors": ("InputError",),
     "geometry.panorama": ("Grid", "Panorama"),
     "geometry.pose": ("Motion", "Pose", "relative_motion"),

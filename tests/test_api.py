@@ -26,6 +26,7 @@ from harness.runs.store import Finished
 HEAVY = ("numpy", "numba", "pandas", "matplotlib", "trimesh", "scipy", "pydantic", "rich", "jinja2", "PIL", "cv2")
 DOCUMENTED = [
     pytest.param("harness", marks=pytest.mark.slow),
+    "harness.api.datasets",
     "harness.api.loading",
     pytest.param("harness.api.motion", marks=pytest.mark.slow),
     "harness.api.ranging",
@@ -106,7 +107,7 @@ def test_examples_are_true(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
 def test_functions_say_what_they_take_give_and_raise() -> None:
     functions = [getattr(harness, name) for name in harness._HOME if inspect.isfunction(getattr(harness, name))]
     own = [each for each in functions if each.__module__.startswith("harness.api")]
-    assert len(own) == 17
+    assert len(own) == 21
     for each in own:
         doc = inspect.getdoc(each)
         for section in ("Parameters", "Returns", "Raises", "Examples"):

@@ -105,13 +105,14 @@ def run(options: Namespace) -> int:
 
 def _check(folder: Path, names: list[str]) -> int:
     """Print a line for each check, and what it found below it."""
+    from harness.api.datasets import open_dataset
     from harness.cli.check import marks
-    from harness.datasets.checks.check import CHECKS, check_set, open_set
+    from harness.datasets.checks.check import CHECKS
 
-    data = open_set(folder)
-    print(f"{folder}: {len(data.pairs)} pairs in {data.layout.title} layout")
+    data = open_dataset(folder)
+    print(f"{folder}: {len(data)} pairs in {data.stored.layout.title} layout")
     mark, faults = marks(), 0
-    for check, findings in check_set(data, names):
+    for check, findings in data.checks(names):
         interrupts.check()
         print(f"{mark[not findings]} {check.title}", flush=True)
         for each in findings:

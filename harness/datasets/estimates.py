@@ -65,10 +65,19 @@ def read_estimate(file: Path, meaning: Meaning, pair: StoredPair) -> Array:
     InputError
         When the file cannot be read, has another shape than the truth, or holds a quantity that the pair cannot have.
     """
-    raw = read_array(file)
-    raw = (
-        raw[..., 0] if raw.ndim == 3 and raw.shape[-1] == 1 else raw[0] if raw.ndim == 3 and raw.shape[0] == 1 else raw
-    )
+    return range_of_values(read_array(file), meaning, pair, file)
+
+
+def range_of_values(raw: NDArray[Any], meaning: Meaning, pair: StoredPair, file: str | Path) -> Array:
+    """Estimated ranges from the numbers of a map, as `read_estimate`.
+
+    Parameters
+    ----------
+    file
+        Where they are from, for messages.
+    """
+    if raw.ndim == 3 and 1 in (raw.shape[0], raw.shape[-1]):
+        raw = raw[0] if raw.shape[0] == 1 else raw[..., 0]
     directions = pair.maps[0].directions()
     if raw.shape != directions.shape[:-1]:
         found, expected = (" x ".join(map(str, shape)) for shape in (raw.shape, directions.shape[:-1]))
@@ -90,7 +99,7 @@ def _in_unit(raw: NDArray[Any], meaning: Meaning) -> Array:
     return values * scale
 
 
-def _range_of(values: Array, quantity: Quantity, directions: Array, pair: StoredPair, file: Path) -> Array:
+def _range_of(values: Array, quantity: Quantity, directions: Array, pair: StoredPair, file: str | Path) -> Array:
     """Ranges from values of a quantity; those that are no ranges are NaN."""
     if quantity == "range":
         return np.where(values > 0, values, np.nan)

@@ -25,7 +25,13 @@ _NOTHING = "#D4D4D4"
 
 
 def build_page(
-    scores: Sequence[Score], summary: dict[str, float | None], parts: list[dict[str, Any]], *, estimate: str, truth: str
+    scores: Sequence[Score],
+    summary: dict[str, float | None],
+    parts: list[dict[str, Any]],
+    *,
+    estimate: str,
+    truth: str,
+    quantity: str = "range",
 ) -> str:
     """The page, one self-contained HTML file."""
     ranked = sorted((each for each in scores if _error(each) is not None), key=lambda each: _error(each) or 0.0)
@@ -36,6 +42,7 @@ def build_page(
     return template("score.html.j2").render(
         estimate=estimate,
         truth=truth,
+        quantity=quantity,
         pairs=len(scores),
         figures=_figures(summary),
         parts=_of_parts(parts),
