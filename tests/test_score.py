@@ -74,6 +74,29 @@ class TestFigures:
         assert figures["range_rmse_m"] < 1e-6  # single precision
         assert figures["bad_1px"] == 0
         assert figures["range_delta_1.05"] == 1
+        assert figures["normal_mean_deg"] < 0.1  # single precision, over a pixel's width
+        assert figures["boundary_recall_0.5m"] == 1
+        assert figures["seam_range_m"] is None  # a mirror image has no seam
+
+    def test_a_seam_of_a_panorama(self, panoramas, tmp_path):
+        """Ranges that are a tenth too long on the left half jump by a tenth across the seam."""
+
+        def change(_, r):
+            r = r.copy()
+            r[:, : r.shape[1] // 2] *= 1.1
+            return r
+
+        estimate = estimates(tmp_path / "estimate", panoramas.pairs, change)
+        figures = score(estimate, "--truth", panoramas.folder, tmp_path / "out")
+        expected = []
+        for pair in panoramas.pairs:
+            truth = true_ranges(pair)
+            seen = (pair.state() == VISIBLE) & (
+                np.sin(angle_between(pair.maps[0].directions(), pair.motion.t_v1)) >= 0.5
+            )
+            both = seen[:, 0] & seen[:, -1]
+            expected.append(np.mean(0.1 * truth[both, 0]))
+        assert figures["seam_range_m"] == pytest.approx(np.mean(expected), rel=1e-5)
 
     def test_errors_that_are_known(self, rooms, tmp_path, capsys):
         """Two percent too long, and none on the left half: every figure follows by hand."""

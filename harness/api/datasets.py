@@ -89,7 +89,7 @@ class DatasetPair(OneLine):
 
     @property
     def match(self) -> Array | None:
-        """`[height, width, 2]`: where image 2 has the point, (u, v); NaN where it has not; None in a set without them."""
+        """`[height, width, 2]`: where image 2 has the point, (u, v), NaN where it has not; None in a set without."""
         return None if self.stored.match is None else self.stored.match()
 
 

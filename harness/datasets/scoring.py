@@ -22,6 +22,7 @@ from harness.evaluation.pixel_errors import MIN_SINE_ALPHA_1, Errors
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, RANGE_EDGES_M, SLANTED_DEG, Labels, Layout, Region
 from harness.evaluation.regions import OCCLUDED as HIDDEN
 from harness.evaluation.regions import VISIBLE as SEEN
+from harness.evaluation.shape_scores import shape_of
 from harness.evaluation.tally import tally
 from harness.geometry.angles import Array, angle_between
 from harness.geometry.triangulation import exact_alpha_2
@@ -151,7 +152,17 @@ def _layout(pair: StoredPair, truth_m: Array, x: Array, alpha_1: Array, domain: 
         range_m=range_m,
         by_range=empty,
         by_law=empty,
+        shape=shape_of(truth_m, domain & _has_neighbours(pair, domain.shape), x, jump),
     )
+
+
+def _has_neighbours(pair: StoredPair, shape: tuple[int, ...]) -> Mask:
+    """Pixels whose neighbours are those beside them: all of a map that goes round, else not those at its sides."""
+    view = pair.views[0]
+    inner = np.ones(shape, dtype=bool)
+    if pair.maps[0].is_image and not view.sensor.model.goes_round(view.sensor.camera):
+        inner[:, [0, -1]] = False
+    return inner
 
 
 def _between(low: float, high: float, unit: str) -> str:
