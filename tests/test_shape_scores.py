@@ -32,20 +32,20 @@ def shape() -> Shape:
 def test_edges_are_scipys_sobel() -> None:
     draws = np.random.default_rng(3)
     range_m = draws.uniform(1, 5, GRID.shape)
-    edge, _ = edges_and_normals(range_m, LOOKING)
+    edge, _ = edges_and_normals(range_m, LOOKING, around=True)
     modes = ("nearest", "wrap")
     expected = np.hypot(*(ndimage.sobel(range_m, axis=axis, mode=modes) for axis in (0, 1)))
     np.testing.assert_allclose(edge[1:-1], expected[1:-1], rtol=1e-12)
     assert np.isnan(edge[[0, -1]]).all()
     range_m[20, 0] = np.nan
-    holes = np.isnan(edges_and_normals(range_m, LOOKING)[0])
+    holes = np.isnan(edges_and_normals(range_m, LOOKING, around=True)[0])
     expected_holes = ndimage.maximum_filter(np.isnan(range_m), 3, mode=modes)
     np.testing.assert_array_equal(holes[1:-1], expected_holes[1:-1])  # on both sides of the seam
 
 
 def test_normals_of_planes_are_the_planes_own() -> None:
     range_m, normal = room()
-    _, found = edges_and_normals(range_m, LOOKING)
+    _, found = edges_and_normals(range_m, LOOKING, around=True)
     inner = np.zeros(GRID.shape, dtype=bool)
     alike = [(np.roll(normal, shift, axis) == normal).all(axis=-1) for axis in (0, 1) for shift in (1, -1)]
     inner[1:-1] = np.logical_and.reduce(alike)[1:-1]
@@ -63,6 +63,19 @@ def test_the_truth_itself_is_perfect(shape: Shape) -> None:
     nothing = shape_scores(shape, zero * np.nan, zero * np.nan, NOTHING)
     assert nothing.recall == (0, 0, 0)
     assert np.isnan([nothing.seam_m, nothing.normal_mean_deg, *nothing.precision, *nothing.normal_within]).all()
+
+
+def test_a_map_that_does_not_go_around_has_no_seam(shape: Shape) -> None:
+    half = slice(0, GRID.width_px // 2)
+    part = shape_of(shape.range_m[:, half], EVERYTHING[:, half], LOOKING[:, half], NOTHING[:, half])
+    assert (shape.around, part.around) == (True, False)
+    assert np.isnan(part.edge[:, [0, -1]]).all()
+    np.testing.assert_array_equal(part.edge[:, 1:-1], shape.edge[:, 1 : GRID.width_px // 2 - 1])
+    zero = np.zeros(part.range_m.shape)
+    scores = shape_scores(part, zero, zero, EVERYTHING[:, half])
+    assert np.isnan([scores.seam_m, scores.seam_px]).all()
+    assert scores.recall == (1, 1, 1)
+    assert not shape_of(zero * np.nan, zero > 0, LOOKING[:, half] * np.nan, zero > 0).around
 
 
 def test_the_seam_by_hand(shape: Shape) -> None:

@@ -33,20 +33,33 @@ class Shape(OneLine):
     """`[height, width, 3]`, by the true points of the four neighbours: smeared at an edge as an estimate's are."""
     smooth: Mask
     """Pixels of the domain that are not next to a jump in range."""
+    around: bool
+    """Whether the first and the last column are neighbours, as in a panorama: there is a seam."""
 
 
 def shape_of(range_m: Array, domain: Mask, directions: Array, discontinuity: Mask) -> Shape:
-    """The true shape."""
-    edge, normal = edges_and_normals(range_m, directions)
-    return Shape(range_m, domain, directions, edge, normal, domain & ~discontinuity)
+    """The true shape of any map, `[height, width]`, with unit directions `[height, width, 3]`."""
+    around = goes_around(directions)
+    edge, normal = edges_and_normals(range_m, directions, around=around)
+    return Shape(range_m, domain, directions, edge, normal, domain & ~discontinuity, around)
 
 
-def edges_and_normals(range_m: Array, directions: Array) -> tuple[Array, Array]:
+def goes_around(directions: Array) -> bool:
+    """Whether the last column of a map is next to its first one: no farther from it than the second one, by half."""
+    cosines = (np.einsum("ij,ij->i", directions[:, 0], directions[:, column]) for column in (-1, 1))
+    last, second = (np.sort(each[np.isfinite(each)]) for each in cosines)
+    if not last.size or not second.size:
+        return False
+    angles = (np.arccos(np.clip(each[each.size // 2], -1, 1)) for each in (last, second))
+    return bool(next(angles) <= 1.5 * next(angles))
+
+
+def edges_and_normals(range_m: Array, directions: Array, *, around: bool) -> tuple[Array, Array]:
     """The length of Sobel's gradient, metres, and unit normals towards the viewpoint, of a map of ranges."""
     edge, normal = np.empty(range_m.shape), np.empty(directions.shape)
     range_m = np.ascontiguousarray(range_m, dtype=np.float64)
-    _kernels.sobel(range_m, edge)
-    _kernels.normals(range_m, np.ascontiguousarray(directions), normal)
+    _kernels.sobel(range_m, around, edge)
+    _kernels.normals(range_m, np.ascontiguousarray(directions), around, normal)
     return edge, normal
 
 
@@ -82,26 +95,30 @@ def shape_scores(shape: Shape, range_error_m: Array, disparity_error_px: Array, 
         Pixels with an estimate.
     """
     error = np.where(valid, range_error_m, np.nan)
-    edge, normal = edges_and_normals(shape.range_m + error, shape.directions)
-    counted = shape.domain & np.isfinite(shape.edge)
-    precision, recall = [], []
-    for limit in EDGES_M:
-        true = counted & (shape.edge > limit)
-        found = counted & (edge > limit)  # a NaN is not
-        precision.append(_share(true, found))
-        recall.append(_share(found, true))
-    cosine = np.einsum("ijk,ijk->ij", normal, shape.normal)[shape.smooth]
-    angle = np.degrees(np.arccos(np.clip(cosine[np.isfinite(cosine)], -1, 1)))
-    within = [float(np.mean(angle < limit)) if angle.size else np.nan for limit in NORMALS_DEG]
+    edge, normal = edges_and_normals(shape.range_m + error, shape.directions, around=shape.around)
+    boundaries, angles, within = np.zeros((len(EDGES_M), 3)), np.zeros(3), np.zeros(len(NORMALS_DEG))
+    _kernels.compare(
+        edge, normal, shape.edge, shape.normal, shape.domain, shape.smooth, np.array(EDGES_M), np.array(NORMALS_DEG),
+        boundaries, angles, within,
+    )  # fmt: skip
+    with np.errstate(invalid="ignore"):
+        recall, precision = (boundaries[:, 2] / boundaries[:, which] for which in (0, 1))
+        mean, mean_square = angles[1:] / angles[0]
+        shares = within / angles[0]
     return ShapeScores(
-        seam_m=_seam(error, shape.domain),
-        seam_px=_seam(np.where(valid, disparity_error_px, np.nan), shape.domain),
-        precision=(precision[0], precision[1], precision[2]),
-        recall=(recall[0], recall[1], recall[2]),
-        normal_mean_deg=float(np.mean(angle)) if angle.size else np.nan,
-        normal_rmse_deg=float(np.sqrt(np.mean(angle**2))) if angle.size else np.nan,
-        normal_within=(within[0], within[1], within[2]),
+        seam_m=_seam(error, shape.domain) if shape.around else np.nan,
+        seam_px=_seam(disparity_error_px, shape.domain & valid) if shape.around else np.nan,
+        precision=_three(precision),
+        recall=_three(recall),
+        normal_mean_deg=float(mean),
+        normal_rmse_deg=float(np.sqrt(mean_square)),
+        normal_within=_three(shares),
     )
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    one, two, three = map(float, values)
+    return one, two, three
 
 
 def _seam(error: Array, domain: Mask) -> float:
@@ -109,8 +126,3 @@ def _seam(error: Array, domain: Mask) -> float:
     apart = np.abs(error[:, 0] - error[:, -1])[domain[:, 0] & domain[:, -1]]
     known = apart[np.isfinite(apart)]
     return float(known.mean()) if known.size else np.nan
-
-
-def _share(part: Mask, whole: Mask) -> float:
-    number = np.count_nonzero(whole)
-    return float(np.count_nonzero(part & whole) / number) if number else np.nan
