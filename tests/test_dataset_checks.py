@@ -179,6 +179,7 @@ OWN = {
 """Faults of sets in the project's own layout: which check has to find it, what is done, and what has to be said."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", OWN)
 def test_fault_is_found_and_named(spoilt, capsys, fault):
     folder = spoilt("rooms")

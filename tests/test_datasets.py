@@ -160,6 +160,7 @@ class TestLayouts:
 
 @pytest.mark.slow
 class TestMaking:
+    @pytest.mark.long
     def test_same_bits_in_two_processes_and_after_ctrl_c(self, tmp_path):
         spec = small("rooms", scenes=3, pairs_per_scene=1)
         whole = made(spec, tmp_path / "whole")

@@ -11,6 +11,7 @@ from harness.datasets.rooms import DrawnRoom
 from harness.datasets.specification import DatasetSpec, number_between
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.simulation.cast import rotated
 from harness.simulation.noise import generator
 from harness.simulation.render import render, render_with_range
 from harness.simulation.scene import Scene
@@ -91,8 +92,12 @@ def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threa
         wrap_columns=seam_px(sensors[0]) > 0,
         threads=threads,
     )
-    match, on_image_2 = project(sensors[1], motion.apply(directions * true.range_m[..., None]))
-    match[~on_image_2] = np.nan
+    there = np.isfinite(true.range_m)
+    points = directions[there] * true.range_m[there, None]
+    pixels, on_image_2 = project(sensors[1], rotated(points - motion.t_v1, motion.R_v2_from_v1))
+    match, normal = np.full((*there.shape, 2), np.nan), np.full((*there.shape, 3), np.nan)
+    match[there] = np.where(on_image_2[:, None], pixels, np.nan)
+    normal[there] = rotated(true.normal[there], poses[0].R_world_from_view.T)
     return Pair(
         scene_number=scene,
         number=number,
@@ -107,7 +112,7 @@ def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threa
         range_m=(true.range_m, range_2),
         match=match,
         state=_states(true, seen),
-        normal=np.einsum("ijk,kl->ijl", true.normal, poses[0].R_world_from_view),
+        normal=normal,
         sigma_grey=sigma_grey,
         gain=gain,
         threads=threads,
