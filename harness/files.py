@@ -4,6 +4,7 @@ import os
 import re
 import secrets
 import stat
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -105,6 +106,27 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"cannot be used as the output folder ({why})", file=folder, key="--out") from error
     if not os.access(folder, os.W_OK):
         raise InputError("the output folder cannot be written to", file=folder, key="--out")
+
+
+def check_own(folder: Path, own: Collection[str]) -> None:
+    """Refuse to write among other people's files.
+
+    Parameters
+    ----------
+    own
+        The names of the files by which a folder of ours is known: all are there.
+
+    Raises
+    ------
+    InputError
+        When the folder has files and is none of ours.
+    """
+    if folder.is_dir() and any(folder.iterdir()) and not all((folder / name).is_file() for name in own):
+        raise InputError(
+            "holds files that were not written by this command; give an empty folder, or a new one",
+            file=folder,
+            key="--out",
+        )
 
 
 def write(path: Path, content: str | bytes) -> None:

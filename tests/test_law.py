@@ -8,6 +8,7 @@ from harness.evaluation.law import test_law as law_test
 from harness.evaluation.law import verdict
 from harness.evaluation.law_geometry import BASELINE_M, check_geometry, second_order_bias
 from harness.evaluation.law_images import (
+    SHORT,
     best_baselines,
     fit_law_and_bound,
     fit_laws,
@@ -249,3 +250,16 @@ def test_each_noise_has_slopes_of_its_own():
     fits = law_test(cells.assign(quiet=np.arange(len(cells)).astype(str)))["by_noise"]
     assert [fit["sigma_grey"] for fit in fits] == [0.0, 8.0]
     assert [fit["slope"] for fit in fits] == [pytest.approx(1, abs=0.03), pytest.approx(0.5, abs=0.03)]
+
+
+def test_slopes_over_short_baselines_are_told_apart():
+    """The angle is worse with long baselines in one direction alone: there the slope dips, and not over short ones."""
+    cells = made_up()
+    bent = (cells["alpha_bin"] == 4) & (cells["baseline_m"] >= SHORT * cells["range_m"])
+    far = np.where(bent, 3.0, 1.0)
+    cells = cells.assign(spread_m=cells["spread_m"] * far, sigma_alpha=cells["sigma_alpha"] * far)
+    parts = the(fit_laws(cells))["by_alpha_1"]
+    dipped = parts[4]
+    assert dipped["slope"] < 0.9
+    assert dipped["short"]["slope"] == pytest.approx(1, abs=0.1)
+    assert parts[3]["slope"] == pytest.approx(parts[3]["short"]["slope"], abs=0.1)

@@ -58,11 +58,12 @@ def run(options: Namespace) -> int:
     from harness.files import make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.load import load_experiment
+    from harness.runs.preflight import preflight
     from harness.runs.run import is_reported, open_run, run_plan, run_status
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
     if options.dry_run:
-        return _dry_run(experiment)
+        return _dry_run(experiment, options.experiment)
     shown = options.out or Path("results") / experiment.name
     make_folder(shown)
     folder = shown.absolute()  # matchers of other people may change the working folder
@@ -76,6 +77,8 @@ def run(options: Namespace) -> int:
             show(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
             show_report(shown)
             return OK
+        if before.left:
+            preflight(before.left, options.experiment)
         with Progress(experiment.name, before.total, before.done) as progress:
             try:
                 left = before.plan
@@ -96,12 +99,14 @@ def run(options: Namespace) -> int:
         )
 
 
-def _dry_run(experiment: "Experiment") -> int:
+def _dry_run(experiment: "Experiment", given: str) -> int:
     from harness.machine import available_cpus
     from harness.pipeline.sight import check_sight
     from harness.runs.cases import CASE
     from harness.runs.plan import plan
+    from harness.runs.preflight import preflight
 
+    preflight(experiment.planned, given)
     # The first trial of each pair of sensors: what would be refused, or noticed, when it is run.
     by_sensors = {each.trial.sensors: each.trial for each in reversed(experiment.planned)}
     for trial in list(by_sensors.values())[:_MOST_CHECKED]:

@@ -26,6 +26,9 @@ BOOTSTRAP_DRAWS = 2000
 LAWS = ("exact", "paper")
 MOST_SYSTEMATIC = 0.5
 """Error without noise over error with it, in a cell that counts as limited by noise: a quarter of its variance."""
+SHORT = 0.2
+"""|t|/d below which both views see a surface nearly alike. Beyond it one sees a surface beside the rig up to twice as
+foreshortened as the other, so that a window of fixed shape covers several disparities."""
 _METHOD = ["matcher", "subpixel"]
 
 
@@ -42,7 +45,8 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
     -------
     list
         Of `matcher`, `subpixel`, `surface`, `law`, `slope`, `slope_ci95`, `r2`, `cells`, `by_alpha_1`: as in
-        `summary.json`. Slopes that cannot be fitted (fewer than three cells, or one law value) are None.
+        `summary.json`; the last with slopes of its own over cells whose baseline is `short` for their range. Slopes
+        that cannot be fitted (fewer than three cells, or one law value) are None.
     """
     fits = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
@@ -52,7 +56,15 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
             by_alpha_1 = []
             for index, (low, high) in enumerate(pairwise(ALPHA_1_EDGES_DEG)):
                 inside = part["alpha_bin"] == index
-                by_alpha_1.append({"from_deg": low, "to_deg": high, **_slope(x[inside], y[inside], part[inside])})
+                short = inside & (part["baseline_m"] < SHORT * part["range_m"])
+                by_alpha_1.append(
+                    {
+                        "from_deg": low,
+                        "to_deg": high,
+                        **_slope(x[inside], y[inside], part[inside]),
+                        "short": _slope(x[short], y[short], part[short]),
+                    }
+                )
             fits.append(
                 {
                     "matcher": matcher,

@@ -96,6 +96,11 @@ class MatcherSettings(Spec, ABC):
         return ""
 
     @property
+    def extra(self) -> str:
+        """The extra of this package that the matcher needs; empty for none."""
+        return ""
+
+    @property
     def runs_third_party_code(self) -> bool:
         """Whether matching runs code that is not part of this program."""
         return False

@@ -212,7 +212,8 @@ def _matching_files(patterns: Sequence[str]) -> list[Path]:
 def with_absolute_files(command: Sequence[Any], folder: Path, *, patterns: bool = False) -> list[Any]:
     """The words of a command with those that name a file of a folder made absolute.
 
-    The first word is looked for on the search path unless there is a slash in it, as a shell does.
+    The first word is looked for on the search path unless there is a slash in it, as a shell does, and then beside the
+    experiment.
 
     Parameters
     ----------
@@ -232,8 +233,10 @@ def with_absolute_files(command: Sequence[Any], folder: Path, *, patterns: bool 
 
 
 def _is_file_of(folder: Path, word: str, *, first: bool) -> bool:
-    if first:
-        return "/" in word
+    if first and "/" in word:
+        return True
+    if first and shutil.which(word) is not None:
+        return False
     try:
         return path_of(word, folder).is_file()
     except InputError:  # no word that could name a file

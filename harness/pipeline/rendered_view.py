@@ -12,7 +12,7 @@ from harness.camera.unwrap import unwrap
 from harness.camera.visible_rows import with_rows
 from harness.display import OneLine, grey, html_figure
 from harness.errors import InputError
-from harness.files import make_folder, write
+from harness.files import check_own, make_folder, write
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, directions
 from harness.geometry.pose import Pose
@@ -90,11 +90,12 @@ class RenderedView(OneLine):
         Raises
         ------
         InputError
-            When the folder cannot be written to, or POV-Ray has no camera like the sensor's.
+            When the folder holds other files or cannot be written to, or POV-Ray has no camera like the sensor's.
         """
         if pov:
             check_pov(self.sensor)
         folder = Path(folder)
+        check_own(folder, ("pose.toml", "sensor.toml", "omni.npy"))
         make_folder(folder)
         known = np.isfinite(self.panorama if self.panorama.ndim == 2 else self.panorama.sum(axis=-1))
         panorama = Panorama(self.grid, self.panorama, known)

@@ -144,6 +144,9 @@ def _read_experiment(source: Source) -> tuple[Experiment, Path | None]:
     else:
         file = shipped.find("experiments", str(source))
         table, folder = read_toml(file), file.parent
+        if "objects" in table and "trial" not in table:
+            use = f"see `omnirange render`, or give `--set scene={source}` with an experiment"
+            raise InputError(f"is a scene, not an experiment; {use}", file=file)
     scene = None
     if isinstance(table.get("trial"), dict):
         scene = table["trial"].get("scene")

@@ -252,9 +252,22 @@ def homographies(geometry: Geometry, uv_maps: Array, viewpoint: ArrayLike, rotat
 
 
 def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
-    """Check that a viewpoint, metres, relative to the geometry's centre, is valid.
+    """Check that a viewpoint, metres, relative to the geometry's centre, is valid; see `check_position`.
 
     Warns (`Notice`) when faces of two objects coincide.
+    """
+    p = np.asarray(viewpoint, dtype=np.float64)
+    check_position(geometry, p)
+    for pair in _coincident_objects(geometry, p):
+        warnings.warn(
+            f"{geometry.name}: faces of {' and '.join(pair)} coincide; the later one is visible. Move one of them",
+            Notice,
+            stacklevel=1,  # the same code location, so that each notice is shown once
+        )
+
+
+def check_position(geometry: Geometry, viewpoint: ArrayLike) -> None:
+    """Check that something can be seen from a position, metres, relative to the geometry's centre.
 
     Raises
     ------
@@ -275,12 +288,6 @@ def check_viewpoint(geometry: Geometry, viewpoint: ArrayLike) -> None:
                 f"the view at {where} is inside '{solid.name}'; place it outside, or set inward = true for a room",
                 file=geometry.name,
             )
-    for pair in _coincident_objects(geometry, p):
-        warnings.warn(
-            f"{geometry.name}: faces of {' and '.join(pair)} coincide; the later one is visible. Move one of them",
-            Notice,
-            stacklevel=1,  # the same code location, so that each notice is shown once
-        )
 
 
 def _coincident_objects(geometry: Geometry, viewpoint: Array) -> list[list[str]]:

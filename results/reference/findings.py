@@ -144,6 +144,8 @@ def _column_windows(law: dict[str, Any]) -> list[str]:
     by_noise = [each for each in law["by_noise"] if (each["surface"], each["subpixel"]) == ("wall", "none")]
     slopes = ", ".join(f"{each['slope']:.2f}" for each in by_noise)
     noises = ", ".join(f"{each['sigma_grey']:g}" for each in by_noise)
+    at = min(range(len(whole["by_alpha_1"])), key=lambda i: float(whole["by_alpha_1"][i]["slope"]))
+    lowest, refined = (fit["by_alpha_1"][at] for fit in (whole, parabola))
     return [
         _one_line(f"""
             on walls the slope is {_slope(whole)} at whole pixels and {_slope(parabola)} with the parabola: the
@@ -153,6 +155,12 @@ def _column_windows(law: dict[str, Any]) -> list[str]:
             At whole pixels it is {slopes} at noise {noises} grey levels: most of that error is rounding, which
             is constant in angle by construction, so these slopes confirm the geometry, not a property of the
             noise.
+        """),
+        _one_line(f"""
+            The slope dips at {lowest["from_deg"]:g} to {lowest["to_deg"]:g}° from the baseline: {_slope(lowest)} at
+            whole pixels, {_slope(refined)} with the parabola. There the second view sees walls beside the rig the most
+            foreshortened, and a window covers several disparities, the more the longer the baseline: over ranges of
+            more than five baselines it is {_slope(lowest["short"])} and {_slope(refined["short"])}.
         """),
     ]
 

@@ -31,6 +31,11 @@ class OpenCV(MatcherSettings):
 
     _odd_block = field_validator("block_px")(_odd)
 
+    @property
+    def extra(self) -> str:
+        """OpenCV is one."""
+        return "peers"
+
 
 class Filtered(OpenCV):
     """What StereoBM and StereoSGBM have in common beyond that."""

@@ -1,0 +1,79 @@
+"""What can be told before anything is rendered: viewpoints where nothing can be seen, and extras that are missing."""
+
+import importlib.util
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from harness.errors import InputError, Notice
+from harness.pipeline.specification import Trial
+from harness.runs.experiment import Planned
+from harness.simulation.fingerprint import fingerprint
+from harness.simulation.scene_geometry import check_position, geometry_near
+
+MODULES = {"peers": ("cv2",), "motion": ("cv2", "poselib")}
+"""What the extras of this package bring along."""
+_MOST_POSITIONS = 500
+"""Most viewpoints that are checked; the others are when they are rendered."""
+
+_Position = tuple[str, tuple[float, float, float]]
+
+
+def preflight(planned: Sequence[Planned], given: str | Path) -> None:
+    """Refuse what every trial would fail of, and give notice of what some will.
+
+    Parameters
+    ----------
+    given
+        The experiment as the user gave it, for messages.
+
+    Raises
+    ------
+    InputError
+        When all trials would fail: the first one's message.
+    """
+    known: dict[_Position, InputError | None] = {}
+    problems = [problem for each in planned if (problem := missing_extra(each.trial) or _unreachable(each, known))]
+    if not problems:
+        return
+    if len(problems) == len(planned):
+        raise InputError(problems[0].problem, file=given, key=problems[0].key)
+    text = f"{len(problems)} of {len(planned)} trials will fail; the first: {problems[0]}"
+    warnings.warn(text, Notice, stacklevel=2)
+
+
+def missing_extra(trial: Trial) -> InputError | None:
+    """That an extra is not installed which the matcher, or the estimate of the motion, needs."""
+    for extra, key in (
+        (trial.matching.extra, "trial.matching.kind"),
+        ("motion" if trial.motion.source == "estimated" else "", "trial.motion.source"),
+    ):
+        if not all(map(_is_installed, MODULES.get(extra, ()))):
+            return InputError(f"needs the extra: pip install 'omnirange[{extra}]'", key=key)
+    return None
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ImportError:  # of what is being loaded to find it
+        return False
+
+
+def _unreachable(planned: Planned, known: dict[_Position, InputError | None]) -> InputError | None:
+    """That a viewpoint is outside the scene, or inside an object of it."""
+    scene = planned.trial.scene
+    name = fingerprint(scene)
+    for pose, key in zip(planned.trial.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
+        where = (name, pose.position_m)
+        if where not in known and len(known) < _MOST_POSITIONS:
+            geometry = geometry_near(scene, pose.position_m)
+            known[where] = None
+            try:
+                check_position(geometry, pose.position_m - geometry.centre)
+            except InputError as error:
+                of_scene = planned.scene_file or f"scene {scene.name}"
+                known[where] = InputError(f"{of_scene}: {error.problem}", key=key)
+        if problem := known.get(where):
+            return problem
+    return None
