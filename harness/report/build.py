@@ -1,12 +1,13 @@
 """Assemble the report: one self-contained HTML file."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from harness import interrupts
 from harness.report import theme, words
 from harness.report.markup import html, template
 from harness.report.opening import opening
-from harness.report.section import About, Context, Declared, Paragraph, Section
+from harness.report.section import MOST_BYTES, About, Context, Declared, Paragraph, Section
 from harness.report.sections import SECTIONS
 from harness.runs.run import Result
 
@@ -52,16 +53,19 @@ def sections_of(
     observe: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[Section]:
     """The sections of a report in their order, without those that have nothing to show; see `build_report`."""
-    declared = _in_order(SECTIONS if sections is None else sections, context)
-    made: list[Section] = []
+    ordered = _in_order(SECTIONS if sections is None else sections, context)
+    made: dict[int, Section] = {}
     with theme.style() as missing:
-        for number, each in enumerate(declared):
-            observe(number, len(declared))
-            section = _made(each, context, missing)
-            made += [section] if section else []
+        # Those that take the room that is left are made last.
+        for begun, number in enumerate(sorted(range(len(ordered)), key=lambda number: ordered[number].takes_the_rest)):
+            observe(begun, len(ordered))
+            room = MOST_BYTES - sum(section.size for section in made.values())
+            section = _made(ordered[number], replace(context, room=room), missing)
+            if section:
+                made[number] = section
     if failures is not None:
         failures.extend(missing)
-    return made
+    return [made[number] for number in sorted(made)]
 
 
 def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:

@@ -17,6 +17,9 @@ from harness.report.sweep import Sweep, sweep_of
 from harness.report.theme import Picture
 from harness.runs.run import Result
 
+MOST_BYTES = 4_950_000
+"""The most that the sections of a page have together: mail takes a page of five megabytes."""
+
 # --- What a section is made from ----------------------------------------------------------------------------------
 
 
@@ -33,6 +36,8 @@ class Context:
     """The methods of the base trial whose comparison is known, with or without pixels."""
     trial: Trial
     """The base trial."""
+    room: int = MOST_BYTES
+    """Bytes of the page that the other sections leave; for one that takes what is left."""
 
     @classmethod
     def of(cls, result: Result) -> "Context":
@@ -161,6 +166,26 @@ class Section:
         """What it says at the head of the page."""
         return [block.html for block in self.blocks if isinstance(block, InAbstract)]
 
+    @property
+    def size(self) -> int:
+        """About how many bytes of the page it is."""
+        return sum(_size_of(block) for block in self.blocks)
+
+
+_CELL = 90
+"""Bytes of a cell of a table with its tags, roughly."""
+
+
+def _size_of(block: Block) -> int:
+    if isinstance(block, TableBlock):
+        cells = len(block.table.headings) * (1 + len(block.table.rows))
+        return _CELL * cells + (len(block.table.data.address) if block.table.data else 0)
+    if isinstance(block, Figure):
+        return sum(len(each.source) for each in block.pictures) + (len(block.data.address) if block.data else 0)
+    if isinstance(block, LineKey):
+        return len(block.picture.source)
+    return len(block.html)
+
 
 # --- How one is declared ------------------------------------------------------------------------------------------
 
@@ -184,6 +209,8 @@ class Declared:
     about: About
     needs_pixels: bool
     """Whether it cannot be made from rows and summary alone; where pixels are missing it says so."""
+    takes_the_rest: bool
+    """Whether it is made after all others, and given the room that they leave (`Context.room`)."""
     make: Callable[[Context], Iterator[Block]]
 
     def __call__(self, context: Context) -> Section | None:
@@ -203,12 +230,17 @@ class Declared:
 
 
 def section_of(
-    about: About, section_id: str, title: str | Callable[[Context], str], *, needs_pixels: bool = False
+    about: About,
+    section_id: str,
+    title: str | Callable[[Context], str],
+    *,
+    needs_pixels: bool = False,
+    takes_the_rest: bool = False,
 ) -> Callable[[Callable[[Context], Iterator[Block]]], Declared]:
     """Declare a section: for a function that yields its blocks in the order of the page, or none to be left out."""
 
     def declare(make: Callable[[Context], Iterator[Block]]) -> Declared:
-        return Declared(section_id, title, about, needs_pixels, make)
+        return Declared(section_id, title, about, needs_pixels, takes_the_rest, make)
 
     return declare
 

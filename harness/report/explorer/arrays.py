@@ -1,4 +1,4 @@
-"""Maps as text inside a page: whole numbers, as differences along rows, in planes of bytes, deflated.
+"""Maps as text inside a page: whole numbers, as differences along rows and columns, in planes of bytes, deflated.
 
 Numbers are rounded to a stated step first, so that what the page shows is known to that step. `scripts/arrays.js` reads
 them back.
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 _LEVEL = 6
 _LARGEST = 2**30
-"""Whole numbers are within this, so that no difference of two leaves 32 bits."""
+"""Whole numbers are within this, and so in 32 bits."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,11 @@ class Packed:
 def pack(values: ArrayLike) -> Packed:
     """Whole numbers `[rows, columns]` as text; larger ones than 2^30 become that.
 
-    Differences from the pixel before are counted 0, -1, 1, -2, 2 ..., so that small ones have no upper bytes.
+    Each differs from the plane through the three pixels left of it and above by a number that is counted 0, -1, 1, -2,
+    2 ..., so that small ones have no upper bytes. All is modulo 2^32.
     """
     numbers = np.clip(values, -_LARGEST, _LARGEST).astype(np.int32)
-    step = np.diff(numbers, axis=1, prepend=np.int32(0))
+    step = np.diff(np.diff(numbers, axis=1, prepend=np.int32(0)), axis=0, prepend=np.int32(0))
     counted = ((step << 1) ^ (step >> 31)).view(np.uint32)
     planes = max(1, (int(counted.max(initial=0)).bit_length() + 7) // 8)
     data = counted.astype("<u4").reshape(-1, 1).view(np.uint8)[:, :planes]

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
+from numpy.typing import NDArray
 
 from harness.camera.plane_images import plane_conic
 from harness.camera.sensor import Sensor, field_of, lens_from_sensor
 from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid, Panorama
 from harness.geometry.pose import Motion
 from harness.matching.window.column import PER_GREY
 from harness.matching.window.settings import WindowMatcher
@@ -21,21 +23,21 @@ from harness.report.explorer.projection import STEP_PX, projection_table
 from harness.report.method_styles import Method
 from harness.simulation.scene_geometry import geometry_near
 
-MOST_CHARACTERS = 2_100_000
-"""What all arrays may have together: the other half of a page of at most five megabytes is the report's."""
 _MOST_PIXELS = 640_000
 """What a panorama may have: a larger one cannot fit, and is not tried."""
-_IMAGE_PIXELS = 400_000
-"""A mirror image of more is shown smaller."""
-_SQUARES_PER_GREY = 16
-"""Steps in a grey level of what square windows compare."""
-_OCTAVE = 32
-"""Steps of a standard deviation in a factor of two: it is known to 1.1 %."""
+_QUALITIES = ((1, 400_000, 0.001), (1, 400_000, 0.01), (2, 90_000, 0.01))
+"""How many pixels of the panorama's rows and columns are one; how many pixels a mirror image has, which is shown
+smaller if it has more; and the step of a method's ranges in parts of its usual error: the first with which all methods
+fit, or else the last."""
+_OCTAVE = 16
+"""Steps of a standard deviation in a factor of two: it is known to 2.2 %."""
 _LEAST_SIGMA_M = 1e-7
 _ABSENT = -(2**15)
 """Stands for a pixel that is not there in what is compared; `scripts/costs.js` knows it."""
-_LARGEST_OF_COLUMNS = 2047
-"""As of the matcher's own whole numbers."""
+_LARGEST = 2047
+"""The largest whole number of a pixel, as in `matching/window/column.py`."""
+_SHADES_OF_GREY = 64
+"""In the images, which are for looking at: noise in the last bits would take a quarter of the page."""
 _MOST_EDGES = 1500
 """What is shown of the scene, the longest ones: a mesh has one for each of its small triangles."""
 _COSTS = {"sad": "grey levels", "ssd": "grey levels²", "zncc": "1 − correlation"}
@@ -59,7 +61,7 @@ class Contents:
     """Methods for which the page has no room."""
 
 
-def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] | None) -> Contents | None:
+def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] | None, room: int) -> Contents | None:
     """What the explorer of these methods is made of; None where not even one of them fits the page.
 
     Parameters
@@ -68,31 +70,37 @@ def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] |
         End of the scale of range errors.
     start
         The pixel that is shown first.
+    room
+        Characters that all arrays may have together.
     """
     outcome = methods[0].outcome
     grid = outcome.trial.panorama
     if grid.width_px * grid.height_px > _MOST_PIXELS:
         return None
-    compared = _compared(methods)
+    matcher = cost_matcher(methods)
     step_m = range_step(outcome.truth.range_m)
-    arrays = _common(outcome, compared, step_m)
+    arrays = {"first": pack(_compared(outcome.filtered[0])), "second": pack(_compared(outcome.filtered[1]))}
     views = [_view(outcome, view, arrays) for view in (0, 1)]
-    room = MOST_CHARACTERS - sum(len(each.text) for each in arrays.values())
-    shown: list[Method] = []
-    maps: list[TrialMaps] = []
-    for method in methods:
-        its = maps_of(method.outcome)
-        own = _of_method(its, step_m, len(shown))
-        size = sum(len(each.text) for each in own.values())
-        if size <= room:
-            room -= size
-            arrays |= own
-            shown.append(method)
-            maps.append(its)
+    maps = [maps_of(method.outcome) for method in methods]
+    shown: list[_Fitting] = []
+    for every, image_pixels, part in _QUALITIES:
+        arrays |= _truth(outcome, step_m, every)
+        for view in (0, 1):
+            arrays[f"image{view}"], views[view]["smaller"] = _image(outcome.images[view], image_pixels)
+        fitting = [
+            _packed(method, its, step_of_method(its, step_m, part), every)
+            for method, its in zip(methods, maps, strict=True)
+        ]
+        shown = _that_fit(fitting, room - sum(len(each.text) for each in arrays.values()))
+        if len(shown) == len(methods):
+            break
     if not shown:
         return None
+    for number, each in enumerate(shown):
+        arrays |= {f"{name}{number}": packed for name, packed in each.arrays.items()}
     facts = {
         "grid": {"rows": grid.height_px, "columns": grid.width_px, "zMax": grid.z_max, "zMin": grid.z_min},
+        "every": every,
         "given": _motion(outcome.pair.motion),
         "true": _motion(outcome.trial.true_motion),
         "pose": {
@@ -102,93 +110,103 @@ def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] |
         },
         "views": views,
         "steps": {
-            "range": step_m,
+            "trueRange": step_m,
             "octave": _OCTAVE,
             "leastSigma": _LEAST_SIGMA_M,
-            "grey": compared.step_grey,
+            "grey": 1 / PER_GREY,
             "pixel": STEP_PX,
+            "shade": 255 / (_SHADES_OF_GREY - 1),
         },
-        "cost": compared.facts,
-        "methods": [{"key": each.key, "label": each.label, "colour": each.colour} for each in shown],
-        "scales": _scales(maps, limit_mm),
+        "cost": _cost(matcher, grid) | {"own": own_cost(matcher, [each.method for each in shown])},
+        "methods": [
+            {"key": each.method.key, "label": each.method.label, "colour": each.method.colour, "step": each.step_m}
+            for each in shown
+        ],
+        "scales": _scales([each.maps for each in shown], limit_mm),
         "edges": _edges(outcome),
         "start": list(start or (grid.height_px // 3, grid.width_px // 4)),
         "arrays": {name: [each.rows, each.columns, each.planes] for name, each in arrays.items()},
     }
-    return Contents(facts, arrays, tuple(shown), tuple(each for each in methods if each not in shown))
+    kept = tuple(each.method for each in shown)
+    return Contents(facts, arrays, kept, tuple(each for each in methods if each not in kept))
 
 
 def range_step(range_m: Array) -> float:
     """The step to which ranges are rounded, metres: a power of ten, at most a hundred-thousandth of the usual range."""
     known = range_m[np.isfinite(range_m)]
-    usual = float(np.median(known)) if known.size else 1.0
-    return float(10.0 ** (math.floor(math.log10(max(usual, 1e-9))) - 5))
+    return power_of_ten(1e-5 * float(np.median(known)) if known.size else 1e-5)
+
+
+def step_of_method(maps: TrialMaps, least_m: float, part: float) -> float:
+    """The step of a method's ranges, metres: up to a part of its median error, but not below the truth's step."""
+    usual = usual_error_m(maps)
+    return max(least_m, power_of_ten(part * usual)) if math.isfinite(usual) else least_m
+
+
+def usual_error_m(maps: TrialMaps) -> float:
+    """The median absolute error of the range, metres; infinite for a method without any."""
+    error = np.abs(maps.range_error_m[np.isfinite(maps.range_error_m)])
+    return float(np.median(error)) if error.size else math.inf
+
+
+def power_of_ten(value: float) -> float:
+    """The largest power of ten up to a value."""
+    return float(10.0 ** math.floor(math.log10(max(value, 1e-12)) + 1e-9))
 
 
 # --- What is compared along a curve -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Compared:
-    """The cost that the page works out, and the images that it needs."""
+def cost_matcher(methods: list[Method]) -> WindowMatcher:
+    """The matcher whose cost the page shows.
 
-    facts: dict[str, Any]
-    first: Array
-    second: Array
-    """`[height, width]`: whole numbers of `step_grey`, or `_ABSENT`."""
-    step_grey: float
-
-
-def cost_matcher(methods: list[Method]) -> tuple[WindowMatcher, list[int]]:
-    """The matcher whose cost the page shows, and the methods whose own cost that is.
-
-    That of the first window matcher, if the page can work it out, of columns at whole ones; else that of square
+    It is the first window matcher, if the page can work out its cost, of columns at whole ones; else one of square
     windows, on the curves of the first method.
     """
     for method in methods:
         matcher = method.outcome.trial.matching
         if isinstance(matcher, WindowMatcher) and matcher.cost in _COSTS:
-            own = matcher.search
-            its = [each.outcome.trial.matching for each in methods]
-            same = [isinstance(other, WindowMatcher) and other.search == own for other in its]
-            whole = own.model_copy(update={"pitch_px": 1.0}) if own.kind == "column" else own
-            return whole, np.flatnonzero(same).tolist()
+            return matcher.search.model_copy(update={"pitch_px": 1.0}) if matcher.kind == "column" else matcher.search
     matcher, motion = methods[0].outcome.trial.matching, methods[0].outcome.pair.motion
     sampling, _ = matcher.sampled(motion.t_v1)
-    return WindowMatcher(d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m, sampling=sampling), []
+    return WindowMatcher(d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m, sampling=sampling)
 
 
-def _compared(methods: list[Method]) -> _Compared:
-    matcher, own = cost_matcher(methods)
-    filtered = methods[0].outcome.filtered
-    largest = max(float(np.abs(each.values).max(initial=0.0)) for each in filtered)
-    if matcher.kind == "column":
-        step, most = 1 / PER_GREY, _LARGEST_OF_COLUMNS  # that matcher's own whole numbers
-    else:
-        # Finer than anything that shows, and within 16 bits.
-        step, most = max(1 / _SQUARES_PER_GREY, 2.0 ** math.ceil(math.log2(max(largest, 1e-9) / 2**15))), 2**15 - 1
-    first, second = (
-        np.where(each.valid, np.rint(np.clip(each.values / step, -most, most)), _ABSENT) for each in filtered
-    )
-    facts = {
+def own_cost(shown: WindowMatcher, methods: list[Method]) -> list[int]:
+    """Which of some methods choose by that very cost, but for how finely they sample it."""
+    matchers = [method.outcome.trial.matching for method in methods]
+    alike = {"pitch_px": shown.pitch_px} if shown.kind == "column" else {}
+    return [
+        number
+        for number, matcher in enumerate(matchers)
+        if isinstance(matcher, WindowMatcher) and matcher.search.model_copy(update=alike) == shown
+    ]
+
+
+def _cost(matcher: WindowMatcher, grid: Grid) -> dict[str, Any]:
+    return {
         "kind": matcher.kind,
         "cost": matcher.cost,
         "unit": _COSTS[matcher.cost],
         "window": matcher.window_px,
         "sampling": matcher.sampling,
-        "pitch": matcher.pitch_px * filtered[0].grid.phi_pitch,
+        "pitch": matcher.pitch_px * grid.phi_pitch,
         "dMin": matcher.d_min_m,
         "dMax": matcher.d_max_m if math.isfinite(matcher.d_max_m) else None,
-        "own": own,
     }
-    return _Compared(facts, first, second, step)
+
+
+def _compared(panorama: Panorama) -> Array:
+    """What windows are made of, whole numbers of 1/PER_GREY: those of `column` itself, and fine enough for squares."""
+    numbers = np.rint(np.clip(panorama.values * PER_GREY, -_LARGEST, _LARGEST))
+    return np.where(panorama.valid, numbers, _ABSENT)
 
 
 # --- The maps -----------------------------------------------------------------------------------------------------
 
 
-def _common(outcome: Outcome, compared: _Compared, step_m: float) -> dict[str, Packed]:
-    """What all methods share."""
+def _truth(outcome: Outcome, step_m: float, every: int) -> dict[str, Packed]:
+    """What is true, of every so many pixels."""
     truth, expected = outcome.truth, outcome.reference
     seen = np.isfinite(truth.range_m) * KNOWN
     for bit, where in (
@@ -199,22 +217,43 @@ def _common(outcome: Outcome, compared: _Compared, step_m: float) -> dict[str, P
     ):
         seen = seen + bit * where
     # Towards viewpoint 1: the cloud leaves out what is seen from behind.
-    normal = np.rint(100 * np.nan_to_num(truth.normal))
+    normal = np.rint(100 * np.nan_to_num(truth.normal[::every, ::every]))
     return {
-        "seen": pack(seen),
-        "trueRange": pack(in_steps(truth.range_m, step_m)),
+        "seen": pack(seen[::every, ::every]),
+        "trueRange": pack(in_steps(truth.range_m[::every, ::every], step_m)),
         "normal": pack(np.concatenate(np.moveaxis(normal, -1, 0))),
-        "first": pack(compared.first),
-        "second": pack(compared.second),
     }
 
 
-def _of_method(maps: TrialMaps, step_m: float, number: int) -> dict[str, Packed]:
-    return {
-        f"reason{number}": pack(maps.reason),
-        f"range{number}": pack(in_steps(maps.range_m, step_m)),
-        f"sigma{number}": pack(on_scale(maps.sigma_range_m, _LEAST_SIGMA_M, _OCTAVE)),
+@dataclass(frozen=True)
+class _Fitting:
+    """A method with its maps, in memory and packed."""
+
+    method: Method
+    maps: TrialMaps
+    step_m: float
+    arrays: dict[str, Packed]
+
+
+def _packed(method: Method, maps: TrialMaps, step_m: float, every: int) -> _Fitting:
+    range_m, sigma_m = (each[::every, ::every] for each in (maps.range_m, maps.sigma_range_m))
+    arrays = {
+        "reason": pack(maps.reason[::every, ::every]),
+        "range": pack(in_steps(range_m, step_m)),
+        "sigma": pack(on_scale(sigma_m, _LEAST_SIGMA_M, _OCTAVE)),
     }
+    return _Fitting(method, maps, step_m, arrays)
+
+
+def _that_fit(methods: list[_Fitting], room: int) -> list[_Fitting]:
+    """As many methods as there is room for, those with the smallest errors first; in their order."""
+    kept = []
+    for each in sorted(methods, key=lambda each: usual_error_m(each.maps)):
+        size = sum(len(packed.text) for packed in each.arrays.values())
+        if size <= room:
+            room -= size
+            kept.append(each)
+    return [each for each in methods if each in kept]
 
 
 def _scales(maps: list[TrialMaps], limit_mm: float) -> dict[str, Any]:
@@ -247,20 +286,13 @@ def _motion(motion: Motion) -> dict[str, list[float]]:
 
 
 def _view(outcome: Outcome, view: int, arrays: dict[str, Packed]) -> dict[str, Any]:
-    """A view's sensor; its image and projection go to `arrays`, the latter only if it is not that of view 1."""
+    """A view's sensor; its projection goes to `arrays`, if it is not that of view 1."""
     sensor = outcome.pair.sensors[view]
-    image = np.clip(np.rint(outcome.images[view]), 0, 255)
-    rows, columns = image.shape
-    smaller = math.ceil(math.sqrt(image.size / _IMAGE_PIXELS))
-    if smaller > 1:
-        cut = image[: rows // smaller * smaller, : columns // smaller * smaller]
-        image = np.rint(cut.reshape(rows // smaller, smaller, columns // smaller, smaller).mean(axis=(1, 3)))
-    arrays[f"image{view}"] = pack(image)
+    rows, columns = outcome.images[view].shape
     same = view == 1 and sensor == outcome.pair.sensors[0]
     facts: dict[str, Any] = {
         "rows": rows,
         "columns": columns,
-        "smaller": smaller,
         "title": sensor.model.title,
         "field": list(field_of(sensor)),
         "table": 0 if same else view,
@@ -272,6 +304,15 @@ def _view(outcome: Outcome, view: int, arrays: dict[str, Packed]) -> dict[str, A
             arrays[f"{name}{view}"] = pack(np.rint(values / STEP_PX))
         facts |= {"frame": table.frame.ravel().tolist(), "thetaMax": table.theta_max}
     return facts
+
+
+def _image(image: NDArray[np.float32], most_pixels: int) -> tuple[Packed, int]:
+    """A mirror image for looking at, and how many of its pixels are one, along each side."""
+    smaller = math.ceil(math.sqrt(image.size / most_pixels))
+    rows, columns = (side // smaller for side in image.shape)
+    cut = np.clip(image[: rows * smaller, : columns * smaller], 0, 255)
+    mean = cut.reshape(rows, smaller, columns, smaller).mean(axis=(1, 3)) if smaller > 1 else cut
+    return pack(np.rint(mean * ((_SHADES_OF_GREY - 1) / 255))), smaller
 
 
 def _lens_of(sensor: Sensor) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from harness.report.sections.error_maps import REASONS, common_limit_mm
 
 _SCRIPTS = Path(contents.__file__).parent / "scripts"
 _ORDER = ("arrays", "geometry", "pixels", "costs", "layers", "pictures", "nearest", "chart", "cloud", "explorer")
+_OWN_BYTES = 150_000
+"""What the scripts, the style and the words take, generously; and the scene's edges."""
 _LAYERS = {
     "picture": "picture",
     "range": "range",
@@ -27,8 +29,15 @@ _LAYERS = {
     "occlusion": "occlusion",
 }
 _NOTES = """
-<p class="explorer-notes">In this section ranges are known to {{ "%g" | format(1000 * steps.range) }} mm and predicted
-standard deviations to 1 %.
+<p class="explorer-notes">
+{% if every > 1 %}
+To save room, {{ every }} × {{ every }} pixels of the panorama are one here, of which the first is shown.
+{% endif %}
+True ranges are rounded to {{ "%g" | format(1000 * steps.trueRange) }} mm here, those of
+{% for method in methods %}
+{{ method.label }} to {{ "%g" | format(1000 * method.step) }} mm{{ ";" if not loop.last }}
+{% endfor %}
+and predicted standard deviations to 2 %.
 {% if own %}
 The cost is that of {{ own }}
 {%- if cost.kind == "column" %}, at every whole column{% else %}, of filtered images rounded to
@@ -49,11 +58,11 @@ _TOO_LARGE = """
 """
 
 
-@section_of(About.BASE_TRIAL, "explorer", "Explorer", needs_pixels=True)
+@section_of(About.BASE_TRIAL, "explorer", "Explorer", needs_pixels=True, takes_the_rest=True)
 def section(context: Context) -> Iterator[Block]:
     """Every pixel, to be pointed at."""
     methods = context.methods
-    made = contents_of(methods, common_limit_mm(methods), _start(methods))
+    made = contents_of(methods, common_limit_mm(methods), _start(methods), context.room - _OWN_BYTES)
     if made is None:
         grid = context.trial.panorama
         yield Paragraph(html(_TOO_LARGE, columns=grid.width_px, rows=grid.height_px))
@@ -70,10 +79,12 @@ def _start(methods: list[Method]) -> tuple[int, int] | None:
 
 def _body(made: Contents) -> Markup:
     facts = made.facts | {"reasons": [[int(each), list(words)] for each, words in REASONS.items()]}
-    own = [made.shown[i].label for i in facts["cost"]["own"] if i < len(made.shown)]
+    own = [made.shown[i].label for i in facts["cost"]["own"]]
     notes = html(
         _NOTES,
         steps=facts["steps"],
+        every=facts["every"],
+        methods=facts["methods"],
         cost=facts["cost"],
         own=listed(own) if own else "",
         left_out=listed(each.label for each in made.left_out) if made.left_out else "",

@@ -1,4 +1,4 @@
-// Reads the maps that `arrays.py` has packed: differences along rows, in planes of bytes, deflated, as base64.
+// Reads the maps that `arrays.py` has packed: differences along rows and columns, in planes of bytes, deflated, as base64.
 
 async function unpacked(text, [rows, columns, planes]) {
   const packed = atob(text);
@@ -11,11 +11,10 @@ async function unpacked(text, [rows, columns, planes]) {
   for (let plane = 0; plane < planes; plane++) {
     for (let i = 0; i < size; i++) values[i] |= data[plane * size + i] << (8 * plane);
   }
-  for (let row = 0; row < rows; row++) {
-    let sum = 0;
-    for (let i = row * columns; i < (row + 1) * columns; i++) {
+  for (let row = 0, i = 0; row < rows; row++) {
+    for (let column = 0, sum = 0; column < columns; column++, i++) {
       sum = (sum + ((values[i] >>> 1) ^ -(values[i] & 1))) | 0; // 0, 1, 2, 3 ... stand for 0, -1, 1, -2 ...
-      values[i] = sum;
+      values[i] = row ? (values[i - columns] + sum) | 0 : sum;
     }
   }
   return values;

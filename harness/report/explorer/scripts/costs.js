@@ -34,7 +34,9 @@ class Window {
 }
 
 class Costs {
-  constructor(panorama, facts, maps) {
+  // Of all pixels of the panorama, whatever the other maps have.
+  constructor(facts, maps) {
+    const panorama = new Panorama(facts.grid);
     Object.assign(this, { panorama, settings: facts.cost, step: facts.steps.grey, t: facts.given.t });
     Object.assign(this, { first: maps.first, second: maps.second });
     this.half = (facts.cost.window - 1) / 2;

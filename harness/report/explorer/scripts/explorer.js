@@ -4,7 +4,7 @@ class Explorer {
   constructor(root, facts, maps) {
     Object.assign(this, { root, facts, maps, pixels: new Pixels(facts, maps), held: false, layer: "error", method: 0 });
     this.panorama = this.pixels.panorama;
-    this.costs = new Costs(this.panorama, facts, maps);
+    this.costs = new Costs(facts, maps);
     this.pictures = [0, 1].map((view) => unwrapped(this.pixels, view, maps[`image${view}`]));
     this.makePictures();
     this.chart = new Chart(root.querySelector("[data-part=chart]"), facts);
@@ -20,7 +20,7 @@ class Explorer {
     }
     root.querySelector("[data-part=hold]").addEventListener("click", () => this.hold(!this.held));
     root.addEventListener("keydown", (event) => event.key === "Escape" && this.hold(false));
-    [this.row, this.column] = facts.start;
+    [this.row, this.column] = facts.start.map((each) => Math.floor(each / facts.every));
     this.show({});
     new ResizeObserver(() => this.draw()).observe(root);
   }
@@ -60,11 +60,12 @@ class Explorer {
       };
       this.parts[name] = new Picture(this.root.querySelector(`[data-picture=${name}]`), width, height, listens);
     }
-    const grey = (values, width) => (x, y) => (255 << 24) | (values[y * width + x] * 0x010101);
-    this.parts.panorama1.paint(columns, rows, (x, y) => grey(this.pictures[1], columns)(columns - 1 - x, y));
+    const grey = (level) => (255 << 24) | (Math.round(level) * 0x010101);
+    this.parts.panorama1.paint(columns, rows, (x, y) => grey(this.pictures[1][y * columns + columns - 1 - x]));
     views.forEach((view, i) => {
       const [height, width] = this.facts.arrays[`image${i}`];
-      this.parts[`image${i}`].paint(width, height, grey(this.maps[`image${i}`], width));
+      const [image, shade] = [this.maps[`image${i}`], this.facts.steps.shade];
+      this.parts[`image${i}`].paint(width, height, (x, y) => grey(shade * image[y * width + x]));
     });
   }
 
@@ -143,12 +144,13 @@ class Explorer {
     const { row, column } = this;
     const curve = this.pixels.curve(row, column);
     this.mark(curve);
-    this.fill(this.at(row, column), curve);
+    const numbers = this.numbers(row, column);
+    this.fill(numbers, curve);
     const found = this.facts.methods.map((_, method) => this.sampleOf(curve, this.range(method)));
     const marks = this.facts.methods.map((method, i) => ({ ...method, k: found[i], chosen: i === this.method }));
     const towards = this.pixels.trueDirections(row, column);
     const truth = towards && curve.defined ? curve.sampleOf(curve.alphaOf(towards.panorama)) : null;
-    this.chart.draw(curve, this.costs.along(curve, row, column), marks.filter((mark) => mark.k !== null), truth);
+    this.chart.draw(curve, numbers.costs, marks.filter((mark) => mark.k !== null), truth);
     const i = row * this.panorama.columns + column;
     const { colour } = this.facts.methods[this.method];
     this.cloud.draw({ row, column, colour, estimate: this.range(this.method), truth: this.pixels.trueRange(i) });
@@ -162,8 +164,12 @@ class Explorer {
     return Number.isNaN(range) || !curve.defined ? null : curve.sampleOf(curve.alphaOfRange(range));
   }
 
-  // The numbers of a pixel, as they are shown; metres and pixels, NaN for none.
+  // The numbers of a pixel of the panorama, as they are shown; metres and pixels, NaN for none.
   at(row, column) {
+    return this.numbers(Math.floor(row / this.facts.every), Math.floor(column / this.facts.every));
+  }
+
+  numbers(row, column) {
     const i = row * this.panorama.columns + column;
     const methods = this.facts.methods.map(({ key }, method) => ({
       key,
@@ -174,10 +180,17 @@ class Explorer {
       reason: this.pixels.reason(method, i),
     }));
     const curve = this.pixels.curve(row, column);
+    const [ownRow, ownColumn] = [row, column].map((each) => each * this.facts.every);
     return {
-      row, column, methods, alpha1: curve.alpha1, trueRange: this.pixels.trueRange(i),
-      occlusion: this.pixels.occlusion(i), surface: this.pixels.surface(i),
-      first: curve.first, costs: this.costs.along(curve, row, column),
+      row: ownRow,
+      column: ownColumn,
+      methods,
+      alpha1: curve.alpha1,
+      trueRange: this.pixels.trueRange(i),
+      occlusion: this.pixels.occlusion(i),
+      surface: this.pixels.surface(i),
+      first: curve.first,
+      costs: this.costs.along(curve, ownRow, ownColumn),
       pixels: [0, 1].map((view) => this.places[`image${view}`](row, column)?.map((each) => each - 0.5) ?? null),
     };
   }
@@ -225,8 +238,8 @@ class Explorer {
     const set = (name, text) => {
       this.root.querySelector(`[data-part=${name}]`).textContent = text;
     };
-    const phi = degrees(this.panorama.phi(numbers.column));
-    const elevation = degrees(Math.atan(this.panorama.z(numbers.row)));
+    const phi = degrees(this.panorama.phi(this.column));
+    const elevation = degrees(Math.atan(this.panorama.z(this.row)));
     set("pixel", `Row ${numbers.row}, column ${numbers.column}`);
     set("direction", `azimuth ${fixed(phi, 1)}°, elevation ${fixed(elevation, 1)}°, α₁ = ${fixed(degrees(numbers.alpha1), 1)}°`);
     set("surface", `${numbers.surface}; ${OCCLUSION[numbers.occlusion][0]}`);
@@ -234,12 +247,15 @@ class Explorer {
     const curves = [0, 1].map((view) => `${kinds[view] || "not a conic"}`);
     set("conic", curves[0] === curves[1] ? curves[0] : `${curves[0]} in view 1, ${curves[1]} in view 2`);
     const shown = (value, digits, scale = 1) => (Number.isNaN(value) ? "–" : fixed(scale * value, digits));
-    const millimetres = (value) => shown(value, Math.abs(value) < 0.1 ? 2 : 1, 1000);
-    set("true-range", shown(numbers.trueRange, 4));
+    // As many as a step shows in.
+    const decimals = (step) => Math.min(Math.max(Math.floor(1e-6 - Math.log10(step)), 0), 6);
+    set("true-range", shown(numbers.trueRange, decimals(this.facts.steps.trueRange)));
     numbers.methods.forEach((method, i) => {
-      set(`range-${i}`, shown(method.range, 4));
-      set(`error-${i}`, millimetres(method.error));
-      set(`disparity-${i}`, shown(method.disparity, 3));
+      const digits = decimals(this.facts.methods[i].step);
+      set(`range-${i}`, shown(method.range, digits));
+      set(`error-${i}`, shown(method.error, Math.max(digits - 3, 0), 1000));
+      const exact = this.pixels.disparityStep(i, this.row, this.column);
+      set(`disparity-${i}`, shown(method.disparity, Number.isNaN(exact) ? 0 : Math.min(decimals(exact), 3)));
       set(`sigma-${i}`, Number.isNaN(method.sigma) ? "–" : `${Number((1000 * method.sigma).toPrecision(2))}`);
       set(`reason-${i}`, this.reasons(method.reason));
     });
@@ -257,7 +273,7 @@ class Explorer {
   announce() {
     clearTimeout(this.waiting);
     this.waiting = setTimeout(() => {
-      const { row, column, trueRange, methods } = this.at(this.row, this.column);
+      const { row, column, trueRange, methods } = this.numbers(this.row, this.column);
       const chosen = methods[this.method];
       const words = Number.isNaN(chosen.range)
         ? `no range: ${this.reasons(chosen.reason)}`

@@ -14,19 +14,20 @@ const modulo = (a, n) => ((a % n) + n) % n;
 const wrapped = (angle) => modulo(angle + Math.PI, 2 * Math.PI) - Math.PI;
 const degrees = (angle) => (angle * 180) / Math.PI;
 
+// `every`: only every so many of the pixels, along rows and columns, is one here; angles are those of its centre.
 class Panorama {
-  constructor({ rows, columns, zMax, zMin }) {
-    Object.assign(this, { rows, columns, zMax });
+  constructor({ rows, columns, zMax, zMin }, every = 1) {
+    Object.assign(this, { rows: Math.ceil(rows / every), columns: Math.ceil(columns / every), zMax, every });
     this.pitch = (2 * Math.PI) / columns;
     this.zPitch = (zMax - zMin) / rows;
   }
 
   phi(column) {
-    return -Math.PI + (column + 0.5) * this.pitch;
+    return -Math.PI + (column * this.every + 0.5) * this.pitch;
   }
 
   z(row) {
-    return this.zMax - (row + 0.5) * this.zPitch;
+    return this.zMax - (row * this.every + 0.5) * this.zPitch;
   }
 
   direction(row, column) {
@@ -37,7 +38,8 @@ class Panorama {
   // Row and column of a direction, fractions: whole at the pixels' centres.
   pixelOf([x, y, z]) {
     const row = (this.zMax - z / Math.hypot(x, y)) / this.zPitch - 0.5;
-    return [row, (Math.atan2(y, x) + Math.PI) / this.pitch - 0.5];
+    const column = (Math.atan2(y, x) + Math.PI) / this.pitch - 0.5;
+    return [row / this.every, column / this.every];
   }
 }
 

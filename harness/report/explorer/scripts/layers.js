@@ -54,7 +54,7 @@ function layersOf(pixels, method, picture) {
   };
 }
 
-// Grey levels of a view unwrapped on the panorama, for looking at: between pixels linear.
+// Grey levels 0 .. 255 of a view unwrapped on the panorama, for looking at: between pixels linear.
 function unwrapped(pixels, number, image) {
   const { rows, columns } = pixels.panorama;
   const projection = pixels.projections[number];
@@ -73,7 +73,7 @@ function unwrapped(pixels, number, image) {
       const [f, g, at] = [x - j, y - i, i * width + j];
       const upper = image[at] * (1 - f) + image[at + 1] * f;
       const lower = image[at + width] * (1 - f) + image[at + width + 1] * f;
-      grey[row * columns + column] = Math.min(Math.max(upper * (1 - g) + lower * g, 0), 255);
+      grey[row * columns + column] = pixels.steps.shade * (upper * (1 - g) + lower * g);
     }
   }
   return grey;

@@ -1,11 +1,11 @@
-// What is known of each pixel of view 1, in metres, with the numbers of the maps behind it.
+// What is known of each pixel of view 1, or of every so many, in metres, with the numbers of the maps behind it.
 
 const [KNOWN, UNOCCLUDED, IN_FIELD_2, SIDEWAYS, WALL] = [1, 2, 4, 8, 16];
 const VISIBLE = KNOWN | UNOCCLUDED | IN_FIELD_2;
 
 class Pixels {
   constructor(facts, maps) {
-    Object.assign(this, { facts, maps, steps: facts.steps, panorama: new Panorama(facts.grid) });
+    Object.assign(this, { facts, maps, steps: facts.steps, panorama: new Panorama(facts.grid, facts.every) });
     const tables = facts.views.map((view, number) => {
       const source = facts.views[view.table];
       const [rows, columns] = facts.arrays[`u${view.table}`];
@@ -17,11 +17,11 @@ class Pixels {
 
   // Metres; NaN where there is no surface, or no estimate.
   trueRange(i) {
-    return this.maps.seen[i] & KNOWN ? this.maps.trueRange[i] * this.steps.range : NaN;
+    return this.maps.seen[i] & KNOWN ? this.maps.trueRange[i] * this.steps.trueRange : NaN;
   }
 
   range(method, i) {
-    return this.maps[`reason${method}`][i] === 0 ? this.maps[`range${method}`][i] * this.steps.range : NaN;
+    return this.maps[`reason${method}`][i] === 0 ? this.maps[`range${method}`][i] * this.facts.methods[method].step : NaN;
   }
 
   error(method, i) {
@@ -73,6 +73,14 @@ class Pixels {
       this.curve(row, column, false).alphaOfRange(this.trueRange(i)),
     ];
     return (angles[0] - angles[1]) / this.panorama.pitch;
+  }
+
+  // How far a step of the range is in those pixels: how exact that error is.
+  disparityStep(method, row, column) {
+    const { alpha1, baseline } = this.curve(row, column);
+    const d = this.range(method, row * this.panorama.columns + column);
+    const square = d * d + baseline * baseline - 2 * d * baseline * Math.cos(alpha1);
+    return (this.facts.methods[method].step * baseline * Math.sin(alpha1)) / square / this.panorama.pitch;
   }
 
   // The point at a range from viewpoint 1, in the world.
