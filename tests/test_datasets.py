@@ -15,7 +15,7 @@ from harness.datasets.layouts.helvipad import disparity_deg, polar_of, range_of_
 from harness.datasets.layouts.reading import read_array, read_grey
 from harness.datasets.loading import load_spec
 from harness.datasets.making import Journal, _refuse_alike, file_hash, is_complete, make
-from harness.datasets.manifest import MANIFEST, FileRecord, SceneRecord, splits_of
+from harness.datasets.manifest import JOURNAL, MANIFEST, FileRecord, SceneRecord, splits_of
 from harness.datasets.pair import OCCLUDED, OUTSIDE, VISIBLE
 from harness.datasets.rooms import draw_room
 from harness.datasets.surfaces import revolution
@@ -202,6 +202,7 @@ class TestMaking:
     def test_nothing_is_made_twice(self, small_set, tmp_path, capsys):
         shutil.copytree(small_set("rooms"), tmp_path / "set")
         before = {path: path.stat().st_mtime_ns for path in (tmp_path / "set").rglob("*")}
+        (tmp_path / "set" / JOURNAL).touch()  # as if stopped between the manifest and the journal's end
         given = tmp_path / "spec.toml"
         given.write_text(dump_toml(small("rooms")), encoding="utf-8")
         assert main(["dataset", str(given), "--out", str(tmp_path / "set")]) == 0

@@ -130,8 +130,8 @@ class Journal:
                 file=folder,
             )
         else:
-            write(folder / "dataset.toml", dump_toml(spec))
             write(self._file, f"{self._head}\n")
+            write(folder / "dataset.toml", dump_toml(spec))
 
     def _resume(self) -> None:
         head, *lines = self._file.read_text(encoding="utf-8").split("\n")
@@ -172,11 +172,14 @@ def _has_size(path: Path, size: int) -> bool:
 
 
 def is_complete(spec: DatasetSpec, folder: Path) -> bool:
-    """Whether a folder has the manifest of this very set."""
+    """Whether a folder has the manifest of this very set; then what is left of its journal is removed."""
     from harness.datasets.layouts.reading import read_json
 
     file = folder / MANIFEST
-    return file.is_file() and read_json(file).get("spec_sha256") == spec_hash(spec)
+    complete = file.is_file() and read_json(file).get("spec_sha256") == spec_hash(spec)
+    if complete:
+        (folder / JOURNAL).unlink(missing_ok=True)
+    return complete
 
 
 # --- Running --------------------------------------------------------------------------------------------------------
