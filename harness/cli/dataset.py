@@ -134,8 +134,8 @@ def _plan(spec: "DatasetSpec") -> None:
     seconds, cpus = cost.seconds(spec), available_cpus()
     print(
         f"{spec.name}: {spec.pairs} pairs in {spec.scenes} scenes, {cost.bytes(spec) / 1e9:.3g} GB, about "
-        f"{duration(_START_S + seconds / cpus)} on {cpus} CPUs (measured on a few: {cost.seconds_a_pair:.2f} s and "
-        f"{cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene, on one thread)"
+        f"{duration(_START_S + seconds / cpus)} on {cpus} CPUs (measured on a few: {cost.seconds_a_pair:.2f} s of CPU "
+        f"time and {cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene)"
     )
     for workers in (16, 128):
         print(f"  on {workers} workers of a cluster, each as fast: {duration(_START_S + seconds / workers)}")

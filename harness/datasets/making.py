@@ -309,9 +309,9 @@ def measure(spec: DatasetSpec) -> Cost:
     made = []
     for scene, pairs in ((0, 1), (1, 1), (2, _MEASURED_PAIRS)):
         few = spec.model_copy(update={"pairs_per_scene": pairs})
-        begun = time.perf_counter()
+        begun = time.process_time()
         files = scene_files(few, scene, "train")
-        made.append((time.perf_counter() - begun, float(sum(map(len, files.values())))))
+        made.append((time.process_time() - begun, float(sum(map(len, files.values())))))
     one, several = made[1:]
     pair = [max((b - a) / (_MEASURED_PAIRS - 1), b / (2 * _MEASURED_PAIRS)) for a, b in zip(one, several, strict=True)]
     rest = [max(b - _MEASURED_PAIRS * each, 0.0) for b, each in zip(several, pair, strict=True)]
