@@ -35,7 +35,7 @@ To save room, {{ every }} × {{ every }} pixels of the panorama are one here, of
 {% endif %}
 True ranges are rounded to {{ "%g" | format(1000 * steps.trueRange) }} mm here, those of
 {% for method in methods %}
-{{ method.label }} to {{ "%g" | format(1000 * method.step) }} mm{{ ";" if not loop.last }}
+{{ method.label }} to {{ "%g" | format(1000 * method.step) }} mm{{ "," if loop.last else ";" }}
 {% endfor %}
 and predicted standard deviations to 2 %.
 {% if own %}
