@@ -306,6 +306,26 @@ def test_helvipads_own_crop_needs_no_file_of_ours(spoilt, capsys):
     assert code == 0, said
 
 
+def test_a_lasers_few_points_are_enough(spoilt, capsys):
+    """One pixel in ten has a range, as in Helvipad's own maps."""
+    folder = spoilt("panoramas")
+    draws = np.random.default_rng(1)
+
+    def thin_out(levels):
+        return np.where(draws.random(levels.shape) < 0.1, levels, 0).astype(np.uint16)
+
+    for kind in ("depth_maps", "disparity_maps"):
+        each_png(folder, f"*/{kind}/*/*.png", thin_out)
+    for states in folder.glob("*/states"):
+        shutil.rmtree(states)
+    code, said = check(folder, capsys, "values,planes,disparity,outlines,images")
+    assert code == 0, said
+    HELVIPAD["top and bottom exchanged"][1](folder)
+    code, said = check(folder, capsys, "images")
+    assert code == 1
+    assert "the images of a pair are swapped" in said
+
+
 def test_wrong_formula_is_found_by_images_where_there_are_no_ranges(spoilt, capsys):
     folder = spoilt("panoramas")
     legacy(folder)

@@ -21,7 +21,7 @@ from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
 from harness.simulation.noise import generator
 
-_MOST_POINTS = 2500
+_MOST_POINTS, _FEW = 2500, 200
 _FINE_PX, _COARSE_PX = 1.0, 5.0
 """Standard deviations of the smoothing, and of the surroundings."""
 _FLOOR_GREY = 3.0
@@ -129,12 +129,15 @@ def sight_of(pair: StoredPair) -> Sight | None:
         values, x = map_.read(), map_.directions()
         range_m = _ranges_of(map_.quantity, values, x, pair)
         range_m = np.where(np.isfinite(range_m), range_m, np.nan)
-        good = np.isfinite(range_m) & (range_m > 0) & np.isfinite(x[..., 0]) & ~_jumps(range_m)
+        known = np.isfinite(range_m) & (range_m > 0) & np.isfinite(x[..., 0])
+        good = known & ~_jumps(range_m, np.inf)
+        if good.sum() < _FEW:  # a laser's points, few and far between: what is missing is no outline
+            good = known & ~_jumps(range_m, np.nan)
         if pair.state is not None and map_.is_image:
             state = pair.state()
             good &= (state == VISIBLE) if state.shape == good.shape else True
         row, column = np.nonzero(good)
-        if row.size < 200:
+        if row.size < _FEW:
             return None
         chosen = draws.permutation(row.size)[:_MOST_POINTS]
         cells = np.stack([row[chosen], column[chosen]], axis=-1)
@@ -156,11 +159,12 @@ def _ranges_of(quantity: str, values: Array, x: Array, pair: StoredPair) -> Arra
     return values
 
 
-def _jumps(range_m: Array) -> NDArray[np.bool_]:
-    """Pixels with a jump among their neighbours, or with one that has no range."""
-    filled = np.where(np.isnan(range_m), np.inf, range_m)
+def _jumps(range_m: Array, missing: float) -> NDArray[np.bool_]:
+    """Pixels with a jump among their neighbours; one without a range counts as so far away, or not at all if NaN."""
+    none = np.isnan(range_m)
     with np.errstate(invalid="ignore"):
-        most, least = ndimage.maximum_filter(filled, 5), ndimage.minimum_filter(filled, 5)
+        most = ndimage.maximum_filter(np.where(none, 0.0 if np.isnan(missing) else missing, range_m), 5)
+        least = ndimage.minimum_filter(np.where(none, np.inf, range_m), 5)
         # On a floor at a grazing angle neighbours differ too, and are left out with the rest.
         return np.asarray(~(most < _JUMP**2 * np.maximum(least, 1e-9)))
 
