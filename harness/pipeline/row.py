@@ -21,7 +21,7 @@ from harness.evaluation.rounding import rounding
 from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
-from harness.pipeline import path_map, scan
+from harness.pipeline import localise, path_map, scan
 from harness.pipeline.error_budget import error_budget
 from harness.pipeline.novel_views import figures_of
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
@@ -39,7 +39,8 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
         `rounding`, where matches are whole samples: see `rounding.rounding`; `remark`, the matcher's, if it has one;
         `motion`, the status of an estimated one and why; `novel_views`: see `novel_views.figures_of`; `scan`, see
-        `scan.figures_of`; `map`, see `path_map.figures_of`.
+        `scan.figures_of`; `map`, see `path_map.figures_of`;
+        `localisation`, see `localise.figures_of`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
@@ -57,6 +58,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "novel_views": views or None,
         "scan": scan.figures_of(outcome),
         "map": path_map.figures_of(outcome),
+        "localisation": localise.figures_of(outcome),
     }
     return {
         "figures": {

@@ -16,6 +16,7 @@ from harness.errors import InputError, with_article
 from harness.evaluation.rig_uncertainty import Odometry
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
+from harness.localisation.settings import Localisation
 from harness.mapping.settings import OccupancyMap, Scan
 from harness.matching.registry import Matcher
 from harness.matching.window.settings import WindowMatcher
@@ -191,6 +192,8 @@ class Trial(Spec):
     """A range profile of view 1, as a robot uses it."""
     map: OccupancyMap = OccupancyMap()
     """A map of what is occupied and what is free, from such profiles along a path."""
+    localisation: Localisation = Localisation()
+    """Localisation by appearance, with real images and with others that are made of them."""
     scoring: Scoring = Scoring()
     """What is stored of the trial beyond its figures."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
@@ -249,7 +252,7 @@ class Trial(Spec):
             del settings["sensor_2"]  # the same trial, whether or not it is given
         for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
             _without_what_is_new_of_sensors(sensor, given)
-        for name in ("optics", "optics_2", "chip", "motion", "believed", "novel_views", "scan", "map"):
+        for name in ("optics", "optics_2", "chip", "motion", "believed", "novel_views", "scan", "map", "localisation"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as before there was one
         sigma = settings.get("believed", {}).get("sigma", {})

@@ -95,13 +95,18 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     views = len(trial.novel_views.distances_m)
     scored += views * (panorama * _VIEW_S_A_MP + images[0] * (0.08 + 0.006 * trial.render.samples))
     scored += _SCAN_S * bool(trial.scan.bearings)
-    own = sum(stages.values()) + _SCAN_S  # of a pair that shares nothing
-    scored += own * len(trial.map.stations())
+    own = sum(stages.values())  # of a pair that shares nothing
+    scored += (own + _SCAN_S) * len(trial.map.stations())
+    local = trial.localisation
+    made = local.most // 2 * local.synthesised * 2  # with either ranges
+    scored += own * (local.most * 1.5 + local.queries / 2) + made * (panorama * _VIEW_S_A_MP + _DESCRIBED_S)
     return scored + sum(stages.get(stage, 0.0) for stage in new)
 
 
 _VIEW_S_A_MP = 8.0
 """Seconds that it takes to warp a new view, and its ceiling, for a megapixel of the panorama."""
+_DESCRIBED_S = 0.05
+"""Seconds that it takes to describe an image for localisation."""
 _SCAN_S = 0.3
 """Seconds that a range profile and the true one take."""
 _MOTION_S = 6.0

@@ -34,6 +34,7 @@ from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.headline import headline
+from harness.runs.localisations import localisations_conclusions, localisations_of
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.novel_views import novel_views_of, views_conclusions
 from harness.runs.path_maps import path_maps_conclusions, path_maps_of, write_path_maps
@@ -229,7 +230,8 @@ def result_from(
     law, views, scans, maps = law_of(cells), novel_views_of(trials), scans_of(trials), path_maps_of(trials)
     claims, labels = claims_of(trials), experiment.method_labels
     said = [*views_conclusions(views, labels), *scans_conclusions(scans, labels)]
-    said += path_maps_conclusions(maps, labels)
+    located = localisations_of(trials)
+    said += [*path_maps_conclusions(maps, labels), *localisations_conclusions(located, labels)]
     optional = {
         "claims": claims,
         "limit": limit_of(trials),
@@ -241,6 +243,7 @@ def result_from(
         "novel_views": views,
         "scans": scans,
         "maps": maps,
+        "localisation": located,
         "headline": None if claims else headline(done, law, labels),
         "conclusions": [] if claims else conclusions(done, law, labels, said),
     }
