@@ -31,7 +31,7 @@ from harness.testing.pairs import (
     one_image,
     scenery,
 )
-from harness.testing.slips import slip_in
+from harness.testing.slips import FEWEST, slip_in
 
 TOLERANCE_PX = 0.1
 """How far beyond a limit an angle may lie, in columns: rounding, and a sub-pixel step from the last candidate."""
@@ -203,6 +203,8 @@ def _not_mixed_up(subject: Subject) -> str:
     answer = raw if isinstance(raw, Answer) else there.pair.answer(alpha_2=as_given(raw, GRID).alpha_2)
     if slip := slip_in(answer, there):
         raise Broken(f"{answer.quantity} looks like {slip}")
+    if np.isfinite(answer.values).sum() < FEWEST:
+        return "too few matches to tell"
     return f"{answer.quantity} looks like nothing else"
 
 
