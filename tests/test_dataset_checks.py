@@ -33,7 +33,9 @@ def check(folder, capsys, only=""):
 def test_a_good_set_passes(small_set, name, capsys):
     code, said = check(small_set(name), capsys)
     assert code == 0, said
-    assert "nothing is wrong" in said
+    count = {"rooms": 8, "panoramas": 8, "fisheyes": 6, "reconstructions": 8}[name]
+    assert f"nothing is wrong by any of {count} checks" in said
+    assert said.count("the set has nothing to tell it by") == 9 - count
     assert "4 pairs" in said
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from harness.api.datasets import DataSet
 from harness.cli.parser import main
 from harness.datasets.checks.check import open_set
 from harness.datasets.estimates import Meaning, estimate_of, read_estimate, suspicion
@@ -56,6 +57,11 @@ def score(*arguments):
     return json.loads((Path(out) / "score.json").read_text())["figures"]
 
 
+def figures_of(data, estimate, quantity="range"):
+    """The figures alone, without a page."""
+    return DataSet(data).score(estimate, quantity).figures
+
+
 @pytest.fixture(scope="module")
 def rooms(small_set):
     return open_set(small_set("rooms"))
@@ -69,7 +75,7 @@ def panoramas(small_set):
 class TestFigures:
     def test_truth_itself_is_without_error(self, rooms, tmp_path):
         estimate = estimates(tmp_path / "estimate", rooms.pairs, lambda _, r: r)
-        figures = score(estimate, "--truth", rooms.folder, tmp_path / "out")
+        figures = figures_of(rooms, estimate)
         assert figures["density"] == 1
         assert figures["range_rmse_m"] < 1e-6  # single precision
         assert figures["bad_1px"] == 0
@@ -87,7 +93,7 @@ class TestFigures:
             return r
 
         estimate = estimates(tmp_path / "estimate", panoramas.pairs, change)
-        figures = score(estimate, "--truth", panoramas.folder, tmp_path / "out")
+        figures = figures_of(panoramas, estimate)
         expected = []
         for pair in panoramas.pairs:
             truth = true_ranges(pair)
@@ -139,7 +145,7 @@ class TestFigures:
             return np.where(np.isfinite(r), alpha_2, np.nan)
 
         estimate = estimates(tmp_path / "estimate", panoramas.pairs, change)
-        figures = score(estimate, "--truth", panoramas.folder, "--as", "alpha-2", tmp_path / "out")
+        figures = figures_of(panoramas, estimate, "alpha-2")
         assert figures["disparity_median_abs_px"] == pytest.approx(1, rel=1e-4)  # alpha_2 in single precision
         assert figures["disparity_bias_px"] == pytest.approx(1, rel=1e-4)
 
@@ -178,16 +184,21 @@ def test_every_form_gives_the_same_ranges(panoramas, tmp_path, form):
 
 def test_an_estimate_may_lie_as_the_truth_does(panoramas, tmp_path):
     shutil.copytree(panoramas.folder / "test", tmp_path / "test")
-    figures = score(tmp_path, "--truth", panoramas.folder, "--split", "test", tmp_path / "out")
-    assert figures["range_rmse_m"] == 0
+    assert DataSet(panoramas).part("test").score(tmp_path).figures["range_rmse_m"] == 0
 
 
 class TestMessages:
     def test_missing_pairs_count(self, rooms, tmp_path, capsys):
         estimate = estimates(tmp_path / "estimate", rooms.pairs[:1], lambda _, r: r)
-        figures = score(estimate, "--truth", rooms.folder, tmp_path / "out")
-        assert figures["density"] == pytest.approx(0.25)
-        assert "3 of 4 pairs have no estimate" in capsys.readouterr().err
+        assert main(["score", str(estimate), "--truth", str(rooms.folder)]) == 0
+        said = capsys.readouterr()
+        assert "25.0" in next(line for line in said.out.splitlines() if "Density" in line)
+        assert "3 of 4 pairs have no estimate" in said.err
+
+    def test_a_function_is_an_estimate(self, rooms):
+        scored = DataSet(rooms).score(lambda pair: 1.05 * pair.range_m if pair.name.endswith("1") else None)
+        assert len(scored.missing) == 2
+        assert scored.figures["range_abs_rel"] == pytest.approx(0.05)
 
     @pytest.mark.parametrize(
         ("change", "said"),

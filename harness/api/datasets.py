@@ -185,10 +185,10 @@ class DataSet(OneLine):
         only
             Names of checks; all when empty.
         """
-        return [finding for _, findings in self.checks(only) for finding in findings]
+        return [finding for _, findings in self.checks(only) for finding in findings or ()]
 
-    def checks(self, only: Sequence[str] = ()) -> Iterator[tuple[Check, list[Finding]]]:
-        """Each check with what it found, one after the other."""
+    def checks(self, only: Sequence[str] = ()) -> Iterator[tuple[Check, list[Finding] | None]]:
+        """Each check with what it found, one after the other; None where the set has nothing that it could look at."""
         return check_set(self.stored, only)
 
     def score(

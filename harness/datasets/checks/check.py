@@ -27,18 +27,60 @@ class Check:
     run: Callable[[StoredSet], Iterator[Finding]]
     of_files: bool = False
     """Whether it looks at pairs that cannot be read, too."""
+    applies: Callable[[StoredSet], bool] = lambda _: True
+    """Whether a set has what it looks at."""
+
+
+def _has_maps(*quantities: str) -> Callable[[StoredSet], bool]:
+    """Whether a pair of a set has maps of all of these quantities, or any map if none is named."""
+
+    def applies(data: StoredSet) -> bool:
+        there = ({map_.quantity for map_ in pair.maps} for pair in data.pairs)
+        return any(set(quantities) <= each and bool(each) for each in there)
+
+    return applies
+
+
+def _has_manifest(data: StoredSet) -> bool:
+    return data.manifest is not None
+
+
+def _has_correspondences(data: StoredSet) -> bool:
+    return any(pair.match is not None or pair.observed is not None for pair in data.pairs)
+
+
+def _has_image_maps(data: StoredSet) -> bool:
+    return any(pair.maps and pair.maps[0].is_image for pair in data.pairs)
+
+
+def _has_points(data: StoredSet) -> bool:
+    return any(pair.maps or pair.observed is not None for pair in data.pairs)
+
+
+def _has_ranges(data: StoredSet) -> bool:
+    return any(pair.maps and pair.maps[0].quantity != "disparity" for pair in data.pairs)
 
 
 CHECKS = (
-    Check("checksums", "every file is as the manifest says", check_checksums, of_files=True),
-    Check("readable", "images and maps can be read and have their sizes", check_readable, of_files=True),
+    Check("checksums", "every file is as the manifest says", check_checksums, True, _has_manifest),
+    Check("readable", "images and maps can be read and have their sizes", check_readable, True),
     Check("duplicates", "no scene or image is in two parts of the split", check_duplicates),
-    Check("values", "what was not measured does not count as measured", check_values),
-    Check("planes", "ranges are ranges, not depths along an axis", check_planes),
-    Check("disparity", "disparities have the unit, the sign and the formula", check_disparity),
-    Check("correspondences", "correspondences are where range, motion and calibration put them", check_correspondences),
-    Check("outlines", "the map lies on image 1 to a fraction of a pixel", check_outlines),
-    Check("images", "images agree with ranges, poses and calibrations", check_images),
+    Check("values", "what was not measured does not count as measured", check_values, applies=_has_maps()),
+    Check("planes", "ranges are ranges, not depths along an axis", check_planes, applies=_has_ranges),
+    Check(
+        "disparity",
+        "disparities have the unit, the sign and the formula",
+        check_disparity,
+        applies=_has_maps("range", "disparity"),
+    ),
+    Check(
+        "correspondences",
+        "correspondences are where range, motion and calibration put them",
+        check_correspondences,
+        applies=_has_correspondences,
+    ),
+    Check("outlines", "the map lies on image 1 to a fraction of a pixel", check_outlines, applies=_has_image_maps),
+    Check("images", "images agree with ranges, poses and calibrations", check_images, applies=_has_points),
 )
 
 
@@ -63,8 +105,10 @@ def open_set(folder: Path) -> StoredSet:
     return StoredSet(folder, layout, pairs, read_json(manifest) if manifest.is_file() else None)
 
 
-def check_set(data: StoredSet, names: Sequence[str] = ()) -> Iterator[tuple[Check, list[Finding]]]:
-    """Each check with what it found, one after the other. What cannot be read is left out by all that come later.
+def check_set(data: StoredSet, names: Sequence[str] = ()) -> Iterator[tuple[Check, list[Finding] | None]]:
+    """Each check with what it found, one after the other; None where the set has nothing that it could look at.
+
+    What cannot be read is left out by all checks that come later.
 
     Parameters
     ----------
@@ -86,4 +130,5 @@ def check_set(data: StoredSet, names: Sequence[str] = ()) -> Iterator[tuple[Chec
             continue
         if not check.of_files and whole is data:
             whole = replace(data, pairs=tuple(pair for pair in data.pairs if is_whole(pair)))
-        yield check, list(check.run(data if check.of_files else whole)) if whole.pairs else []
+        looked_at = data if check.of_files else whole
+        yield check, list(check.run(looked_at)) if looked_at.pairs and check.applies(looked_at) else None
