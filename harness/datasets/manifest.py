@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -128,10 +129,10 @@ def readme_of(spec: DatasetSpec, of_layout: str) -> bytes:
     what = f"{spec.pairs} pairs of images with their truth over {spec.scenes} random scenes"
     colour = "in colour" if spec.colour else "in grey"
     about = f"{spec.name}: {spec.description}\n\n" if spec.description else f"{spec.name}\n\n"
+    licence = textwrap.fill(f"Licence: {LICENCE}. {' '.join(PROVENANCE)}", 120)
     return (
         f"{about}{what}, {colour}, {spec.rig.width_px} x {spec.rig.height_px} pixels. No scene is in two parts.\n\n"
         f"{of_layout}\n"
         "manifest.json has the SHA-256 of every file; dataset.toml what the set was drawn from;\n"
-        "omnirange dataset check DIR looks for what is wrong.\n\n"
-        f"Licence: {LICENCE}. " + " ".join(PROVENANCE) + "\n"
+        f"omnirange dataset check DIR looks for what is wrong.\n\n{licence}\n"
     ).encode()

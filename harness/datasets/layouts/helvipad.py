@@ -19,10 +19,21 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from harness.camera.sensor import Sensor
-from harness.datasets.layouts.layout import Brief, Files, Layout, PlacedView, StoredPair, TruthMap, png, spec_file, toml
+from harness.datasets.layouts.layout import (
+    Brief,
+    Files,
+    Layout,
+    PlacedView,
+    StoredPair,
+    TruthMap,
+    png,
+    spec_file,
+    states_in_lines,
+    toml,
+)
 from harness.datasets.layouts.own import seen_directions
 from harness.datasets.layouts.reading import known, numbers_of, read_array
-from harness.datasets.pair import STATES, Pair
+from harness.datasets.pair import Pair
 from harness.datasets.rigs import draw_motion
 from harness.datasets.specification import DatasetSpec
 from harness.errors import InputError
@@ -45,7 +56,7 @@ train, val, test/
     depth_maps/SCENE_IN/PAIR.png        range from the bottom camera, 16 bits: level/256 metres; 0 where there is none
     disparity_maps/SCENE_IN/PAIR.png    level/2048 degrees: angle from the zenith at the top camera less that at the
                                         bottom one; 0 where there is none, or more than 32 degrees
-    states/SCENE_IN/PAIR.png            {"; ".join(f"{number} {text}" for number, text in STATES.items())}
+    states/SCENE_IN/PAIR.png            {states_in_lines(40)}
 calibration.toml                        the baseline
 
 Despite the folder's name a depth is the Euclidean distance. r = B (sin psi / tan d + cos psi), psi = pi (row + 0.5) /

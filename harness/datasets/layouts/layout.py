@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from harness.camera.sensor import Sensor
-from harness.datasets.pair import VISIBLE, Pair
+from harness.datasets.pair import STATES, VISIBLE, Pair
 from harness.datasets.specification import DatasetSpec
 from harness.display import OneLine
 from harness.geometry.angles import Array
@@ -151,6 +151,11 @@ class Layout:
 
 
 # --- Files ------------------------------------------------------------------------------------------------------------
+
+
+def states_in_lines(indent: int) -> str:
+    """What the numbers of a map of states mean, a line each, those after the first indented."""
+    return f"\n{' ' * indent}".join(f"{number} {text}" for number, text in STATES.items())
 
 
 def png(image: NDArray[np.integer]) -> bytes:

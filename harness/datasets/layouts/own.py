@@ -19,10 +19,11 @@ from harness.datasets.layouts.layout import (
     pose_table,
     single,
     spec_file,
+    states_in_lines,
     toml,
 )
 from harness.datasets.layouts.reading import known, numbers_of, read_array
-from harness.datasets.pair import STATES, Pair
+from harness.datasets.pair import Pair
 from harness.datasets.rooms import draw_room
 from harness.datasets.specification import DatasetSpec
 from harness.files import read_regular
@@ -36,7 +37,7 @@ train, val, test/SCENE/PAIR/
     range_1.npy, range_2.npy  range along the ray of each pixel's centre, metres, float32, NaN where there is none
     match.npy                 where image 2 has the point that view 1's pixel sees: (u, v), pixels, float32
                               [row, column, 2]; NaN where it is not on image 2; known of hidden points, too
-    state.png                 {"; ".join(f"{number} {text}" for number, text in STATES.items())}
+    state.png                 {states_in_lines(30)}
     normal.npy                unit normal of the surface, towards view 1, in view 1's frame, float16 [row, column, 3]
     pair.toml                 the motion from view 1 to view 2, both poses, noise and exposure
 scenes/SCENE/
