@@ -31,7 +31,7 @@ def test_some_trials_that_will_fail_are_said(tmp_path):
     experiment = small(tmp_path, **{"view_2.baseline_m": [0.5, 5.0]})
     count = len(experiment.planned)
     with pytest.warns(Notice, match=f"{count // 2} of {count} trials will fail; the first: trial.view_2: scene box"):
-        preflight.preflight(experiment.planned, "e.toml")
+        preflight.preflight(experiment.planned, len(experiment.planned), "e.toml")
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_a_missing_extra_is_named(settings, message, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "cv2" else there(name))
     experiment = load_experiment("smoke", sets=settings)
     with pytest.raises(InputError) as caught:
-        preflight.preflight(experiment.planned, "e.toml")
+        preflight.preflight(experiment.planned, len(experiment.planned), "e.toml")
     assert str(caught.value) == message
 
 

@@ -51,10 +51,10 @@ def load_experiment(
     --------
     >>> import harness
     >>> harness.load_experiment("paper", axes={"matching.window_px": [7, 11]})
-    Experiment('paper', 4 trials: matching.subpixel (2), matching.window_px (2))
+    Experiment('paper', 48 trials: seed (12), matching.subpixel (2), matching.window_px (2))
     >>> rigs = {"1280x960, 0.3 m": {"view_2.baseline_m": 0.3, "noise.sigma_grey": 4}, "as it is": {}}
     >>> harness.load_experiment("paper", cases=rigs)
-    Experiment('paper', 4 trials: matching.subpixel (2), 2 cases)
+    Experiment('paper', 48 trials: seed (12), matching.subpixel (2), 2 cases)
     >>> harness.load_experiment({"name": "mine", "trial": {"scene": "corridor"}}).trial.matching.window_px
     11
     """

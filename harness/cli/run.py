@@ -78,7 +78,7 @@ def run(options: Namespace) -> int:
             show_report(shown)
             return OK
         if before.left:
-            preflight(before.left, options.experiment)
+            preflight(before.left, before.total, options.experiment)
         with Progress(experiment.name, before.total, before.done) as progress:
             try:
                 left = before.plan
@@ -106,7 +106,7 @@ def _dry_run(experiment: "Experiment", given: str) -> int:
     from harness.runs.plan import plan
     from harness.runs.preflight import preflight
 
-    preflight(experiment.planned, given)
+    preflight(experiment.planned, len(experiment.planned), given)
     # The first trial of each pair of sensors: what would be refused, or noticed, when it is run.
     by_sensors = {each.trial.sensors: each.trial for each in reversed(experiment.planned)}
     for trial in list(by_sensors.values())[:_MOST_CHECKED]:

@@ -19,11 +19,15 @@ _MOST_POSITIONS = 500
 _Position = tuple[str, tuple[float, float, float]]
 
 
-def preflight(planned: Sequence[Planned], given: str | Path) -> None:
+def preflight(planned: Sequence[Planned], total: int, given: str | Path) -> None:
     """Refuse what every trial would fail of, and give notice of what some will.
 
     Parameters
     ----------
+    planned
+        Those that are still to be run.
+    total
+        How many trials there are.
     given
         The experiment as the user gave it, for messages.
 
@@ -36,9 +40,9 @@ def preflight(planned: Sequence[Planned], given: str | Path) -> None:
     problems = [problem for each in planned if (problem := missing_extra(each.trial) or _unreachable(each, known))]
     if not problems:
         return
-    if len(problems) == len(planned):
+    if len(problems) == total:
         raise InputError(problems[0].problem, file=given, key=problems[0].key)
-    text = f"{len(problems)} of {len(planned)} trials will fail; the first: {problems[0]}"
+    text = f"{len(problems)} of {total} trials will fail; the first: {problems[0]}"
     warnings.warn(text, Notice, stacklevel=2)
 
 
