@@ -38,6 +38,7 @@ class Pulse:
         self.lock = threading.RLock()
         self._stream = stream
         self._shown = 0
+        self._text = ""
         self._last = time.monotonic()
 
     def clear(self) -> None:
@@ -55,6 +56,9 @@ class Pulse:
             if silent < SILENCE_S:
                 return
             text = f"working, {duration(float(round(silent)))}"
+            if text == self._text and self._shown:
+                return
+            self._text = text
             self._stream.write(f"\r{text:<{self._shown}}")
             self._stream.flush()
             self._shown = max(self._shown, len(text))
