@@ -9,6 +9,7 @@ import pytest
 from small_sets import NAMES, made, small, tree
 from sweeps import begin
 
+from harness import shipped
 from harness.cli.parser import main
 from harness.datasets.layouts import LAYOUTS
 from harness.datasets.layouts.helvipad import disparity_deg, polar_of, range_of_disparity
@@ -295,6 +296,12 @@ def test_what_cannot_be_is_said(changed, said, capsys, tmp_path):
     assert said in complaint
     assert complaint.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_every_shipped_specification_is_of_a_layout_of_its_own():
+    specs = [load_spec(name) for name in shipped.names("datasets")]
+    assert sorted(each.layout for each in specs) == sorted(LAYOUTS)
+    assert all(each.pairs == 1000 and each.description for each in specs)
 
 
 def test_out_is_asked_for(capsys):
