@@ -15,7 +15,15 @@ FIGURES = {
     "other-rows": "figure-rows",
 }
 """The figure that shows each claim."""
-_OF_RESULTS = ("figure-law-images", "figure-novel-views", "figure-budget", "figure-limit", "figure-cases")
+_OF_RESULTS = (
+    "figure-localisation",
+    "figure-scans",
+    "figure-novel-views",
+    "figure-budget",
+    "figure-limit",
+    "figure-law-images",
+    "figure-cases",
+)
 """What a sweep that has such figures is about, before figures of its axes."""
 
 
