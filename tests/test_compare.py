@@ -37,6 +37,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "baselines": ["--axis", "view_2.baseline_m=0.3,0.4"],
         "slanted": ["--set", "matching.kind=slanted", "--axis", "seed=2,3,4"],
         "noises": ["--set", "noise.sigma_grey=4", "--axis", "seed=1,2"],
+        "scenes": ["--axis", 'scene="corridor","box"', "--axis", "seed=1", "--axis", "matching.subpixel=none"],
     }
     for name, options in changes.items():
         assert main(["run", str(file), "--out", str(folder / name), "--no-report", *options]) == 0
@@ -72,6 +73,12 @@ def test_trials_without_a_partner_are_left_out(runs):
     [pairing] = build_comparison(runs["window"], runs["noises"]).pairings
     assert list(pairing.differing) == ["noise.sigma_grey"]
     assert (pairing.pairs, pairing.seeds) == (4, 2)
+
+
+def test_a_scene_by_name_on_an_axis_is_the_one_that_another_run_has_as_a_table(runs):
+    [pairing] = build_comparison(runs["window"], runs["scenes"]).pairings
+    assert (pairing.pairs, pairing.seeds, pairing.differing) == (1, 1, {})
+    assert {each.verdict for each in pairing.differences} == {"the same"}
 
 
 def test_what_cannot_be_paired_is_said(runs):

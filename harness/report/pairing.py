@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from harness.display import shortened_labels
 from harness.report.data import listed
+from harness.report.shipped_names import with_names
 from harness.report.sweep import name_of, texts_of, value_text
 from harness.report.written_runs import NONE, Run
 from harness.runs.cases import CASE
@@ -42,8 +43,8 @@ def pairs_of(first: Run, second: Run) -> Pairs:
     Where that leaves a trial without a unique partner because a run has several methods, every method of one run is
     paired with every method of the other under all other settings.
     """
+    runs = first, second = with_names(first, second)
     differing = _differing(first, second)
-    runs = (first, second)
     if not (first.settings and second.settings):
         return Pairs([], [], _in_words(first, second, differing), "One of the runs has no finished trial.")
     by_settings = [_by_settings(run, set(differing)) for run in runs]

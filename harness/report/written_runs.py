@@ -93,7 +93,7 @@ def read_run(folder: Path, name: str) -> Run:
     try:
         path = folder / "experiment.toml"
         experiment = tomllib.loads(files["experiment.toml"].decode())
-        base = dict(_flat(experiment["trial"]))
+        base = dict(flat(experiment["trial"]))
         path = folder / _FACTS
         facts = json.loads(files.get(_FACTS, b"{}"))
         path = folder / "trials.csv"
@@ -150,13 +150,13 @@ def _number(text: str | None) -> float:
     return float(text) if text else float("nan")
 
 
-def _flat(value: Any, above: str = "") -> Iterator[tuple[str, str]]:
+def flat(value: Any, above: str = "") -> Iterator[tuple[str, str]]:
     """Dotted keys; lists of plain values in one piece, as in `trials.csv`."""
     if isinstance(value, dict):
         for key, each in value.items():
-            yield from _flat(each, f"{above}.{key}" if above else key)
+            yield from flat(each, f"{above}.{key}" if above else key)
     elif isinstance(value, list) and any(isinstance(each, dict | list) for each in value):
         for index, each in enumerate(value):
-            yield from _flat(each, f"{above}.{index}")
+            yield from flat(each, f"{above}.{index}")
     else:
         yield above, identity_of(above, value)
