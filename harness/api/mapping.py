@@ -224,6 +224,17 @@ def range_map(
     ------
     InputError
         When an argument is invalid, or the map would have too many cells.
+
+    Examples
+    --------
+    >>> import harness
+    >>> left, right = (harness.render("box", position_m=(x, 0, 1), samples=4) for x in (0, 0.5))
+    >>> estimate = harness.estimate_range(left.image, right.image, left.sensor, (0.5, 0, 0), matcher="sgm")
+    >>> scan = harness.range_scan(estimate, height_m=1.0)
+    >>> made = harness.range_map([scan], places=[(0, 0, 0)])
+    >>> free = made.state == 1
+    >>> round(0.05**2 * int(free.sum()), -1)  # square metres of 36
+    30.0
     """
     if not scans or len(scans) != len(places):
         raise InputError(f"must be one for each of 1 scan or more; found {len(places)} for {len(scans)}", key="places")
