@@ -69,7 +69,7 @@ def test_wrong_text(text, parts, tmp_path):
 
 
 def test_unknown_scene_lists_the_shipped_ones():
-    with pytest.raises(InputError, match="box, corridor, room"):
+    with pytest.raises(InputError, match="box, corridor, poles, room"):
         load_scene("bx")
 
 

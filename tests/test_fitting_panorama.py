@@ -160,7 +160,7 @@ def test_a_grid_of_another_kind_is_refused():
 def test_the_command_says_what_large_images_take(capsys):
     from argparse import Namespace
 
-    from harness.cli.range import _ranging, _tell_size
+    from harness.cli.range import _tell_size, ranging
     from harness.runs.photograph_settings import own_settings
 
     large, settings = enlarged(MIRROR, 4), own_settings("", [])
@@ -173,8 +173,8 @@ def test_the_command_says_what_large_images_take(capsys):
     _tell_size(Namespace(scale=1.0), MIRROR, settings)
     assert capsys.readouterr().out == ""
     options = Namespace(scale=1.0, bits=None)
-    assert _ranging(options, settings)["grid"] == "auto"
-    assert _ranging(options, own_settings("", ["panorama.width_px=360"]))["grid"] == Grid(width_px=360)
+    assert ranging(options, settings)["grid"] == "auto"
+    assert ranging(options, own_settings("", ["panorama.width_px=360"]))["grid"] == Grid(width_px=360)
 
 
 def test_a_scale_that_is_refused_names_the_option(capsys):

@@ -16,8 +16,7 @@ def run():
     cache = StageCache()
 
     def with_settings(*sets):
-        planned = load_experiment("paper", [*sets, "scoring.sample_px=2"], ["seed=1"]).planned
-        return run_trial(planned[0].trial, cache)
+        return run_trial(load_experiment("paper", [*sets, "scoring.sample_px=2", "seed=1"]).trial, cache)
 
     return with_settings
 

@@ -26,12 +26,10 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_chosen_in_any_experiment_with_parameters_as_axes(module: Write) -> None:
     """The paper's axes over window settings go: another matcher has none."""
     name = module(FAR)
-    experiment = load_experiment(
-        "paper", sets=[f"matching.kind={name}:match"], axes=["matching.parameters.window=5,7", "seed=1,2"]
-    )
-    assert [each.coordinates for each in experiment.planned] == [
-        {"matching.parameters.window": window, "seed": seed} for window in (5, 7) for seed in (1, 2)
-    ]
+    experiment = load_experiment("paper", sets=[f"matching.kind={name}:match"], axes=["matching.parameters.window=5,7"])
+    assert [key for key in experiment.axes if key.startswith("matching.")] == ["matching.parameters.window"]
+    windows = [each.coordinates["matching.parameters.window"] for each in experiment.planned]
+    assert {window: windows.count(window) for window in (5, 7)} == {5: 12, 7: 12}  # a trial for each of 12 seeds
     matcher = experiment.planned[-1].trial.matching
     assert isinstance(matcher, Plugin)
     assert (matcher.kind, matcher.parameters, matcher.d_max_m) == (f"{name}:match", {"window": 7}, 10.0)

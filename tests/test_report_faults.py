@@ -196,7 +196,7 @@ def test_a_report_runs_no_program_unless_it_is_let(foreign, tmp_path, capsys):
     assert "left out of the report: program: its matcher is not part of omnirange" in said
     html = (out / "report.html").read_text(encoding="utf-8")
     assert "--run-code allows it to run" in Document(html).text
-    assert html.count("Not shown: this section needs the pixels") == 7
+    assert html.count("Not shown: this section needs the pixels") == 8
     assert 'id="measures"' in html
 
     assert main(["report", str(out), "--run-code"]) == 0
@@ -272,7 +272,7 @@ def test_a_report_without_the_files_of_its_scene_says_what_is_left_out(tmp_path,
     html = (out / "report.html").read_text(encoding="utf-8")
     text = Document(html).text
     assert "pillar.ply" in text
-    assert html.count("Not shown: this section needs the pixels") == 7
+    assert html.count("Not shown: this section needs the pixels") == 8
     measured = re.compile(r'<td data-measure="[a-z0-9_.]+">[^<]*</td>')
     assert measured.findall(html) == measured.findall(with_pixels)
     assert (out / "summary.json").read_text(encoding="utf-8").count("wall") >= 1

@@ -18,6 +18,7 @@ from harness.pipeline.believed import believed_rig, calibrated
 from harness.pipeline.specification import Trial
 from harness.pipeline.stage_cache import StageCache
 from harness.simulation.fingerprint import fingerprint
+from harness.simulation.scene import Scene
 
 Observer = Callable[[str], None]
 T = TypeVar("T")
@@ -112,6 +113,11 @@ class StageKeys:
         return self._keys[stage, view]
 
 
+def scene_in_words(scene: Scene, file: str) -> str:
+    """The scene with the file that it was read from, if there is one, for messages."""
+    return f"scene {scene.name}" + (f" ({file})" if file else "")
+
+
 class Work:
     """A trial as it runs: it asks for results of stages, which are made when they are first needed.
 
@@ -136,7 +142,7 @@ class Work:
         scene_file: str = "",
     ) -> None:
         self.trial = trial
-        self.scene_name = f"scene {trial.scene.name}" + (f" ({scene_file})" if scene_file else "")
+        self.scene_name = scene_in_words(trial.scene, scene_file)
         self.setup = setup_of(trial)
         self.keys = StageKeys(self.setup)
         self.threads = threads

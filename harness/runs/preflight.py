@@ -7,6 +7,7 @@ from pathlib import Path
 
 from harness.errors import InputError, Notice
 from harness.pipeline.specification import Trial
+from harness.pipeline.stages import scene_in_words
 from harness.runs.experiment import Planned
 from harness.simulation.fingerprint import fingerprint
 from harness.simulation.scene_geometry import check_position, geometry_near
@@ -71,13 +72,15 @@ def _unreachable(planned: Planned, known: dict[_Position, InputError | None]) ->
     for pose, key in zip(planned.trial.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
         where = (name, pose.position_m)
         if where not in known and len(known) < _MOST_POSITIONS:
-            geometry = geometry_near(scene, pose.position_m)
+            of_scene = scene_in_words(scene, planned.scene_file)
             known[where] = None
+            at = "trial.scene"
             try:
+                geometry = geometry_near(scene, pose.position_m)
+                at = key
                 check_position(geometry, pose.position_m - geometry.centre)
             except InputError as error:
-                of_scene = planned.scene_file or f"scene {scene.name}"
-                known[where] = InputError(f"{of_scene}: {error.problem}", key=key)
+                known[where] = InputError(f"{of_scene}: {error.problem}", key=at)
         if problem := known.get(where):
             return problem
     return None
