@@ -15,6 +15,7 @@ pytestmark = pytest.mark.slow
 NOISE_PX, DRAWS = 0.1, 100
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sensor", [MIRROR, UNIFIED], ids=["hyperboloid", "unified"])
 def test_numbers_and_rays_scatter_as_predicted(sensor):
     exact, poses = visible_boards(sensor, 20, 30)

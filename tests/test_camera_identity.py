@@ -94,6 +94,7 @@ print(trial.key, hashlib.sha256(pictures).hexdigest())
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow  # loops of a model from elsewhere are compiled in every process
 def test_two_versions_share_nothing(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)

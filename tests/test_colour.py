@@ -211,6 +211,7 @@ def test_the_exported_scene_has_its_colours(tmp_path):
     assert (apart > 0.1).mean() < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_command_writes_pictures_in_colour(tmp_path):
     painted(tmp_path)

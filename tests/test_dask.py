@@ -69,6 +69,7 @@ def wait_for_workers(address: str, count: int) -> None:
     subprocess.run([sys.executable, "-c", program], check=True, timeout=600, capture_output=True)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_worker_killed_in_the_middle(tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]) -> None:
     """The scene's picture is on this machine alone, and its folder is gone before the run ends."""
@@ -101,6 +102,7 @@ def test_a_worker_killed_in_the_middle(tmp_path: Path, cluster: tuple[str, list[
     assert len(laid_down) == 1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_interrupted_and_resumed_elsewhere(tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]) -> None:
     address, _ = cluster

@@ -39,6 +39,7 @@ def test_every_panel_of_the_page_is_a_file_in_both_formats(exported):
         assert (exported / "figures" / f"{stem}.pdf").read_bytes().startswith(b"%PDF-")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_same_result_gives_the_same_files(exported):
     again = exported / "again"

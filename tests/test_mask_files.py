@@ -226,6 +226,7 @@ def test_masked_photographs(photographs, capsys):
     assert f"--mask: '{folder / 'absent.png'}': no such file" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_report_shows_the_mask(small, tmp_path):
     mask = write_mask(tmp_path / "arm.png")

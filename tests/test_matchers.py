@@ -62,6 +62,7 @@ def test_semi_global_matching_finds_nearly_everything(run):
     assert np.mean(errors_px(result) > 1) <= 0.01
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "sets",

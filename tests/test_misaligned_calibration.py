@@ -96,6 +96,7 @@ def test_a_sensor_that_is_aligned_is_said_to_be():
     assert np.abs(scores(calibration, TRUE.aligned)).max() < 3.5
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_far_boards_of_an_aligned_camera_show_no_misalignment():
     # Farther than 0.3 m the numbers are so weakly determined that their covariance alone calls half of these cameras
@@ -188,6 +189,7 @@ def test_boards_of_a_scene_are_seen_in_a_misaligned_mirror():
     assert 1 < np.linalg.norm(exact.pixels - aligned.pixels, axis=-1).mean() < 15
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_numbers_and_rays_scatter_as_predicted():
     # Farther boards tell so little of turns about x and y that the standard deviation itself scatters by a third.

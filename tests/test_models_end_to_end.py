@@ -99,6 +99,7 @@ HOW = {
 """What `cv2.omnidir` is given: the camera itself, the nearest of its model, or an image of another camera."""
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("model", SENSORS)
 def test_stereo_reconstruct_takes_every_model(model):

@@ -111,6 +111,7 @@ def test_its_height_moves_with_the_motion_as_predicted():
     assert np.dot(numeric, predicted) > 0.7 * size[0] * size[1]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_foot_of_a_wall_does_not_lift_the_floor():
     """A camera 1 m above the floor of a room of 5 m, with a baseline of 0.1 m: just above its foot a wall looks like

@@ -152,6 +152,7 @@ kind = "column"
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_report_says_what_it_costs(tmp_path):
     (tmp_path / "costs.toml").write_text(EXPERIMENT)

@@ -14,6 +14,7 @@ from harness.runs.load import load_experiment
 from harness.runs.worker import run_here
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_an_edited_matcher_is_another_one(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(FAR)
@@ -51,6 +52,7 @@ def test_a_failure_is_one_trials_alone(tmp_path: Path) -> None:
     assert "raise ValueError('seven')" in failure["traceback"]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_on_a_cluster_whose_worker_has_it_in_its_folder(tmp_path: Path) -> None:
     pytest.importorskip("distributed")

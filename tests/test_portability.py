@@ -31,6 +31,7 @@ io.open = open_without_proc
 """Carried out by every Python process as it begins, workers among them."""
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_sweep_needs_nothing_that_only_linux_has(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(ELSEWHERE, encoding="utf-8")

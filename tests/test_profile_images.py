@@ -45,6 +45,7 @@ def traced(sensor: Sensor, pose: Pose, pixels: np.ndarray) -> tuple[np.ndarray, 
     return np.array(world), np.array(sides)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("misalignment", [Misalignment(), Misalignment(x_mm=0.8, rotation_y_deg=0.5)], ids=str)
 def test_a_sphere_against_a_slow_ray_tracer(misalignment):

@@ -81,6 +81,7 @@ def in_mirror(sensor: Sensor, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarra
 # --- Mirrors with another derivation ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_table_of_the_hyperboloid_gives_the_rays_of_its_closed_form():
     """The slopes of PCHIP are of second order in the points' distance: 1e-6 rad at 6,000 points, four times less at

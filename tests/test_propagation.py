@@ -92,6 +92,7 @@ def _angle(a, b):
     return np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("parameters", [MOTION, calibration_parameters(SENSOR), MISALIGNMENT])
 def test_propagation_is_monte_carlos(parameters):

@@ -77,6 +77,7 @@ def outcome(sensor: Sensor, kind: str, cache: StageCache, *, bound: bool = False
     return run_trial(parse(Trial, table), cache)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["column", "slanted"])
 def test_bound(kind):

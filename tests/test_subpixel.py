@@ -194,6 +194,7 @@ def test_images_fit_gain_and_offset_along_if_the_cost_is_indifferent(kind, gain,
     assert np.quantile(np.abs(before.k - after.k)[both], 0.99) < 2e-3
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "cost", "plain"),

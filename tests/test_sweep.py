@@ -97,6 +97,7 @@ def test_the_written_experiment_gives_the_same_trials(room: Path) -> None:
     assert [each.key for each in again.planned] == [trial["key"] for trial in table(room / "whole" / "trials.csv")]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_killed_again_and_again(room: Path, whole: bytes) -> None:
     out = room / "killed"
