@@ -93,6 +93,7 @@ def test_ranges_are_off_by_what_is_propagated():
     assert np.std(errors, axis=0) == pytest.approx(predicted, rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_compensates_costs_less_than_each_alone():
     """With the same variances, ranges are surer where a focal length's error goes with the mirror's than without."""
     compensating = np.diag(SIGMA**2)

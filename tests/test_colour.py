@@ -94,6 +94,7 @@ def test_a_pixel_of_a_wall_has_the_walls_colour(sensor, tmp_path):
     assert (image[~known] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 def test_the_luma_of_colours_is_the_grey_image(sensor, tmp_path):
     scene = speckled(tmp_path)

@@ -310,6 +310,7 @@ def outcomes(paper, cache, **settings):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch_px", [1.0, 0.5])
 def test_error_bounds_hold(paper, pitch_px):
     check_all(*outcomes(paper, StageCache(), kind="column", pitch_px=pitch_px))

@@ -257,6 +257,7 @@ def test_a_test_for_every_check(pytester: pytest.Pytester, candidate: Write) -> 
     result.stdout.fnmatch_lines(["*test_mine?seam?*", "*: is periodic in azimuth: with the whole rig turned by*"])
 
 
+@pytest.mark.slow
 def test_what_was_not_reached_is_skipped(pytester: pytest.Pytester, candidate: Write) -> None:
     result = run_suite(pytester, f"{candidate('return 3')!r}")
     result.assert_outcomes(failed=1, skipped=len(CHECKS) - 1)

@@ -212,6 +212,7 @@ def test_the_page_is_refused_before_anything_is_worked_out(capsys):
     assert not captured.out
 
 
+@pytest.mark.slow
 def test_a_lens_has_no_mirror_in_the_table(tmp_path, capsys):
     rig = tmp_path / "rig.toml"
     rig.write_text('sensor = "fisheye"\n')

@@ -69,6 +69,7 @@ def test_true_correspondences_lie_on_the_curve_and_give_the_true_range():
     assert worst["range_2"] < 1e-9
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     t=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda t: np.linalg.norm(t) > 0.05),

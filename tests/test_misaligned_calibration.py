@@ -134,6 +134,7 @@ def test_exact_corners_of_three_boards_lead_to_a_gross_misalignment():
     assert calibration.central.rms_px > 1
 
 
+@pytest.mark.slow
 def test_a_misalignment_that_is_given_is_held():
     corners = visible_boards(TRUE, 6, 33)[0]
     calibration = calibrate_sensor(corners, "hyperboloid", start=TRUE)

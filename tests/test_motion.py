@@ -79,6 +79,7 @@ def test_spreads_are_how_bearings_move_with_pixels(still):
         assert np.allclose((ahead - back) / (2 * step), spreads(SENSOR, still.bearings[:50])[..., axis], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_an_image_from_behind_has_the_same_keypoints(still):
     flipped = find_features(picture()[:, ::-1], SENSOR, flip=True)
     assert len(flipped.pixels) == pytest.approx(len(still.pixels), rel=0.02)

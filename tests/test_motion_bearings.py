@@ -213,6 +213,7 @@ def test_a_wrong_calibration_moves_the_motion_as_predicted(key):
     assert moved_by(effects, 1.0)[1] >= np.linalg.norm(effects[3:, column])
 
 
+@pytest.mark.slow
 def test_the_calibration_is_counted_into_the_covariance():
     pairs = draw(TURN, 500)
     exact, counted = estimated(pairs), estimated(pairs, calibration_px=0.5)

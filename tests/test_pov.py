@@ -91,6 +91,7 @@ def test_camera_and_mirror_on_paper_give_the_rays(table: dict, tmp_path: Path) -
 GREY = {"kind": "grey", "value": 100}
 
 
+@pytest.mark.slow
 def test_the_folder_says_how_to_use_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sensor = tmp_path / "sensor.toml"
     sensor.write_text('[camera]\nwidth_px = 32\nheight_px = 24\nfocal_px = 30.0\ncx_px = "centre"\ncy_px = "centre"\n')

@@ -45,6 +45,7 @@ def all_pixels(sensor: Sensor, step: int = 1) -> np.ndarray:
     return np.stack(np.meshgrid(np.arange(0, camera.width_px, step), np.arange(0, camera.height_px, step)), axis=-1)
 
 
+@pytest.mark.slow
 @settings(deadline=None)  # the first call loads the compiled loops
 @given(
     mirrors,

@@ -12,6 +12,7 @@ from harness.matching.semi_global.match import BITS, PER_BIT, SemiGlobal, rules_
 from harness.matching.semi_global.paths import aggregate, aggregate_in_bands
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paths", [4, 8])
 @pytest.mark.parametrize("rows", [1, 2, 3, 7])
 def test_costs_in_bands_give_the_same_sums(paths, rows):

@@ -285,6 +285,7 @@ def test_what_cannot_be_is_answered_in_one_line(arguments, problem, mirror, caps
     assert text.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in BUILT_IN if kind not in ("hyperboloid", "equirectangular")])
 def test_every_model_of_ours_is_near_a_fisheye(kind):
     """The field stays, so that the picture is the same to a fraction of a pixel."""

@@ -40,6 +40,7 @@ def surface(range_m, sigma_m=0.0):
 # --- The surface ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(
     azimuth=st.floats(-3.1, 3.1), tilt=st.floats(-0.5, 0.5), height=st.floats(0.5, 5.0),
