@@ -17,7 +17,7 @@ from typing import Any
 
 from harness.first_moment import EXIT_CODE, end, end_at_once
 
-__all__ = ["EXIT_CODE", "check", "end_at_once", "heard", "is_real"]
+__all__ = ["EXIT_CODE", "asked", "check", "end_at_once", "heard", "is_real"]
 
 _SAME_S = 0.3
 """Signals within this time are one Ctrl-C: a terminal sends it to a whole group, and a launcher may pass it on too."""
@@ -67,6 +67,11 @@ def check() -> None:
     """Raise KeyboardInterrupt if Ctrl-C was pressed, however long ago."""
     if _asked_at:
         raise KeyboardInterrupt
+
+
+def asked() -> bool:
+    """Whether Ctrl-C was pressed."""
+    return bool(_asked_at)
 
 
 def is_real(error: BaseException) -> bool:

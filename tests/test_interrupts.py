@@ -253,3 +253,16 @@ def test_before_and_after_the_command(moment: str) -> None:
         assert (done.returncode, done.stderr.count("\n")) == (130, 2)
     else:  # all is written by then
         assert (done.returncode in (0, 130), "Traceback" in done.stderr) == (True, False)
+
+
+def test_what_a_library_warns_of_after_ctrl_c_is_not_shown_by_the_command(capsys, monkeypatch):
+    """The command shows warnings its own way, which hides them then too."""
+    from harness import interrupts
+    from harness.cli.parser import _Notices
+
+    _Notices().show("of itself", UserWarning, "a.py", 1)
+    monkeypatch.setattr(interrupts, "_asked_at", [1.0])
+    _Notices().show("of what was broken", UserWarning, "a.py", 1)
+    said = capsys.readouterr().err
+    assert "of itself" in said
+    assert "broken" not in said

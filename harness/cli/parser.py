@@ -144,7 +144,11 @@ class _Notices:
     ) -> None:
         """Replaces `warnings.showwarning`."""
         if not issubclass(category, Notice):
-            print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end="")
+            # A library that swallowed the interrupt may warn of what it broke: pydantic does.
+            if not interrupts.asked():
+                print(
+                    warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end=""
+                )
         elif str(message) not in self._said:
             self._said.add(str(message))
             print(f"omnirange: {message}", file=sys.stderr)
