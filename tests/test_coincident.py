@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from harness import shipped
 from harness.camera.intrinsics import Camera
 from harness.camera.sensor import Sensor, pixel_directions
 from harness.cli import main
@@ -154,7 +155,7 @@ def test_what_only_touches_is_not_coincident(things):
             render(room(*things), SMALL, pose, 1)
 
 
-@pytest.mark.parametrize("name", ["box", "corridor", "room"])
+@pytest.mark.parametrize("name", shipped.names("scenes"))
 def test_shipped_scenes_have_none(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

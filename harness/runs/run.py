@@ -33,14 +33,12 @@ from harness.runs.conclusions import conclusions
 from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
+from harness.runs.further_scores import FURTHER
 from harness.runs.headline import headline
-from harness.runs.localisations import localisations_conclusions, localisations_of
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
-from harness.runs.novel_views import novel_views_of, views_conclusions
-from harness.runs.path_maps import path_maps_conclusions, path_maps_of, write_path_maps
+from harness.runs.path_maps import write_path_maps
 from harness.runs.plan import Plan, plan
 from harness.runs.recorded import record
-from harness.runs.scans import scans_conclusions, scans_of
 from harness.runs.scheduler import run_batches
 from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
@@ -227,11 +225,9 @@ def result_from(
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
     trials = [(row.planned, row.payload) for row in done]
     cells = cell_table(trials)
-    law, views, scans, maps = law_of(cells), novel_views_of(trials), scans_of(trials), path_maps_of(trials)
-    claims, labels = claims_of(trials), experiment.method_labels
-    said = [*views_conclusions(views, labels), *scans_conclusions(scans, labels)]
-    located = localisations_of(trials)
-    said += [*path_maps_conclusions(maps, labels), *localisations_conclusions(located, labels)]
+    law, claims, labels = law_of(cells), claims_of(trials), experiment.method_labels
+    further = {each.name: each.entries_of(trials) for each in FURTHER}
+    said = [sentence for each in FURTHER for sentence in each.conclusions(further[each.name], labels)]
     optional = {
         "claims": claims,
         "limit": limit_of(trials),
@@ -240,10 +236,7 @@ def result_from(
         "labels": _labels(details, experiment),
         "cases": figures_of_cases(experiment, trials),
         "law": law,
-        "novel_views": views,
-        "scans": scans,
-        "maps": maps,
-        "localisation": located,
+        **further,
         "headline": None if claims else headline(done, law, labels),
         "conclusions": [] if claims else conclusions(done, law, labels, said),
     }
