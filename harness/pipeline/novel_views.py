@@ -113,6 +113,16 @@ def figures_of(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
+def columns_of(views: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Means over the distances, of what `figures_of` made, by the names of `trials.csv`."""
+    kinds = {"view": "warped", "view_ceiling": "ceiling", "view_floor": "floor"}
+    figures: dict[str, float | None] = {
+        f"{name}_psnr_db": float(np.mean([view[kind]["psnr_db"] for view in views])) for name, kind in kinds.items()
+    }
+    own = ("ws_psnr_db", "ssim", "holes")
+    return figures | {f"view_{name}": float(np.mean([view["warped"][name] for view in views])) for name in own}
+
+
 def _expected_of(outcome: Outcome, pose: Pose) -> tuple[Grey, Mask, Mask]:
     trial = outcome.trial
     sensor, first = trial.assumed_sensors[0], trial.poses[0]

@@ -102,6 +102,12 @@ def figures_of(outcome: Outcome) -> dict[str, Any] | None:
     }
 
 
+def columns_of(made: dict[str, Any]) -> dict[str, float | None]:
+    """The map's scores, and those of the true profiles' map, by the names of `trials.csv`."""
+    own = {f"map_{name}": made["score"][name] for name in made["score"]}
+    return own | {f"map_ceiling_{name}": made["ceiling"][name] for name in ("iou_free", "iou_occupied")}
+
+
 def trials_along(trial: Trial) -> list[Trial]:
     """The trial at each station of its map's path: each with noise of its own, moved as the placement has moved it."""
     first = trial.poses[0]

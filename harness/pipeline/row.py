@@ -1,7 +1,7 @@
 """The stored row of a trial: its figures, cells and histograms, small enough to store thousands."""
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,11 +21,30 @@ from harness.evaluation.rounding import rounding
 from harness.evaluation.tally import tally
 from harness.geometry.panorama import directions
 from harness.matching.interface import Reason
-from harness.pipeline import localise, path_map, scan
+from harness.pipeline import localise, novel_views, path_map, scan
 from harness.pipeline.error_budget import error_budget
-from harness.pipeline.novel_views import figures_of
 from harness.pipeline.sample import calibration_of, confidence_of, noise_grey, sampled, with_bounds
 from harness.pipeline.trial import Outcome
+
+
+class Beside(NamedTuple):
+    """Something that a trial may be scored by beside its ranges."""
+
+    name: str
+    """In the row."""
+    entry_of: Callable[[Outcome], Any]
+    """What the row has of it, JSON-able; None or empty where the trial asks for nothing."""
+    columns_of: Callable[[Any], dict[str, float | None]]
+    """What `trials.csv` has of that."""
+
+
+BESIDE = (
+    Beside("novel_views", novel_views.figures_of, novel_views.columns_of),
+    Beside("scan", scan.figures_of, scan.columns_of),
+    Beside("map", path_map.figures_of, path_map.columns_of),
+    Beside("localisation", localise.figures_of, lambda _: {}),
+)
+"""In the order of the columns."""
 
 
 def row_of(outcome: Outcome) -> dict[str, Any]:
@@ -38,14 +57,12 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         `errors` and `fractions`: histograms for wall and floor; `reasons`: the pixels of the domain by the name of
         their `Reason`; `sample`, `noise_grey`, `confidence` and `calibration`, where the trial has them: see `sample`;
         `rounding`, where matches are whole samples: see `rounding.rounding`; `remark`, the matcher's, if it has one;
-        `motion`, the status of an estimated one and why; `novel_views`: see `novel_views.figures_of`; `scan`, see
-        `scan.figures_of`; `map`, see `path_map.figures_of`;
-        `localisation`, see `localise.figures_of`.
+        `motion`, the status of an estimated one and why; and the entries of `BESIDE`.
     """
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
     regions = measure_regions(errors)
-    views = figures_of(outcome)
+    beside = {each.name: scored for each in BESIDE if (scored := each.entry_of(outcome))}
     optional: dict[str, Any] = {
         "sample": sampled(outcome),
         "noise_grey": noise_grey(outcome) if trial.scoring.sample_px else None,
@@ -55,10 +72,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "rounding": _rounding(outcome) or None,
         "remark": outcome.matches.remark or None,
         "motion": _status(outcome),
-        "novel_views": views or None,
-        "scan": scan.figures_of(outcome),
-        "map": path_map.figures_of(outcome),
-        "localisation": localise.figures_of(outcome),
+        **beside,
     }
     return {
         "figures": {
@@ -70,9 +84,12 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             "refined": None if refined is None else share_of_estimates(errors, refined),
             **_of_confidence(optional),
             **_of_motion(outcome),
-            **_of_novel_views(views),
-            **_of_scan(optional["scan"]),
-            **_of_map(optional["map"]),
+            **{
+                key: value
+                for each in BESIDE
+                if each.name in beside
+                for key, value in each.columns_of(beside[each.name]).items()
+            },
         },
         "regions": regions,
         "cells": with_bounds(outcome, cells(errors, trial.view_2.baseline_m, trial.panorama.phi_pitch)),
@@ -113,41 +130,6 @@ def _of_motion(outcome: Outcome) -> dict[str, float | None]:
     estimated = outcome.estimated
     figures = motion_figures(outcome.trial.true_motion, estimated.motion, estimated.error, looking, range_m)
     return {name: value if np.isfinite(value) else None for name, value in figures.items()}
-
-
-def _of_novel_views(views: list[dict[str, Any]]) -> dict[str, float | None]:
-    """Means over the distances; none without such views."""
-    if not views:
-        return {}
-    kinds = {"view": "warped", "view_ceiling": "ceiling", "view_floor": "floor"}
-    figures: dict[str, float | None] = {
-        f"{name}_psnr_db": _mean(view[kind]["psnr_db"] for view in views) for name, kind in kinds.items()
-    }
-    own = {f"view_{name}": _mean(view["warped"][name] for view in views) for name in ("ws_psnr_db", "ssim", "holes")}
-    return figures | own
-
-
-_OF_SCAN = ("density", "bias_m", "rms_m", "median_abs_m", "within_1_sigma", "missed", "false")
-
-
-def _of_scan(score: dict[str, Any] | None) -> dict[str, float | None]:
-    """The profile's figures, and the share of thin obstacles found; none without a profile."""
-    if score is None:
-        return {}
-    thin = score["thin_found"] / score["thin"] if score["thin"] else None
-    return {f"scan_{name}": score[name] for name in _OF_SCAN} | {"scan_thin_found": thin}
-
-
-def _of_map(made: dict[str, Any] | None) -> dict[str, float | None]:
-    """The map's scores, and those of the true profiles' map; none without a map."""
-    if made is None:
-        return {}
-    own = {f"map_{name}": made["score"][name] for name in made["score"]}
-    return own | {f"map_ceiling_{name}": made["ceiling"][name] for name in ("iou_free", "iou_occupied")}
-
-
-def _mean(values: Iterable[float]) -> float:
-    return float(np.mean(list(values)))
 
 
 def _status(outcome: Outcome) -> dict[str, Any] | None:

@@ -27,6 +27,7 @@ from harness.simulation.fingerprint import fingerprint
 from harness.simulation.scene import Scene
 from harness.simulation.scene_geometry import geometry_near
 
+_COLUMNS = ("density", "bias_m", "rms_m", "median_abs_m", "within_1_sigma", "missed", "false")
 _FINE_DEG = 0.05
 """Bearings of the true profile are as fine as this, degrees: a pole of 5 mm is met up to 5.7 m away."""
 _LAYER_M = 0.02
@@ -94,6 +95,12 @@ def figures_of(outcome: Outcome) -> dict[str, Any] | None:
     if scored is None:
         return None
     return asdict(scored.score) | {"which": [asdict(each) for each in scored.obstacles]}
+
+
+def columns_of(score: dict[str, Any]) -> dict[str, float | None]:
+    """The figures of what `figures_of` made, and the share of thin obstacles found, by the names of `trials.csv`."""
+    thin = score["thin_found"] / score["thin"] if score["thin"] else None
+    return {f"scan_{name}": score[name] for name in _COLUMNS} | {"scan_thin_found": thin}
 
 
 def true_scan(scene: Scene, pose: Pose, scan: Scan) -> TrueScan:
