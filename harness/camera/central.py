@@ -1,4 +1,4 @@
-"""The central sensor that best agrees with a mirror without a viewpoint: what whoever uses its images is told.
+"""The central sensor that best agrees with a mirror without a viewpoint, as an approximation for users of its images.
 
 Every pixel of the aligned camera sees the point at a stated distance from the sensor's origin on its true ray.
 OCamCalib's polynomial Z(rho) is fitted to the directions of these points: least squares of the angles across the rays,
@@ -63,7 +63,7 @@ class BestCentral(OneLine):
 
 
 def central_of(sensor: Sensor) -> Sensor:
-    """The central sensor that whoever uses the images takes a sensor to be, its camera and mirror aligned.
+    """The central sensor that users of the images assume, its camera and mirror aligned.
 
     The sensor itself if it is central, the aligned one of a hyperboloid, the best central one of a `[profile]`.
     """
@@ -165,7 +165,7 @@ def _radii(sensor: Sensor, pixels: Array) -> Array:
 
 
 def _field(sensor: Sensor, towards: Array, z: Array) -> FieldOfView:
-    """The sensor's field of view without what no pixel sees."""
+    """The sensor's field of view, narrowed to directions that some pixel sees."""
     limits, field = field_of(sensor), sensor.field
     elevation = np.degrees(np.arcsin(np.clip(towards @ [limits.up_x, limits.up_y, limits.up_z], -1, 1)))
     return FieldOfView(
@@ -176,8 +176,8 @@ def _field(sensor: Sensor, towards: Array, z: Array) -> FieldOfView:
 
 
 def _compared(central: Sensor, pixels: Array, towards: Array, distance_m: float, left_out: float) -> BestCentral:
-    told, _ = unproject(central, pixels)
-    apart_deg = np.degrees(2 * np.arcsin(np.minimum(0.5 * np.linalg.norm(told - towards, axis=-1), 1.0)))
+    unprojected, _ = unproject(central, pixels)
+    apart_deg = np.degrees(2 * np.arcsin(np.minimum(0.5 * np.linalg.norm(unprojected - towards, axis=-1), 1.0)))
     apart_px = np.linalg.norm(project(central, towards)[0] - pixels, axis=-1)
     return BestCentral(
         sensor=central,

@@ -1,4 +1,4 @@
-"""What a good calibration makes of a misaligned mirror: the central sensor with the nearest pixels."""
+"""The central sensor that fits a misaligned one best, as a good central calibration would: nearest in pixels."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -48,10 +48,10 @@ def nearest_central(sensor: Sensor, distance_m: float = DISTANCE_M) -> CentralFi
 
     def residuals(vector: Array) -> Array:
         try:
-            made = _made(begin, vector)
+            candidate = _made(begin, vector)
         except ValidationError:  # the lens folds within the field
             return np.full(pixels.size, 1e3)
-        off = project(made, points)[0] - pixels
+        off = project(candidate, points)[0] - pixels
         return np.nan_to_num(off, nan=1e3).ravel()
 
     from scipy.optimize import least_squares
@@ -69,7 +69,7 @@ def _directions(sensor: Sensor) -> Array:
 
 
 def _made(begin: Sensor, vector: Array) -> Sensor:
-    """The sensor with changed numbers: shares of focal length and aspect, pixels, and lens terms."""
+    """The sensor with changed parameters: relative changes of focal length and aspect, pixels, and lens terms."""
     focal, aspect, cx, cy, k1, k2, p1, p2 = vector.tolist()
     camera, lens = begin.camera, begin.lens
     changes = {

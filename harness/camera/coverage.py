@@ -1,4 +1,4 @@
-"""What a sensor sees, and how much of its image it uses: image circle, blind spot, pixels per degree."""
+"""A sensor's field of view and its use of the image: image circle, blind spot, pixels per degree."""
 
 import math
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ class Resolution(OneLine):
 
 @dataclass(frozen=True, repr=False)
 class Coverage(OneLine):
-    """What a sensor sees, and how much of the image it uses."""
+    """A sensor's field of view, and the share of the image that it uses."""
 
     sensor: Sensor
     axis_px: tuple[float, float]
@@ -79,7 +79,7 @@ class Coverage(OneLine):
 
 
 def coverage(sensor: Sensor) -> Coverage:
-    """What a sensor sees.
+    """The field of view of a sensor, and the share of its image that it uses.
 
     Raises
     ------
@@ -124,8 +124,8 @@ def _angles_of_field(sensor: Sensor) -> tuple[float, float]:
 
     def are_visible(angles_rad: list[float]) -> list[bool]:
         rays = np.stack([_cone(each, 72)[0] for each in angles_rad]) @ R
-        seen = in_field(sensor, rays) & np.isfinite(project(sensor, rays)[0]).all(axis=-1)
-        return [bool(each) for each in np.atleast_1d(seen.any(axis=-1))]
+        inside = in_field(sensor, rays) & np.isfinite(project(sensor, rays)[0]).all(axis=-1)
+        return [bool(each) for each in np.atleast_1d(inside.any(axis=-1))]
 
     angles = np.linspace(0, math.pi, 721).tolist()
     visible = are_visible(angles)

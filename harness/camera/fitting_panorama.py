@@ -46,7 +46,7 @@ def fitting_grid(sensors: tuple[Sensor, ...], R_v2_from_v1: Array | None = None)
     width = min(max(STEP_PX * round(wanted / STEP_PX), WIDTHS_PX[0]), WIDTHS_PX[1])
     pitch = 2 * math.pi / width
     height = min(max(3, math.floor((z_max - z_min) / pitch + 1e-9)), HIGHEST_PX)
-    # Whole rows that lie within what is seen: what is left over goes at the end farther from the horizon.
+    # Whole rows within the field: the remainder of a row is cut off at the end farther from the horizon.
     if z_max >= -z_min:
         low = max(z_min, min(-height * pitch / 2, z_max - height * pitch))
         return Grid(width_px=width, height_px=height, z_min=low, z_max=low + height * pitch)

@@ -1,4 +1,4 @@
-"""What all camera models share: the image and its intrinsic parameters, and the field of view."""
+"""The parts that all camera models share: image size, intrinsic parameters, field of view."""
 
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -102,7 +102,7 @@ class FieldEdge(NamedTuple):
         return f"field.{self.key} = {self.value:g}"
 
     def remedy(self, angle_deg: float) -> str:
-        """What keeps the field within an angle off the optical axis, for messages: `use at most 15.25`."""
+        """Advice, for messages, that keeps the field within an angle off the optical axis: `use at most 15.25`."""
         if self.key == "elevation_min_deg":
             return f"use at least {math.ceil((90 - angle_deg) * 100) / 100:g}"
         most = angle_deg - 90 if self.key == "elevation_max_deg" else angle_deg

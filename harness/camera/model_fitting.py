@@ -198,7 +198,7 @@ class _Problem:
         return common | {name: _RANGES[self.target.kind, name] for name in self._own()}
 
     def _own(self) -> list[str]:
-        """The names of what only this model has."""
+        """The names of the parameters that only this model has."""
         kind = self.target.kind
         lens = ["k1", "k2", "p1", "p2", *(["k3"] if self.target.k3 else [])]
         own = {
@@ -274,11 +274,11 @@ class _Problem:
 
     def residuals(self, vector: Array) -> Array:
         """Angles between the rays of both cameras, radians, two for each pixel."""
-        made = self._made(vector)
-        if made is None:
+        candidate = self._made(vector)
+        if candidate is None:
             offsets = np.full_like(self.pixels, _FAR_PX)
         else:
-            offsets = made.project(self.rays) - self.pixels
+            offsets = candidate.project(self.rays) - self.pixels
             offsets = np.clip(np.where(np.isfinite(offsets), offsets, _FAR_PX), -_FAR_PX, _FAR_PX)
         return np.einsum("nij,nj->ni", self.to_angle, offsets).ravel()
 

@@ -22,7 +22,7 @@ from harness.geometry.angles import Array
 
 @dataclass(frozen=True, repr=False)
 class Optics(OneLine):
-    """How directions become pixels."""
+    """A camera model with its image and lens: the map from directions to pixels."""
 
     model: CameraModel
     camera: Camera

@@ -1,4 +1,4 @@
-"""Mirrors of revolution of any profile, seen by a perspective camera on their axis: what a sensor file says of them.
+"""The settings of mirrors of revolution of any profile, viewed by a perspective camera on their axis.
 
 The profile is z(r), the height of the surface above its apex at the distance r from the axis, where z points away from
 the camera. The camera centre is on the axis, below the apex.
@@ -27,7 +27,7 @@ class Profile(Spec):
 
 
 class _Cut(Profile):
-    """A profile of a formula, cut off at a rim."""
+    """Base of profiles that are given by a formula and cut off at a rim."""
 
     rim_m: Positive
     """Radius of the mirror's rim, metres."""

@@ -20,7 +20,7 @@ _MOST_PARTS = 1 << 16
 _STARTS = 1 << 12
 """Points of the profile from which the compiled iteration begins."""
 _MOST_STEPS = 4
-"""Most of its steps."""
+"""Most steps of that iteration."""
 _PIECEWISE = 3
 """Kind of a profile of pieces."""
 _COMPARED = 10_000

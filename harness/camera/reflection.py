@@ -74,7 +74,7 @@ def reflect(sensor: Sensor, pixels: ArrayLike) -> tuple[Array, Array, np.ndarray
 
 @lru_cache(maxsize=8)
 def reflected_pixels(sensor: Sensor) -> tuple[Array, Array, np.ndarray]:
-    """What `reflect` says of every pixel's centre, `[height, width, 3]` twice and `[height, width]`; read-only."""
+    """`reflect` of every pixel's centre: `[height, width, 3]` twice and `[height, width]`; read-only."""
     camera = sensor.camera
     u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
     arrays = reflect(sensor, np.stack([u, v], axis=-1))
@@ -84,7 +84,7 @@ def reflected_pixels(sensor: Sensor) -> tuple[Array, Array, np.ndarray]:
 
 
 def seeing_pixels(sensor: Sensor) -> np.ndarray:
-    """`[height, width]`, bool: pixels whose centre sees something, by a sensor that may be misaligned; read-only."""
+    """`[height, width]`, bool: the pixels whose centre has a ray, for a central or a misaligned sensor; read-only."""
     return pixel_directions(sensor)[1] if sensor.is_central else reflected_pixels(sensor)[2]
 
 

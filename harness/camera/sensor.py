@@ -61,7 +61,7 @@ class Sensor(Spec):
     @model_validator(mode="before")
     @classmethod
     def _notices_former_names(cls, given: Any) -> Any:
-        """Tables have been brought up to date before: what is left is written in Python."""
+        """Warn of former names of keys in Python calls; in tables they have been replaced before."""
         if isinstance(given, Mapping) and "mirror" in given:
             give_notice([Renaming("Sensor", "mirror", "model")])
         return given
@@ -83,12 +83,12 @@ class Sensor(Spec):
 
     @property
     def aligned(self) -> "Sensor":
-        """The same sensor with its camera where it belongs: a central one, unless its mirror has a profile."""
+        """The same sensor without its misalignment: a central one, unless its mirror has a profile."""
         return self if self.misalignment.is_zero else self.model_copy(update={"misalignment": Misalignment()})
 
     @model_validator(mode="after")
     def _sees_its_field(self) -> "Sensor":
-        """Fills in what was left open: the model's own limits of the field, and a focal length to be fitted."""
+        """Fill in missing values: the model's default limits of the field, and a focal length to be fitted."""
         looks = self.looks
         if self.profile is not None:
             self._check_profile(self.profile)
@@ -381,12 +381,12 @@ def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
 
 @lru_cache(maxsize=64)
 def parameters_of(sensor: Sensor) -> Any:
-    """What the compiled projection is given: the camera model's named tuple, or that of a `MountedCamera` around it.
+    """The compiled projection's parameters: the camera model's named tuple, or a `MountedCamera` around it.
 
     Raises
     ------
     InputError
-        When camera and mirror are misaligned (see `harness.camera.reflection`), as all that goes by directions does.
+        When camera and mirror are misaligned: directions have no single image then (see `harness.camera.reflection`).
     """
     require_central(sensor)
     model = sensor.model.parameters(sensor.camera, sensor.lens)

@@ -71,7 +71,7 @@ def sample(
 def sample_bands(
     images: Sequence[NDArray[np.float32]], sensor: Sensor, directions: Array, interpolation: Interpolation = "cubic"
 ) -> tuple[list[NDArray[np.float32]], NDArray[np.bool_]]:
-    """The same of several images of one sensor, such as red, green and blue; valid where all of them are.
+    """`sample` of several images of one sensor, such as red, green and blue; valid where all of them are.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def _whole_windows(sensor: Sensor, side: int) -> NDArray[np.bool_]:
 
 
 def _both_taps_visible(visible: NDArray[np.bool_], coordinates: Array, first: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """The same for bilinear samples, of which those at whole numbers have taps of weight zero."""
+    """`_all_taps_visible` for bilinear samples, which at whole coordinates have taps of weight zero."""
     result = np.ones(coordinates.shape[1:], dtype=bool)
     for row in range(2):
         for column in range(2):

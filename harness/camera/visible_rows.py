@@ -13,7 +13,7 @@ from harness.spec import given_of, remember
 STEP_DEG = 0.1
 """Between the elevations that are tried."""
 STEEPEST_DEG = 75.0
-"""The steepest of them: a cylinder has no pixel at the poles, and ever lower ones towards them."""
+"""The steepest elevation that is tried: towards the poles, the rows of a cylinder cover ever smaller angles."""
 AZIMUTHS = 120
 MOSTLY = 0.8
 """An elevation counts where both sensors see at least this share of the azimuths that they see at the best one."""

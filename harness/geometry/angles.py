@@ -7,7 +7,7 @@ Array = NDArray[np.float64]
 
 
 def wrap_angle(angle: ArrayLike) -> Array:
-    """The same angle in [-pi, pi), in radians; one that lies there already comes back to the last bit."""
+    """The same angle in [-pi, pi), in radians; an angle that already lies there is returned bit for bit."""
     angle = np.asarray(angle, dtype=np.float64)
     wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
     # Just below -pi the remainder rounds up to 2 pi itself.

@@ -52,7 +52,7 @@ class Conic(OneLine):
         return np.asarray(np.einsum("...i,ij,...j", p, self.matrix, p) / np.sum(p * p, axis=-1))
 
     def points(self, angles: ArrayLike) -> Array:
-        """Where directions of the plane are seen `[..., 2]`, NaN for those that are not.
+        """Image points `[..., 2]` of directions in the plane; NaN for a direction that is not visible.
 
         Parameters
         ----------
@@ -88,7 +88,7 @@ class Conic(OneLine):
         return np.asarray(np.min(apart, axis=(-2, -1)).reshape(points.shape[:-1]))
 
     def _apart(self, points: Array, angles: Array) -> Array:
-        """Distances of points from where directions are seen; infinite for those that are not."""
+        """Distances of points from the images of directions; infinite for a direction that is not visible."""
         return np.nan_to_num(np.linalg.norm(self.points(angles) - points, axis=-1), nan=np.inf)
 
     def in_image(self, K: ArrayLike) -> "Conic":

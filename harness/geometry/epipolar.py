@@ -117,7 +117,7 @@ def _curves(grid: Grid, t_bytes: bytes, d_min_m: float, d_max_m: float, sampling
 
 
 def forget_curves() -> None:
-    """Give back the memory of the curves that are kept."""
+    """Empty the cache of `epipolar_curves`."""
     _curves.cache_clear()
 
 

@@ -1,4 +1,4 @@
-"""What errors of a motion do to ranges: to first order, and as standard deviations.
+"""Range errors caused by errors of a motion: to first order, and as standard deviations.
 
 With n the unit normal of the epipolar plane, along t x x_1, and m = n x t beside t in that plane: an error omega of the
 rotation (R exp([omega]x) in place of R) turns view 2's ray by -omega within the plane, an error tau of the unit t turns

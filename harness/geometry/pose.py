@@ -54,7 +54,7 @@ class Motion(OneLine):
 
 
 AT_REST = Motion(R_v2_from_v1=np.eye(3), t_v1=np.zeros(3))
-"""From a view to itself."""
+"""The motion from a view to itself."""
 
 
 def relative_motion(view_1: Pose, view_2: Pose) -> Motion:

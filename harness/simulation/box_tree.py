@@ -27,9 +27,9 @@ class BoxTree(NamedTuple):
     order: NDArray[np.int64]
     """`[boxes]`: indices of the boxes, along the Morton curve."""
     low: Array
-    """`[nodes, 3]`: the least coordinates in a node; infinite in one that is empty. Node 0 is not used."""
+    """`[nodes, 3]`: the least coordinates in a node; infinite in an empty node. Node 0 is not used."""
     high: Array
-    """`[nodes, 3]`: the greatest ones; minus infinity in one that is empty."""
+    """`[nodes, 3]`: the greatest coordinates in a node; minus infinity in an empty node."""
 
 
 def box_tree(low: Array, high: Array) -> BoxTree:

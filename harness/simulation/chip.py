@@ -45,12 +45,12 @@ class Chip(Spec):
 
     @property
     def is_ideal(self) -> bool:
-        """Whether grey levels stay as they are."""
+        """Whether the chip leaves grey levels unchanged."""
         return self == Chip()
 
     @property
     def is_noisy(self) -> bool:
-        """Whether draws change the image."""
+        """Whether the chip adds random noise."""
         return bool(self.saturation_e)
 
     @property
@@ -67,7 +67,7 @@ def captured(
     shot: np.random.Generator,
     white: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """What a chip makes of light: photons are counted, noise is added, and the result is encoded.
+    """The image that a chip records: photons are counted, noise is added, and the result is encoded.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _rounded(grey: Array, chip: Chip) -> Array:
 
 
 def _compressed(grey: Array, quality: int) -> Array:
-    """What a JPEG file gives back."""
+    """Grey levels after JPEG compression and decompression at a quality 1 .. 100."""
     stream = io.BytesIO()
     Pictures.fromarray(np.rint(grey).astype(np.uint8)).save(stream, format="JPEG", quality=quality)
     return np.asarray(Pictures.open(stream), dtype=np.float64)

@@ -111,12 +111,12 @@ def _visible_from(
     faces_of_solid: dict[int, list[int]] = {}
     for index, face in enumerate(faces.tolist()):
         faces_of_solid.setdefault(id(inside_of_face[face]), []).append(index)
-    for its in faces_of_solid.values():
-        solid = inside_of_face[faces[its[0]]]
+    for members in faces_of_solid.values():
+        solid = inside_of_face[faces[members[0]]]
         if solid is not None:
             step = 1e-5 * float(np.ptp(solid.reshape(-1, 3), axis=0).max())
-            inside = enclosed(solid, middles[its] + step * normals[faces[its]])
-            sides[faces[its]] = np.where(inside, -1, 1)
+            inside = enclosed(solid, middles[members] + step * normals[faces[members]])
+            sides[faces[members]] = np.where(inside, -1, 1)
     return sides
 
 

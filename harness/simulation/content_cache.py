@@ -139,5 +139,5 @@ def _read(path: str, limit_bytes: int, what: str) -> tuple[bytes, FileRead]:
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    status = os.stat(path)  # noqa: PTH116 - the name is opened as it is
+    status = os.stat(path)  # noqa: PTH116 - the name is opened unresolved
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino, status.st_dev

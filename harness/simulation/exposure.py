@@ -11,7 +11,7 @@ def with_exposure(image: NDArray[np.float32], sensor: Sensor, gain: float, offse
     """`gain image + offset`, grey levels, where the sensor sees; neither clipped nor rounded, as noise is not."""
     if gain == 1 and offset_grey == 0:
         return image
-    seen = seeing_pixels(sensor) if image.ndim == 2 else seeing_pixels(sensor)[..., None]
-    changed = np.where(seen, np.float32(gain) * image + np.float32(offset_grey), image)
+    valid = seeing_pixels(sensor) if image.ndim == 2 else seeing_pixels(sensor)[..., None]
+    changed = np.where(valid, np.float32(gain) * image + np.float32(offset_grey), image)
     changed.flags.writeable = False
     return changed

@@ -59,7 +59,7 @@ class BufferView(_Part):
 
 
 class SparseIndices(_Part):
-    """Which elements are replaced."""
+    """The indices of the elements that a sparse accessor replaces."""
 
     bufferView: Index
     byteOffset: Index = 0

@@ -45,7 +45,7 @@ class Look:
     linear: bool = False
     """Whether factors multiply linear intensities (glTF) rather than grey levels."""
     weights: Weights = LUMA
-    """What red, green and blue count in the parts' textures."""
+    """Weights of red, green and blue in the parts' grey textures."""
     _greys: dict[tuple[int, Colour], Texels] = field(default_factory=dict)
     _pictures: list[Picture] = field(default_factory=list)
 

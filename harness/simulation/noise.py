@@ -29,7 +29,7 @@ _NAMED = {
     "lens": ("k1", "k2", "p1", "p2", "k3"),
     "field": ("elevation_min_deg", "elevation_max_deg"),
 }
-"""The keys of a sensor that draws have always been named by, those of the hyperboloid for its model."""
+"""The keys of a sensor that seed its noise: fixed, so that later keys with their defaults change no image."""
 
 
 def words_of(sensor: Sensor) -> str:

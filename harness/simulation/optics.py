@@ -1,4 +1,4 @@
-"""What a real lens makes of the image before the chip: vignetting, defocus and motion blur."""
+"""Effects of a real lens on the image before the chip: vignetting, defocus and motion blur."""
 
 import math
 from functools import lru_cache
@@ -41,7 +41,7 @@ class Optics(Spec):
 
     @property
     def is_ideal(self) -> bool:
-        """Whether the image stays as it is."""
+        """Whether the image stays unchanged."""
         return not (self.vignetting or self.defocus_px or self.defocus_edge_px or self.motion_px)
 
 

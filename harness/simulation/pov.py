@@ -220,14 +220,14 @@ def _mesh(geometry: Geometry, texture: int, file: str) -> str:
     homogeneous = np.concatenate([corners, np.ones((*corners.shape[:2], 1))], axis=-1)
     uv = np.einsum("tij,tkj->tki", geometry.uv_maps[face[triangles]], homogeneous)
     points, point_index = _listed(corners)
-    places, place_index = _listed(uv)
+    uv_vectors, uv_index = _listed(uv)
     name = geometry.object_names[geometry.object_of_face[face[triangles][0]]]
     return f"""\
 mesh2 {{ // {_comment(name)}
   vertex_vectors {{ {points} }}
-  uv_vectors {{ {places} }}
+  uv_vectors {{ {uv_vectors} }}
   face_indices {{ {point_index} }}
-  uv_indices {{ {place_index} }}
+  uv_indices {{ {uv_index} }}
   Surface("{file}")
   no_image
 }}

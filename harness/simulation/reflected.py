@@ -68,7 +68,7 @@ def reflected_image(view: View, sensor: Sensor, samples: int, threads: int | Non
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """What the centres of a sensor's pixels see; arrays are read-only."""
+    """The surface points that the rays of a sensor's pixel centres meet; arrays are read-only."""
 
     point_m: Array
     """`[height, width, 3]`: the point that the pixel's ray meets, metres, in the sensor's frame; NaN for none."""

@@ -57,7 +57,7 @@ class View:
     """`[faces, 3, 3]`: for each face the map from a ray in the view's frame to its tile (see `_kernels.shade`)."""
     tiles: "Tiles"
     bands: tuple["Band", ...]
-    """What is shaded: the luma alone, or red, green and blue."""
+    """The bands to shade: the luma alone, or red, green and blue."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,17 @@ class Band:
 
 
 def view_from(scene: Scene, pose: Pose, *, colour: bool = False) -> View:
-    """The scene from where a view stands; InputError where there is nothing sensible to see.
+    """The scene as seen by a view.
 
     Parameters
     ----------
     colour
-        Whether red, green and blue are shaded. How closely pixels are sampled goes by the luma in any case.
+        Whether red, green and blue are shaded. How closely pixels are sampled depends on the luma in any case.
+
+    Raises
+    ------
+    InputError
+        When the view's position is not valid, as from `check_viewpoint`.
     """
     geometry = geometry_near(scene, pose.position_m)
     origin = np.asarray(pose.position_m, dtype=np.float64) - geometry.centre
@@ -208,7 +213,7 @@ class Shading:
     def _shade(
         self, pixels: NDArray[np.int64], chosen: NDArray[np.int64], rays: Array, face: Ints, per_side: int
     ) -> None:
-        """Write the grey of those pixels that are chosen, by their places among them; `rays` are the samples of all."""
+        """Write the grey levels of the chosen pixels, by their indices among them; `rays` are the samples of all."""
         for i, band in enumerate(self.view.bands):
             self._shade_band(pixels, chosen, rays, face, per_side, band.H, i)
 

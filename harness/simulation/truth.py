@@ -46,7 +46,7 @@ class Truth(OneLine):
     """The point's direction lies in the field and on the image of sensor 2, and not on a masked pixel. True everywhere
     without a second view."""
     visible: Mask
-    """Both: the second view sees the point."""
+    """`unoccluded` and `in_field_2`: the second view sees the point."""
     discontinuity: Mask
     """Adjacent to a jump in range: see `discontinuities`."""
     textureless: Mask
@@ -150,7 +150,7 @@ def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
 
 
 def ranges(scene: Scene, pose: Pose, directions: ArrayLike, valid: ArrayLike, *, threads: int | None = None) -> Array:
-    """Only the range of `truth`, metres: NaN for a direction that is not valid or hits nothing."""
+    """The range alone, as in `truth`, metres: NaN for a direction that is not valid or hits nothing."""
     valid = np.asarray(valid, dtype=bool)
     range_m = np.full(valid.shape, np.nan)
     rays = rotated(np.asarray(directions, dtype=np.float64)[valid], pose.R_world_from_view)

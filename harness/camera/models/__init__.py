@@ -27,7 +27,7 @@ BUILT_IN: dict[str, type[CameraModel]] = {
 """The settings of every camera model of this program, by `kind`."""
 
 MODELS = dict(BUILT_IN)
-"""The same, and those that were added from elsewhere. A table without a `kind` is a hyperboloid."""
+"""Any camera model, of this program or registered by a plug-in. A table without a `kind` is a hyperboloid."""
 
 _ELSEWHERE = "elsewhere"
 

@@ -16,7 +16,7 @@ _MARGIN_PX = 1.0
 """How far the field stays inside the domain: the corners of the outermost pixels, 0.71 from their centres, are
 unprojected too."""
 _MARGIN_RAD = math.radians(0.01)
-"""At least; where the image has no end, what lies within is not far away."""
+"""The least such margin as an angle, for models whose radius grows without bound."""
 
 
 class Domain(NamedTuple):

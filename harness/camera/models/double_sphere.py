@@ -67,7 +67,7 @@ class DoubleSphere(AxialModel):
         return -(self.xi * (1 - w * w) + w * math.sqrt(1 - self.xi**2 * (1 - w * w)))
 
     def parameters(self, camera: Camera, lens: Lens) -> "DoubleSphereCamera":  # noqa: ARG002
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         return DoubleSphereCamera(
             **camera.matrix,
             xi=self.xi,

@@ -59,7 +59,7 @@ class Equirectangular(CameraModel):
         return abs(camera.width_px - 2 * math.pi * camera.focal_px) <= _SLACK_PX
 
     def parameters(self, camera: Camera, lens: Lens) -> "EquirectangularCamera":  # noqa: ARG002
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         turn = 2 * math.pi * camera.focal_px
         first = 0.5 * (camera.width_px - 1 - turn)
         whole = self.goes_round(camera)
@@ -86,7 +86,7 @@ class EquirectangularCamera(NamedTuple):
     turn: float
     """Pixels to 360 degrees."""
     first: float
-    """Where the turn begins that the image is part of."""
+    """The u at which the full turn begins of which the image is a part."""
     least: float
     most: float
     """The bounds of u, lest a direction on the seam be rounded off the image."""

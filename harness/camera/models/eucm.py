@@ -53,7 +53,7 @@ class ExtendedUnified(AxialModel):
         return Domain(angle, 1 / math.sqrt(self.beta * (2 * self.alpha - 1)), "the image folds back on itself")
 
     def parameters(self, camera: Camera, lens: Lens) -> "ExtendedUnifiedCamera":  # noqa: ARG002
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         return ExtendedUnifiedCamera(
             **camera.matrix,
             alpha=self.alpha,

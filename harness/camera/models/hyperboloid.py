@@ -86,7 +86,7 @@ class Mirror(CameraModel):
             )
 
     def parameters(self, camera: Camera, lens: Lens) -> "HyperboloidCamera":
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         eps = self.e_m / self.a_m
         scale = (eps * eps - 1) / (eps * eps + 1)
         gamma_u = camera.focal_px * scale

@@ -65,7 +65,7 @@ class KannalaBrandt(AxialModel):
         return Domain(last, self.radius(last, lens), why)
 
     def parameters(self, camera: Camera, lens: Lens) -> "KannalaBrandtCamera":
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         return KannalaBrandtCamera(
             **camera.matrix,
             k1=self.k1,

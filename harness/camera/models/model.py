@@ -45,7 +45,8 @@ class CameraModel(Spec, ABC):
         """The argument of the compiled functions: a named tuple of numbers, of a class that belongs to the model."""
 
     def identity(self) -> str:
-        """What the settings do not say: a hash of the source of a model from elsewhere; empty for one of this program.
+        """SHA-256 of the source of a third-party model, which its settings do not identify; empty for a model of this
+        program.
 
         Raises
         ------
@@ -57,10 +58,10 @@ class CameraModel(Spec, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **keywords: Any) -> None:
-        """From now on, a module from elsewhere is known to be made of the files that are there."""
+        """Record the source files of a third-party model's module as they are when the class is defined."""
         super().__pydantic_init_subclass__(**keywords)
         if cls.__module__.partition(".")[0] != __name__.partition(".")[0]:
-            with suppress(InputError):  # said when it is asked for
+            with suppress(InputError):  # `identity` reports it
                 identity_of(cls)
 
     def largest_angle_rad(self, camera: Camera, lens: Lens) -> float:  # noqa: ARG002

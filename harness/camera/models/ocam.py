@@ -111,7 +111,7 @@ class OCam(AxialModel):
         return Domain(self.angle(rim), rim, why)
 
     def parameters(self, camera: Camera, lens: Lens) -> "OCamCamera":  # noqa: ARG002
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         height = [-each for each in self.coefficients]
         rim = self._rim(camera)
         return OCamCamera(

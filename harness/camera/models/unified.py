@@ -61,7 +61,7 @@ class Unified(AxialModel):
         return Domain(math.acos(_lowest(self.xi)), least_bent_radius(lens, last), "the image folds back on itself")
 
     def parameters(self, camera: Camera, lens: Lens) -> "UnifiedCamera":
-        """What the compiled functions are given."""
+        """The model's parameters as the compiled functions take them."""
         return UnifiedCamera(
             **camera.matrix,
             xi=self.xi,
