@@ -212,28 +212,28 @@ class _Problem:
 
     def _made(self, vector: Array) -> Optics | None:
         """The camera with the parameters of a vector; None if they are invalid."""
-        given = dict(zip(self._bounds(), vector.tolist(), strict=True))
+        values = dict(zip(self._bounds(), vector.tolist(), strict=True))
         pixels = {
             "width_px": int(self.size[0]),
             "height_px": int(self.size[1]),
-            "cx_px": given["cx"],
-            "cy_px": given["cy"],
+            "cx_px": values["cx"],
+            "cy_px": values["cy"],
         }
         kind = self.target.kind
         try:
             if kind == "ocam":
                 powers = range(2, self.degree + 1)
-                terms = [given["a0"] * self.reach, 0.0, *(given[f"a{i}"] * self.reach ** (1 - i) for i in powers)]
-                keys = {"coefficients": terms} | {each: given[each] for each in "cde"}
+                terms = [values["a0"] * self.reach, 0.0, *(values[f"a{i}"] * self.reach ** (1 - i) for i in powers)]
+                keys = {"coefficients": terms} | {each: values[each] for each in "cde"}
                 return Optics(MODELS[kind].model_validate({"kind": kind} | keys), Camera.model_validate(pixels), Lens())
-            focal = math.exp(given["log_f"])
+            focal = math.exp(values["log_f"])
             pixels |= {
                 "focal_px": focal,
-                "aspect": math.exp(given["log_aspect"]),
-                "skew_px": given.get("skew", 0) * focal,
+                "aspect": math.exp(values["log_aspect"]),
+                "skew_px": values.get("skew", 0) * focal,
             }
             camera = Camera.model_validate(pixels)
-            own = {name: given[name] for name in self._own()}
+            own = {name: values[name] for name in self._own()}
             if kind in ("unified", "hyperboloid"):
                 model = MODELS["unified"].model_validate({"kind": "unified", "xi": own.pop("xi")})
                 return equivalent(Optics(model, camera, Lens(**own)), kind)

@@ -324,10 +324,10 @@ def not_masked(sensor: Sensor, pixels: Array) -> np.ndarray:
     usable = used(sensor)
     if usable is None:
         return np.ones(pixels.shape[:-1], dtype=bool)
-    beside = ~on_image(sensor, pixels)
-    column, row = np.moveaxis(np.rint(np.where(beside[..., None], 0.0, pixels)).astype(np.intp), -1, 0)
+    outside = ~on_image(sensor, pixels)
+    column, row = np.moveaxis(np.rint(np.where(outside[..., None], 0.0, pixels)).astype(np.intp), -1, 0)
     height, width = usable.shape
-    return beside | usable[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return outside | usable[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
 
 
 @lru_cache(maxsize=8)

@@ -45,8 +45,8 @@ def write_glb(scene: Scene, path: str | Path, *, colour: bool = False) -> None:
     textures = _in_colour(scene, geometry) if colour else geometry.textures
     for index, texels in enumerate(textures):
         triangles = geometry.texture_of_face[face] == index
-        thing = scene.objects[geometry.object_of_face[face[triangles][0]]]
-        name = f"{index}: {thing.name or thing.kind}"
+        scene_object = scene.objects[geometry.object_of_face[face[triangles][0]]]
+        name = f"{index}: {scene_object.name or scene_object.kind}"
         levels = np.clip(np.rint(texels), 0, 255).astype(np.uint8)
         material = visual.material.PBRMaterial(
             name=name,

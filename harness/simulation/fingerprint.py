@@ -30,8 +30,8 @@ def fingerprint(scene: Scene) -> str:
     read = files_read(scene)
     contents = {str(path): files[0].sha256 for path, files in read.items()}
     # Files that the scene's files refer to: a texture of a mesh changes the image as the mesh does.
-    beside = [file.sha256 for _, files in sorted(read.items()) for file in files[1:]]
-    table = [_replaced(scene.model_dump(mode="json"), contents), beside]
+    referenced = [file.sha256 for _, files in sorted(read.items()) for file in files[1:]]
+    table = [_replaced(scene.model_dump(mode="json"), contents), referenced]
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 

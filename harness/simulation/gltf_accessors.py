@@ -113,15 +113,21 @@ class Accessors:
         indices_type = _COMPONENTS.get(sparse.indices.componentType, "<f4")
         if indices_type not in {"<u1", "<u2", "<u4"}:
             raise InputError("must be unsigned whole numbers", file=self._file, key=f"{key}.sparse.indices")
-        where, what = sparse.indices, sparse.values
+        indices, replacements = sparse.indices, sparse.values
         inside = f"{key}.sparse"
         rows = self._array(
-            self.view(where.bufferView, inside), where.byteOffset, sparse.count, indices_type, 1, None, inside
+            self.view(indices.bufferView, inside), indices.byteOffset, sparse.count, indices_type, 1, None, inside
         )[:, 0].astype(np.int64)
         if rows.size and rows.max() >= len(values):
             raise InputError("replaces elements that do not exist", file=self._file, key=inside)
         replaced = values.copy()
         replaced[rows] = self._array(
-            self.view(what.bufferView, inside), what.byteOffset, sparse.count, component, values.shape[1], None, inside
+            self.view(replacements.bufferView, inside),
+            replacements.byteOffset,
+            sparse.count,
+            component,
+            values.shape[1],
+            None,
+            inside,
         )
         return replaced

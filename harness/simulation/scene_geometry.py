@@ -131,13 +131,13 @@ def geometry_of(scene: Scene, centre: tuple[float, float, float] = (0.0, 0.0, 0.
     patches: list[_Patch] = []
     object_of_patch: list[int] = []
     solids: dict[int, Solid] = {}
-    for index, thing in enumerate(scene.objects):
-        own = _placed_patches(scene, thing, centre)
+    for index, scene_object in enumerate(scene.objects):
+        own = _placed_patches(scene, scene_object, centre)
         patches += own
         object_of_patch += [index] * len(own)
         corners = np.concatenate([patch.corners for patch in own])
-        if not isinstance(thing, Plane | Chessboard) and not thing.inward and _is_watertight(corners):
-            solids[index] = Solid(name=_name(index, thing), corners=corners)
+        if not isinstance(scene_object, Plane | Chessboard) and not scene_object.inward and _is_watertight(corners):
+            solids[index] = Solid(name=_name(index, scene_object), corners=corners)
     return _assemble(scene, np.array(centre), patches, object_of_patch, solids)
 
 
@@ -147,7 +147,9 @@ def band_of(scene: Scene, centre: tuple[float, float, float], weights: Weights) 
 
     The faces and their textures are those of `geometry_of` about that centre, in its order.
     """
-    patches = [patch for thing in scene.objects for patch in _placed_patches(scene, thing, centre, weights)]
+    patches = [
+        patch for scene_object in scene.objects for patch in _placed_patches(scene, scene_object, centre, weights)
+    ]
     corners, uv, face, _ = _joined(patches)
     _, first = np.unique(face, return_index=True)
     return _planes(corners[first], uv[first])[2], tuple(patch.texels for patch in patches)
@@ -182,9 +184,9 @@ def _assemble(
     corners, uv, face, patch_of_face = _joined(patches)
     _, first = np.unique(face, return_index=True)
     for index in np.flatnonzero(~(np.linalg.norm(_cross_of_edges(corners[first]), axis=-1) > 0))[:1]:
-        thing = object_of_patch[patch_of_face[index]]
+        object_index = object_of_patch[patch_of_face[index]]
         raise InputError(
-            f"'{_name(thing, scene.objects[thing])}' has a face without area; "
+            f"'{_name(object_index, scene.objects[object_index])}' has a face without area; "
             "its size is below the precision of its position",
             file=scene.name,
         )
@@ -223,7 +225,7 @@ def _assemble(
         background_grey=scene.background_grey,
         textures=textures,
         solids=tuple(solids.values()),
-        object_names=tuple(_name(index, thing) for index, thing in enumerate(scene.objects)),
+        object_names=tuple(_name(index, object_index) for index, object_index in enumerate(scene.objects)),
         rivals=rivals,
         embree=embree,
         **arrays,
