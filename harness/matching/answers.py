@@ -1,4 +1,4 @@
-"""What a matcher may answer beside alpha_2, on the pixels of the images that it asked for, and how it becomes alpha_2.
+"""Answers of a matcher other than alpha_2, on the pixels of the images that it asked for; their conversion to alpha_2.
 
 Every answer is first turned into inverse range on its own pixels, `1/d_1 = sin(alpha_2 - alpha_1)/(|t| sin alpha_2)`
 (eq. 7). On a plane that is linear in the direction, so that between pixels a linear interpolation of it makes no error
@@ -25,7 +25,7 @@ QUANTITIES = {
     "disparity_px": "columns to the left (or rows up) from view 1 to view 2",
     "alpha_2": "radians, the angle in the epipolar plane between t and the direction from viewpoint 2",
 }
-"""What may be answered, and what each is."""
+"""The quantities that a matcher may answer with, and their meanings."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,11 +36,11 @@ class Answer(OneLine):
     """
 
     projection: Projection | None
-    """The pixels; None for those of the pair's panorama."""
+    """The pixels of the arrays; None for those of the pair's panorama."""
     t_v1: Array
     """Viewpoint 2 in v1's frame, metres."""
     seen: NDArray[np.bool_] | None = None
-    """Pixels of which there is an image in view 1; what is answered elsewhere is left out. None for all."""
+    """Pixels that view 1's image covers; values of all others are ignored. None for all."""
     range_m: Array | None = None
     disparity_deg: Array | None = None
     disparity_px: Array | None = None
@@ -52,21 +52,21 @@ class Answer(OneLine):
 
     @property
     def given(self) -> list[str]:
-        """The names of the quantities that are given."""
+        """The names of the quantities whose arrays are given."""
         return [name for name in QUANTITIES if getattr(self, name) is not None]
 
     @property
     def quantity(self) -> str:
-        """The quantity that is given."""
+        """The name of the quantity that is given."""
         return self.given[0]
 
     @property
     def values(self) -> Array:
-        """Its values as they were given."""
+        """The array of that quantity, as given."""
         return np.asarray(getattr(self, self.quantity))
 
     def shape(self, grid: Grid) -> tuple[int, int]:
-        """What shape every array must have."""
+        """The shape, (rows, columns), that every array must have."""
         return grid.shape if self.projection is None else self.projection.shape
 
     @property
@@ -90,7 +90,7 @@ class Converted(OneLine):
 
 
 def outside(answer: Answer) -> tuple[NDArray[np.bool_], str]:
-    """Pixels whose value cannot be what it is said to be, and what it would have to be."""
+    """The pixels whose value is impossible for its quantity, and the values that are possible, for a message."""
     values = np.asarray(answer.values, dtype=np.float64)
     known = ~np.isnan(values)
     if answer.quantity == "range_m":
@@ -106,7 +106,7 @@ def outside(answer: Answer) -> tuple[NDArray[np.bool_], str]:
 
 
 def converted(answer: Answer, grid: Grid) -> Converted:
-    """An answer that is sound (see `interface.faults`) on the panorama.
+    """An answer without faults (see `interface.faults`), converted to angles on the panorama.
 
     Linear between the four pixels around a direction where all of them have an answer and their disparities lie within
     one pixel of each other; that of the nearest pixel elsewhere, so that nothing is made up across an edge. Confidence
@@ -189,13 +189,13 @@ _STEP_PX = 0.01
 
 @dataclass(frozen=True, eq=False)
 class _Between:
-    """Where each pixel of a panorama lies between those of a projection; arrays `[height, width]` of the panorama."""
+    """The position of each panorama pixel among a projection's pixels; arrays `[height, width]` of the panorama."""
 
     corners: NDArray[np.intp]
     """`[4, height, width]`: flat indices of the pixels around: upper left, upper right, lower left, lower right."""
     below: Array
     beside: Array
-    """How far it is from the upper left one, in pixels, 0 .. 1."""
+    """Offset from the upper left of these pixels, in pixels, 0 .. 1."""
     closest: NDArray[np.intp]
     """Flat indices of the nearest pixel."""
     inside: NDArray[np.bool_]

@@ -32,18 +32,18 @@ class Support:
     model: Literal["slanted", "frontal"]
     """What is fitted: see `evaluation.bound`."""
     frame: Literal["panorama", "mirror"] = "panorama"
-    """Whose pixels the square is made of."""
+    """The image whose pixels make up the square."""
 
 
 class MatcherSettings(Spec, ABC):
-    """The settings of a matcher, and what it does: the base class of them all.
+    """Base class of matchers: the settings of one, and its methods.
 
     A matcher is a subclass with a `kind` of its own and a `match`. Whatever else the program needs to know about it is
     a method or a property here, with a default that suits most.
     """
 
     briefs: ClassVar[Mapping[str, str]] = {}
-    """Its line in `omnirange list`, for each `kind` that it has."""
+    """The matcher's line in `omnirange list`, for each of its kinds."""
 
     kind: str = ""
     """The kind of matcher."""
@@ -73,7 +73,7 @@ class MatcherSettings(Spec, ABC):
         """
 
     def answer(self, pair: "Pair") -> Any:
-        """What the matcher returned, unchecked; errors as in `match`."""
+        """The matcher's own return value, unchecked; errors as in `match`."""
         return self.match(pair)
 
     def check(self) -> None:
@@ -86,7 +86,7 @@ class MatcherSettings(Spec, ABC):
         """
 
     def identity(self) -> str:
-        """What the settings do not say: a hash of the contents of files; empty for a matcher of this program.
+        """A hash of the files on which the results depend beside the settings; empty for a matcher of this program.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class MatcherSettings(Spec, ABC):
 
     @property
     def command_words(self) -> tuple[str, ...]:
-        """The command of a program, which tells it apart from other programs; empty for any other matcher."""
+        """The command of a program, which distinguishes it from other programs; empty for any other matcher."""
         return ()
 
     @property
@@ -143,7 +143,7 @@ class MatcherSettings(Spec, ABC):
         return self
 
     def sampled(self, t_v1: Array) -> tuple[Sampling, float]:
-        """How the epipolar curves are sampled, and the distance of samples in columns.
+        """The sampling of the epipolar curves, and the distance of samples in columns.
 
         A matcher that has no samples is compared with whole columns, or with whole steps of alpha_2 where t is so
         steep that phi hardly follows the curves.
@@ -152,14 +152,14 @@ class MatcherSettings(Spec, ABC):
         return "alpha" if abs(z) > np.hypot(x, y) else "phi", 1.0
 
     def curves(self, grid: Grid, t_v1: Array) -> Curves:
-        """The epipolar curves between the limits, sampled so."""
+        """The epipolar curves between the range limits, sampled as `sampled` says."""
         sampling, pitch_px = self.sampled(t_v1)
         return epipolar_curves(
             grid, t_v1, d_min_m=self.d_min_m, d_max_m=self.d_max_m, sampling=sampling, pitch_px=pitch_px
         )
 
     def support(self, log_sigma_px: float) -> Support | None:  # noqa: ARG002 - for matchers of filtered panoramas
-        """What a match is made from, given the filter before it; None for a matcher whose window is not fixed."""
+        """The pixels that a match is made from, given the filter before it; None without a fixed window."""
         return None
 
 
@@ -192,7 +192,7 @@ class Parametrised(MatcherSettings):
 
 
 class Reason(IntEnum):
-    """Why a pixel has no match (0: it has one)."""
+    """The reason why a pixel has no match; 0 if it has one."""
 
     MATCHED = 0
     CURVE_LEAVES_IMAGE = 1
@@ -215,9 +215,9 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True, repr=False)
 class Matches(OneLine):
-    """What a matcher found, on view 1's panorama; every array `[height, width]`.
+    """The matches of a pair, on view 1's panorama; every array `[height, width]`.
 
-    Only `alpha_2` is required. What else there is adds to the report.
+    Only `alpha_2` is required. The other arrays add to the report.
     """
 
     alpha_2: Array
@@ -228,13 +228,13 @@ class Matches(OneLine):
     sigma_alpha_2: Array | None = None
     """Predicted standard deviation of `alpha_2`, radians. NaN where there is no match."""
     reason: NDArray[np.uint8] | None = None
-    """`Reason`: why there is no match."""
+    """A `Reason` for each pixel."""
     refined: NDArray[np.bool_] | None = None
-    """Moved off the whole sample by a sub-pixel step; None for a matcher that has no samples."""
+    """Whether a sub-pixel step moved the match off the whole sample; None for a matcher without samples."""
     k: Array | None = None
-    """Position on the curve in samples, NaN where there is no match; None for a matcher that has no samples."""
+    """Position on the curve in samples, NaN where there is no match; None for a matcher without samples."""
     remark: str = ""
-    """What whoever reads the figures has to know of how the matches were made: a sentence, stored with the trial."""
+    """A caveat for readers of the figures about how the matches were made: a sentence, stored with the trial."""
 
     @property
     def reasons(self) -> NDArray[np.uint8]:
@@ -246,17 +246,17 @@ class Matches(OneLine):
 
 @dataclass(frozen=True)
 class Fault:
-    """Something wrong with a matcher's answer."""
+    """A violated rule of the interface in a matcher's answer."""
 
     rule: Literal["form", "shape", "dtype", "angles", "missing"]
     """The rule that it breaks: the form of what is returned, its shape or type, angles in range, or NaN exactly where
     there is no match."""
     text: str
-    """In words, with the first pixel that it concerns."""
+    """A description for people, with the first pixel concerned."""
 
 
 def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
-    """What a third-party matcher returned, checked; copies, read-only.
+    """A third-party matcher's return value as `Matches`, checked; arrays are copied and read-only.
 
     Parameters
     ----------
@@ -275,19 +275,19 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
     if isinstance(answer, Answer):
         on_panorama = converted(answer, grid)
         answer = Matches(on_panorama.alpha_2, on_panorama.confidence, on_panorama.sigma_alpha_2)
-    given = _arrays_of(answer)
-    matched = ~np.isnan(np.asarray(given["alpha_2"]))
+    arrays = _arrays_of(answer)
+    matched = ~np.isnan(np.asarray(arrays["alpha_2"]))
     reason = np.where(matched, np.uint8(Reason.MATCHED), np.uint8(Reason.NO_MATCH))
-    if given["reason"] is not None:
-        reason = np.array(given["reason"], dtype=np.uint8)
+    if arrays["reason"] is not None:
+        reason = np.array(arrays["reason"], dtype=np.uint8)
     reason.flags.writeable = False
     return Matches(
-        alpha_2=_copied(given["alpha_2"]),
-        confidence=None if given["confidence"] is None else _copied(given["confidence"]),
-        sigma_alpha_2=None if given["sigma_alpha_2"] is None else _copied(given["sigma_alpha_2"]),
+        alpha_2=_copied(arrays["alpha_2"]),
+        confidence=None if arrays["confidence"] is None else _copied(arrays["confidence"]),
+        sigma_alpha_2=None if arrays["sigma_alpha_2"] is None else _copied(arrays["sigma_alpha_2"]),
         reason=reason,
-        refined=None if given["refined"] is None else np.array(given["refined"], dtype=bool),
-        k=None if given["k"] is None else _copied(given["k"]),
+        refined=None if arrays["refined"] is None else np.array(arrays["refined"], dtype=bool),
+        k=None if arrays["k"] is None else _copied(arrays["k"]),
         remark=str(answer.remark) if isinstance(answer, Matches) else "",
     )
 
@@ -304,27 +304,27 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
     if isinstance(answer, Answer):
         yield from _answer_faults(answer, grid)
         return
-    given = _arrays_of(answer)
-    if not given:
+    arrays = _arrays_of(answer)
+    if not arrays:
         yield Fault(
             "form",
             "must return alpha_2 as an array, a pair (alpha_2, confidence), Matches, or views.answer(...); "
             f"it returned {type(answer).__name__}",
         )
         return
-    if given["alpha_2"] is None:
+    if arrays["alpha_2"] is None:
         yield Fault("form", "alpha_2 is missing")
         return
     broken = [
         fault
-        for name, value in given.items()
+        for name, value in arrays.items()
         if value is not None
         for fault in _array_faults(name, value, grid.shape, "the panorama's")
     ]
     yield from broken
     if broken:
         return
-    alpha_2 = np.asarray(given["alpha_2"], dtype=np.float64)
+    alpha_2 = np.asarray(arrays["alpha_2"], dtype=np.float64)
     matched = ~np.isnan(alpha_2)
     yield from _fault_where(
         "angles",
@@ -332,9 +332,9 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
         alpha_2,
         matched & ~((alpha_2 >= 0) & (alpha_2 <= np.pi)),
     )
-    yield from _faults_beside({name: given[name] for name in ("confidence", "sigma_alpha_2", "k")}, matched)
-    if given["reason"] is not None:
-        reason = np.asarray(given["reason"])
+    yield from _faults_beside({name: arrays[name] for name in ("confidence", "sigma_alpha_2", "k")}, matched)
+    if arrays["reason"] is not None:
+        reason = np.asarray(arrays["reason"])
         yield from _fault_where(
             "missing",
             f"reason must be one of 0 .. {max(Reason)}",
@@ -347,17 +347,17 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
             reason,
             (reason == Reason.MATCHED) != matched,
         )
-    if given["refined"] is not None:
-        refined = np.asarray(given["refined"])
+    if arrays["refined"] is not None:
+        refined = np.asarray(arrays["refined"])
         yield from _fault_where("missing", "refined must be false where there is no match", refined, refined & ~matched)
 
 
 def _faults_beside(arrays: Mapping[str, Any], matched: NDArray[np.bool_]) -> Iterator[Fault]:
     """Faults of arrays that are finite where there is a match and NaN elsewhere; a standard deviation is above zero."""
-    for name, given in arrays.items():
-        if given is None:
+    for name, array in arrays.items():
+        if array is None:
             continue
-        value = np.asarray(given, dtype=np.float64)
+        value = np.asarray(array, dtype=np.float64)
         yield from _fault_where(
             "missing", f"{name} must be finite where there is a match", value, matched & ~np.isfinite(value)
         )
@@ -396,10 +396,10 @@ def _arrays_of(answer: Any) -> dict[str, Any]:
 
 
 def _array_faults(name: str, value: Any, shape: tuple[int, int], whose: str) -> Iterator[Fault]:
-    """Why a value is not an array of this shape."""
-    kinds, what = ("b", "booleans") if name == "refined" else ("iu", "whole numbers")
+    """Faults of a value that should be an array of this shape."""
+    kinds, expected = ("b", "booleans") if name == "refined" else ("iu", "whole numbers")
     if name not in {"refined", "reason"}:
-        kinds, what = "fiu", "real numbers"
+        kinds, expected = "fiu", "real numbers"
     if not isinstance(value, np.ndarray):
         yield Fault("form", f"{name} must be a NumPy array; it is {type(value).__name__}")
     elif isinstance(value, np.ma.MaskedArray):
@@ -408,11 +408,11 @@ def _array_faults(name: str, value: Any, shape: tuple[int, int], whose: str) -> 
         if value.shape != shape:
             yield Fault("shape", f"{name} must have {whose} shape {shape}; it has {value.shape}")
         if value.dtype.kind not in kinds:
-            yield Fault("dtype", f"{name} must be an array of {what}; its dtype is {value.dtype}")
+            yield Fault("dtype", f"{name} must be an array of {expected}; its dtype is {value.dtype}")
 
 
 def _fault_where(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bool_]) -> Iterator[Fault]:
-    """A fault that some pixels have."""
+    """A fault of some pixels."""
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         more = f", and wrong at {int(wrong.sum())} pixels in all" if wrong.sum() > 1 else ""
@@ -423,7 +423,7 @@ def _fault_where(rule: Any, text: str, value: NDArray[Any], wrong: NDArray[np.bo
 
 
 def _copied(value: Any) -> Array:
-    """A copy: a matcher may use its arrays again."""
+    """A read-only copy, since a matcher may reuse its arrays."""
     array = np.array(value, dtype=np.float64)
     array.flags.writeable = False
     return array

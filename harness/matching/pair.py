@@ -69,11 +69,11 @@ class Pair(OneLine):
     """The pixels of the panorama; matches are on view 1's."""
     interpolation: Interpolation = "bilinear"
     log_sigma_px: float = 1.5
-    """How panoramas are made, and filtered, unless a matcher asks for something else."""
+    """Interpolation and filter of the panoramas, unless a matcher asks for others."""
     threads: int | None = None
-    """How many may be used; all available CPUs when None. No result may depend on it."""
+    """Most threads to use; all available CPUs when None. No result may depend on it."""
     keys: tuple[Hashable, Hashable] = field(default_factory=lambda: (object(), object()))
-    """What identifies each image and its pose where results are shared."""
+    """Keys of each image and its pose, under which results are shared."""
     share: Share = field(default_factory=sharing)
     bands: Callable[[int], Bands] | None = None
     """`bands(view)`: red, green and blue of an image, made when asked for; None where there is only grey."""
@@ -129,7 +129,7 @@ class Pair(OneLine):
         return self.threads or available_cpus()
 
     def panoramas(self, interpolation: Interpolation | None = None) -> tuple[Panorama, Panorama]:
-        """Both views on the grid, **both in v1's orientation**: what is left between them is a pure translation."""
+        """Both views on the grid, **both in v1's orientation**: only a translation remains between them."""
         how = interpolation or self.interpolation
         rotations = (np.eye(3), self.motion.R_v2_from_v1)
 
@@ -151,7 +151,7 @@ class Pair(OneLine):
     def filtered(
         self, log_sigma_px: float | None = None, interpolation: Interpolation | None = None
     ) -> tuple[Panorama, Panorama]:
-        """The panoramas after the Laplacian of Gaussian; 0 leaves them as they are."""
+        """The panoramas after the Laplacian of Gaussian; a sigma of 0 leaves them unfiltered."""
         sigma = self.log_sigma_px if log_sigma_px is None else log_sigma_px
         how = interpolation or self.interpolation
         panoramas = self.panoramas(how)
@@ -281,7 +281,7 @@ class Pair(OneLine):
         return made_answer(None, self.t_v1, None, quantities, confidence, sigma)
 
     def shared(self, stage: str, settings: Hashable, make: Callable[[], T]) -> T:
-        """Something made of this pair with some settings, shared with other matchers that need the same.
+        """A result computed from this pair with some settings, shared with other matchers that need the same.
 
         Parameters
         ----------
@@ -296,7 +296,7 @@ class Pair(OneLine):
 
 
 def _locked(array: NDArray[G]) -> NDArray[G]:
-    """The same, read-only: a view of an array that owns its memory stays as it is."""
+    """A read-only view of an array, or of a copy if the array is writable."""
     held = array.copy() if array.flags.writeable else array
     held.flags.writeable = False
     return held.view()

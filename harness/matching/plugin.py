@@ -44,15 +44,15 @@ class Plugin(Parametrised):
         return kind
 
     def match(self, pair: Pair) -> Matches:
-        """What the function returned, checked."""
+        """The function's return value, checked."""
         return as_matches(self.answer(pair), pair.grid, self.kind)
 
     def answer(self, pair: Pair) -> Any:
-        """What the function returned, unchecked."""
+        """The function's return value, unchecked."""
         return answer(pair, self)
 
     def match_seconds(self, image_mp: float, curve_mp: float) -> None:
-        """None: what runs there is not this program's."""
+        """None: the time of third-party code is not known."""
 
     def check(self) -> None:
         """Check that the function exists, and takes its parameters."""
@@ -64,7 +64,7 @@ class Plugin(Parametrised):
 
 
 def answer(pair: Pair, matcher: Plugin) -> Any:
-    """What the function returned, unchecked.
+    """The function's return value, unchecked.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
     matcher.check()
     function = plugins.find(matcher.kind)
     try:
-        with plugins.contained(), np.errstate():  # what it sets is its own
+        with plugins.contained(), np.errstate():  # its changes of NumPy's error state end here
             run = plugins.runner(matcher.kind, matcher.parameters)
             return run(replace(pair, owner=matcher.kind), matcher)
     except InputError:
@@ -88,7 +88,7 @@ def answer(pair: Pair, matcher: Plugin) -> Any:
 
 
 def _place_in(function: Callable[..., Any], error: BaseException) -> str:
-    """Where in the function's, or class's, own file an error was raised."""
+    """The line of the function's, or class's, own file at which an error was raised."""
     try:
         file = inspect.getsourcefile(inspect.unwrap(function))
     except TypeError:  # built in, or made at run time

@@ -47,9 +47,11 @@ def find(kind: str) -> Callable[..., Any]:
         source_of(module_name, kind)
     for name in attributes.split("."):
         if not hasattr(target, name):
-            there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
+            available = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
             where = getattr(module, "__file__", None) or "built in"
-            raise InputError(f"the module {module_name} ({where}) has no '{name}'; {nearest(name, there)}", file=kind)
+            raise InputError(
+                f"the module {module_name} ({where}) has no '{name}'; {nearest(name, available)}", file=kind
+            )
         target = getattr(target, name)
     if not callable(target):
         raise InputError(f"is a {type(target).__name__}, not a function", file=kind)
@@ -58,11 +60,10 @@ def find(kind: str) -> Callable[..., Any]:
 
 
 def runner(kind: str, parameters: Mapping[str, Any]) -> Callable[[Any, Any], Any]:
-    """What answers for a pair and limits: a function with its parameters, or the instance that a class made of them.
+    """The callable that takes a pair and limits: a function with its parameters bound, or an instance of a class.
 
-    An instance is made once in a thread, and made again when its source or a file among its parameters has changed; of
-    the latest `MOST_LOADED` each thread keeps one. Whatever is slow to start, such as a network, is loaded so once a
-    worker.
+    Each thread keeps the `MOST_LOADED` instances that it used last, and makes one again only when its source or a file
+    among its parameters has changed. So what is slow to load, such as a network, is loaded once in each worker.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def runner(kind: str, parameters: Mapping[str, Any]) -> Callable[[Any, Any], Any
 
 
 MOST_LOADED = 4
-"""How many instances of classes a thread keeps: networks may be large, and a run may compare a few."""
+"""Most instances of classes that a thread keeps: networks may be large, and a run may compare a few."""
 
 _of_thread = threading.local()
 
@@ -136,7 +137,7 @@ def takes(kind: str, name: str) -> bool:
 
 
 def digest(kind: str, parameters: Mapping[str, Any]) -> str:
-    """SHA-256 of what name and parameters do not determine: the function's source, and the files in parameters.
+    """SHA-256 of the function's source and of the files in parameters, which name and parameters do not determine.
 
     A function counts with its module; a module in a package with all files of the package, data too. What they import
     counts likewise: installed libraries by their version, anything else by its files. Nothing is imported.
@@ -158,7 +159,7 @@ def _address(kind: str) -> tuple[str, str]:
 
 
 def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], bool] | None:
-    """The parameters after the pair and the limits, and whether there may be any others; None when it does not say.
+    """The parameters after the pair and the limits, and whether any others are taken; None without a signature.
 
     Those of a class are what it is made from; its instances take the pair and the limits.
 
@@ -182,7 +183,7 @@ def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], 
 
 
 def _call_of(target: type) -> Callable[..., Any]:
-    """What runs when an instance of a class is called.
+    """The `__call__` method of a class.
 
     Raises
     ------

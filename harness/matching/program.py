@@ -123,11 +123,11 @@ class Program(Parametrised):
         return as_matches(self.answer(pair), pair.grid, _name(self))
 
     def answer(self, pair: Pair) -> Matches:
-        """What the program wrote, unchecked."""
+        """The matches that the program wrote, unchecked; errors as in `match`, except for the arrays' values."""
         return answer(pair, self)
 
     def match_seconds(self, image_mp: float, curve_mp: float) -> None:
-        """None: what runs there is not this program's."""
+        """None: the time of third-party code is not known."""
 
     def check(self) -> None:
         """Check that the command exists."""
@@ -144,7 +144,7 @@ class Program(Parametrised):
 
 
 def answer(pair: Pair, program: Program) -> Matches:
-    """What the program wrote, as it is; errors as in `Program.match`, but for what is in the arrays."""
+    """The matches that the program wrote, unchecked; errors as in `Program.match`, except for the arrays' values."""
     name = _name(program)
     with tempfile.TemporaryDirectory(prefix="omnirange-", ignore_cleanup_errors=True) as temporary:
         folder = Path(temporary)
@@ -182,13 +182,13 @@ def digest(program: Program) -> str:
     InputError
         When a file cannot be read, or a pattern of `files` names none or too many.
     """
-    words = [Path(word) for word in program.command if Path(word).is_file()]
-    if not words and (executable := shutil.which(program.command[0])):
-        words = [Path(executable)]
+    files = [Path(word) for word in program.command if Path(word).is_file()]
+    if not files and (executable := shutil.which(program.command[0])):
+        files = [Path(executable)]
     lines = []
-    for word in words:
-        beside = script_files(word) if is_python(word) else []
-        lines += [hash_of(word), *(f"{each.relative_to(word.parent).as_posix()} {hash_of(each)}" for each in beside)]
+    for word in files:
+        scripts = script_files(word) if is_python(word) else []
+        lines += [hash_of(word), *(f"{each.relative_to(word.parent).as_posix()} {hash_of(each)}" for each in scripts)]
     lines += [f"{name} {hash_of(path)}" for name, path in named_files(program.parameters.items())]
     if program.files:
         lines += ["files", *sorted(f"{path.name} {hash_of(path)}" for path in _matching_files(program.files))]
@@ -210,7 +210,7 @@ def _matching_files(patterns: Sequence[str]) -> list[Path]:
 
 
 def with_absolute_files(command: Sequence[Any], folder: Path, *, patterns: bool = False) -> list[Any]:
-    """The words of a command with those that name a file of a folder made absolute.
+    """A command whose words are made absolute paths where they name a file in a folder.
 
     The first word is looked for on the search path unless there is a slash in it, as a shell does, and then beside the
     experiment.
@@ -255,7 +255,7 @@ def _word(value: Any) -> str:
 
 
 def write_input(pair: Pair, program: Program, folder: Path) -> None:
-    """Write everything that a matcher gets: neither the truth nor the scene."""
+    """Write a matcher's whole input, which includes neither the truth nor the scene."""
     poses = (Pose(), pose_in(pair.motion))
     turned = (np.eye(3), pair.motion.R_v2_from_v1.T)
     for view, panorama in enumerate(pair.panoramas()):
@@ -276,17 +276,17 @@ def _without_null(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _name(program: Program) -> str:
-    """Its name in messages: the first file of its own, not the interpreter."""
+    """The program's name in messages: the first file among its arguments, rather than the interpreter."""
     files = [word for word in program.command[1:] if Path(word).is_file()]
     return f"program {Path((files or program.command)[0]).name}"
 
 
 def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
-    """Run to the end or until the time is up; nothing that it has started remains in its process group."""
+    """Run a command to its end or until the time is up; no process of its group is left running."""
     log = folder / "stderr"
     with log.open("wb") as stderr, _group_that_dies_with_us() as group:
         try:
-            process = subprocess.Popen(  # noqa: S603 - to run what the user names is what it is for
+            process = subprocess.Popen(  # noqa: S603 - its purpose is to run the user's command
                 command,
                 cwd=folder / "work",
                 stdin=subprocess.DEVNULL,
@@ -312,7 +312,7 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
 
 @contextlib.contextmanager
 def _group_that_dies_with_us() -> Iterator[int | None]:
-    """A process group that is killed when this process is, and no longer watches its time.
+    """A process group that is killed if this process dies and can no longer enforce the time limit.
 
     Its first member waits at a pipe, which ends with the process that holds the other end. It is there before the
     program is, so that there is no moment in which a program would be left alone.
@@ -354,14 +354,14 @@ def _read_answer(folder: Path, grid: Grid, name: str) -> Matches:
         raise InputError("removed the output folder", file=name)
     alpha_2 = _read_array(folder / "alpha_2.npy", grid, name)
     if alpha_2 is None:
-        others = ", ".join(sorted(path.name for path in folder.iterdir())[:5]) or "nothing"
-        raise InputError(f"wrote no alpha_2.npy into the output folder, but {others}", file=name)
+        present = ", ".join(sorted(path.name for path in folder.iterdir())[:5]) or "nothing"
+        raise InputError(f"wrote no alpha_2.npy into the output folder, but {present}", file=name)
     confidence, sigma = (_read_array(folder / f"{each}.npy", grid, name) for each in ("confidence", "sigma_alpha_2"))
     return Matches(alpha_2, confidence, sigma)
 
 
 def _read_array(path: Path, grid: Grid, name: str) -> NDArray[Any] | None:
-    """The array in a file, None when there is none."""
+    """The array in a file; None if there is no such file."""
     if not os.path.lexists(path):
         return None
     if not path.is_file():  # a pipe would be waited for

@@ -1,4 +1,4 @@
-"""The images that a matcher may ask for beside the panorama: where their pixels look, and what pixel sees a direction.
+"""The images that a matcher may ask for beside the panorama: from pixels to directions, and back.
 
 All of them are in view 1's orientation, so that two views differ by the translation t alone, and none is a mirror
 image: what is on the right of something is on its right. The centre of pixel [row, column] is at whole numbers.
@@ -17,7 +17,7 @@ from harness.errors import InputError
 from harness.geometry.angles import Array, normalise
 
 MOST_PX = 16384
-"""The most rows or columns."""
+"""The most rows or columns of an image."""
 
 Along = Literal["rows", "columns"]
 
@@ -54,7 +54,7 @@ class Projection(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What it is, in messages."""
+        """A description for messages."""
 
     @abstractmethod
     def looking(self, row: ArrayLike, column: ArrayLike) -> Array:
@@ -118,12 +118,12 @@ class Equirectangular(Projection):
 
     @property
     def wraps(self) -> tuple[bool, bool]:
-        """Columns do."""
+        """Columns wrap, rows do not."""
         return False, True
 
     @property
     def words(self) -> str:
-        """What it is, in messages."""
+        """A description for messages."""
         return f"an equirectangular image of {self.height_px} x {self.width_px} pixels"
 
     def looking(self, row: ArrayLike, column: ArrayLike) -> Array:
@@ -155,7 +155,7 @@ class Rectified(Projection):
     t_v1: Vector = (1.0, 0.0, 0.0)
     """Viewpoint 2 in v1's frame."""
     along: Along = "rows"
-    """Which of them are epipolar curves."""
+    """Whether rows or columns are epipolar curves."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -169,12 +169,12 @@ class Rectified(Projection):
 
     @property
     def wraps(self) -> tuple[bool, bool]:
-        """The half planes do."""
+        """The axis along which the half planes follow each other wraps."""
         return self.along == "rows", self.along == "columns"
 
     @property
     def words(self) -> str:
-        """What it is, in messages."""
+        """A description for messages."""
         return f"a rectified image of {self.height_px} x {self.width_px} pixels, its {self.along} along the baseline"
 
     @cached_property
@@ -188,7 +188,7 @@ class Rectified(Projection):
 
     @property
     def _turn(self) -> float:
-        """Which way around the baseline the half planes follow, so that the image is no mirror image."""
+        """The sense in which half planes follow each other around the baseline: the one without a mirror image."""
         return -1.0 if self.along == "rows" else 1.0
 
     def looking(self, row: ArrayLike, column: ArrayLike) -> Array:
@@ -233,7 +233,7 @@ class Perspective(Projection):
 
     @property
     def words(self) -> str:
-        """What it is, in messages."""
+        """A description for messages."""
         return f"a perspective image of {self.height_px} x {self.width_px} pixels"
 
     @cached_property

@@ -51,7 +51,7 @@ def method_of(matcher: MatcherSettings) -> tuple[str, str]:
 
 
 def carried_over(settings: Mapping[str, Any], kind: Any) -> dict[str, Any]:
-    """The table of a matcher after its `kind` was changed: keys that the new one has stay."""
+    """The table of a matcher after its `kind` was changed, with the keys that the new kind has too."""
     model = BUILT_IN.get(kind, Plugin) if isinstance(kind, str) else Plugin
     if settings.get("kind") == kind:
         return dict(settings)

@@ -1,4 +1,4 @@
-"""How sure a match is, for matchers that do not say so themselves: from what is left between the two views.
+"""Uncertainty of matches, for matchers that give none: from the residuals between the two views.
 
 Around its match a window of view 2 differs from that of view 1 by residuals r, and answers to alpha_2 with gradients g.
 The least-squares estimate of alpha_2 from the window, `-Σ g r/Σ g²`, has the variance
@@ -22,14 +22,14 @@ from harness.matching.interface import MatcherSettings, Matches
 from harness.matching.pair import Pair
 
 _LAGS = 6
-"""As far as correlations are looked for, in pixels: four standard deviations of the usual filter."""
+"""Largest lag of the autocorrelation, pixels: four standard deviations of the usual filter."""
 
 _LEAST_SHARE = 0.5
 """The least share of a window's pixels that must have a match and lie in both panoramas."""
 
 
 def sigma_alpha_2(pair: Pair, matcher: MatcherSettings, matches: Matches) -> Array:
-    """Standard deviation of alpha_2, radians `[height, width]`; NaN where there is no match or nothing to tell it from.
+    """Standard deviation of alpha_2, radians `[height, width]`; NaN without a match, or with too few pixels around it.
 
     The matcher's own prediction if it makes one. Whole samples add that of an even distribution over one step.
     """
@@ -63,7 +63,7 @@ def _photometric_variance(pair: Pair, curves: Curves, alpha_2: Array, window_px:
 
 
 def sampled_at(panorama: Panorama, curves: Curves, alpha_2: Array) -> Array:
-    """What view 2 shows under an angle of each pixel's curve `[height, width]`; NaN outside the panorama."""
+    """View 2's value at an angle alpha_2 on each pixel's curve, `[height, width]`; NaN outside the panorama."""
     grid = panorama.grid
     t_hat = curves.t / np.linalg.norm(curves.t)
     direction = np.cos(alpha_2)[..., None] * t_hat + np.sin(alpha_2)[..., None] * curves.m

@@ -108,8 +108,8 @@ def made_answer(
     """
     given = [name for name, value in quantities.items() if value is not None]
     if len(given) != 1:
-        found = f"it has {' and '.join(given)}" if given else "it has none of them"
-        raise InputError(f"an answer must have exactly one of {', '.join(QUANTITIES)}; {found}")
+        detail = f"it has {' and '.join(given)}" if given else "it has none of them"
+        raise InputError(f"an answer must have exactly one of {', '.join(QUANTITIES)}; {detail}")
     return Answer(projection, t_v1, seen, confidence=confidence, sigma=sigma, **quantities)
 
 
@@ -127,8 +127,8 @@ def views_of(pair: "Pair", projection: Projection, *, colour: bool, interpolatio
         image.flags.writeable = valid.flags.writeable = False
         return image, valid
 
-    made = [_shared(pair, view, (projection, how, colour), partial(one, view)) for view in (0, 1)]
-    return Views(projection, (made[0][0], made[1][0]), (made[0][1], made[1][1]), pair.t_v1)
+    projected = [_shared(pair, view, (projection, how, colour), partial(one, view)) for view in (0, 1)]
+    return Views(projection, (projected[0][0], projected[1][0]), (projected[0][1], projected[1][1]), pair.t_v1)
 
 
 def _shared(pair: "Pair", view: int, settings: Hashable, make: Callable[[], Any]) -> Any:

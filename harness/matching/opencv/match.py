@@ -1,5 +1,5 @@
-"""What people use today, through the same interface as the matchers here: OpenCV's StereoBM, StereoSGBM and
-`omnidir.stereoReconstruct`. They need the extra `peers`.
+"""OpenCV's matchers through this program's interface: StereoBM, StereoSGBM and `omnidir.stereoReconstruct`. They need
+the extra `peers`.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from harness.matching.pair import Pair
 from harness.opencv import opencv, threads
 
 _FIXED_POINT = 16
-"""OpenCV's disparities are whole numbers of sixteenths of a pixel; negative where there is none."""
+"""OpenCV's disparities are integers, in sixteenths of a pixel; negative for no match."""
 
 
 S = TypeVar("S", bound=OpenCV)
@@ -56,8 +56,8 @@ def in_opencv(pair: Pair, matcher: S, work: Callable[[Pair, S, Any], Matches]) -
         with threads(cv2, pair.available_threads):
             return work(pair, matcher, cv2)
     except cv2.error as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"OpenCV rejects these settings: {said}", file=matcher.kind) from error
+        message = " ".join(str(error).split())
+        raise InputError(f"OpenCV rejects these settings: {message}", file=matcher.kind) from error
 
 
 def block_match(pair: Pair, matcher: StereoBM | StereoSGBM, cv2: Any) -> Matches:
@@ -144,7 +144,7 @@ def reconstruct(pair: Pair, matcher: StereoReconstruct, cv2: Any) -> Matches:
 def _of_gaps(
     pair: Pair, matcher: StereoReconstruct, rectangle: Rectangle, frame: Array, range_m: Array, cv2: Any
 ) -> NDArray[np.bool_]:
-    """Pixels of the rectangle whose point is made of a pixel that is not finite, in either view."""
+    """Pixels of the rectangle whose point depends on a pixel that is not finite, in either view."""
     rotations = (np.eye(3), pair.motion.R_v2_from_v1)
     gaps = [
         around_gaps(

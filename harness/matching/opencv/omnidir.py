@@ -41,7 +41,7 @@ _LARGEST_PX = 4096
 _BEHIND_DEG = 165.0
 """The largest angle off the axis that a resampled image shows: at 180 it has no end."""
 _BLOCK_DEG = 5.0
-"""What is shown beyond the panorama, for the blocks of its outermost pixels."""
+"""Margin around the panorama's field, degrees, for the blocks of its outermost pixels."""
 
 Camera = tuple[Array, Array, Array]
 """K `[3, 3]`, distortion `[1, 4]` and xi `[1, 1]`, as OpenCV writes them."""
@@ -56,7 +56,7 @@ class OmnidirView:
     opencv_from_sensor: Array
     """`[3, 3]`, orthogonal: from directions of the sensor's frame to the camera's; determinant -1 for mirror images."""
     remark: str
-    """What was done, with its residual; empty where the camera is the sensor's own."""
+    """How the image or the camera was approximated, with the residual; empty if the camera is the sensor's own."""
 
 
 def omnidir_views(pair: Pair, cv2: Any) -> tuple[OmnidirView, OmnidirView]:
@@ -66,19 +66,19 @@ def omnidir_views(pair: Pair, cv2: Any) -> tuple[OmnidirView, OmnidirView]:
     mirrored = [bool(np.linalg.det(frame) < 0) for frame in frames]
     # A view that is resampled can be made either; of two that are not, the second is.
     one = mirrored[0] if cameras[0][0] is not None else cameras[1][0] is not None and mirrored[1]
-    made = []
+    views = []
     for view, ((camera, remark), frame) in enumerate(zip(cameras, frames, strict=True)):
         if camera is None or mirrored[view] != one:
-            made.append(_resampled(pair, view, one, remark, cv2))
+            views.append(_resampled(pair, view, one, remark, cv2))
         else:
             closed, _, _ = closed_image(pair.images[view], pair.sensors[view])
-            made.append(OmnidirView(_in_8_bits(closed), camera, frame, remark))
-    return made[0], made[1]
+            views.append(OmnidirView(_in_8_bits(closed), camera, frame, remark))
+    return views[0], views[1]
 
 
 @lru_cache(maxsize=16)
 def _camera_of(sensor: Sensor) -> tuple[Camera | None, str]:
-    """The unified camera that takes the sensor's images as they are, if there is one, and what there is to say."""
+    """The unified camera of the sensor's images as they are, with a remark; or None, with the reason why."""
     if isinstance(sensor.model, Mirror | Unified) and not sensor.lens.k3:
         return mei(sensor), ""
     target = Target("unified", k3=False)
@@ -100,11 +100,11 @@ def _parts(nearest: Conversion) -> dict[str, Any]:
 
 
 def _resampled(pair: Pair, view: int, mirrored: bool, why: str, cv2: Any) -> OmnidirView:
-    """The view in a stereographic image that is made for it."""
+    """The view resampled to a stereographic image."""
     sensor = pair.sensors[view]
     looking = directions(pair.grid) @ (pair.motion.R_v2_from_v1.T if view else np.eye(3))
-    seen = in_use(sensor, looking)
-    heights = looking[seen if seen.any() else np.ones_like(seen)][:, 2]
+    visible = in_use(sensor, looking)
+    heights = looking[visible if visible.any() else np.ones_like(visible)][:, 2]
     lowest, highest = (math.degrees(math.asin(np.clip(each, -1, 1))) for each in (heights.min(), heights.max()))
     up = 90 - lowest <= 90 + highest
     reach_deg = min((90 - lowest if up else 90 + highest) + _BLOCK_DEG, _BEHIND_DEG)
@@ -116,9 +116,9 @@ def _resampled(pair: Pair, view: int, mirrored: bool, why: str, cv2: Any) -> Omn
     gamma, centre = 2 * per_radian, (side - 1) / 2
     image = _sampled(pair.images[view], sensor, _stereographic(side, gamma) @ frame, cv2)
     K = np.array([[gamma, 0.0, centre], [0.0, gamma, centre], [0.0, 0.0, 1.0]])
-    what = f"an image of the {sensor.model.title} was resampled into a unified camera with xi = 1, {side} px wide, for"
+    text = f"an image of the {sensor.model.title} was resampled into a unified camera with xi = 1, {side} px wide, for"
     because = why or "one view is a mirror image and the other is none"
-    return OmnidirView(image, (K, np.zeros((1, 4)), np.ones((1, 1))), frame, f"{what} OpenCV's omnidir: {because}")
+    return OmnidirView(image, (K, np.zeros((1, 4)), np.ones((1, 1))), frame, f"{text} OpenCV's omnidir: {because}")
 
 
 @lru_cache(maxsize=16)
@@ -126,8 +126,8 @@ def _pixels_per_radian(sensor: Sensor) -> float:
     """The median over pixels that see something of the root of the pixels in a steradian."""
     rays, valid = pixel_directions(sensor)
     every = max(1, math.isqrt(int(valid.sum()) // 10_000))
-    seen = rays[::every, ::every][valid[::every, ::every]]
-    return float(np.sqrt(np.median(pixels_per_steradian(sensor, seen))))
+    sampled = rays[::every, ::every][valid[::every, ::every]]
+    return float(np.sqrt(np.median(pixels_per_steradian(sensor, sampled))))
 
 
 def _stereographic(side: int, gamma: float) -> Array:

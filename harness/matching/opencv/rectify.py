@@ -32,7 +32,7 @@ from harness.matching.pair import Pair
 _LANCZOS_TAPS = 8
 
 _AROUND_THE_SEAM = 24
-"""Degrees of h, at least, that are there twice on each side: what a path of StereoSGBM remembers."""
+"""Least overlap on each side, degrees of h that appear twice: the reach of a path of StereoSGBM."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class Rectangle:
     """
 
     around: int
-    """Rows once around the baseline, even; half as many columns are the angles from -t to t."""
+    """Rows in one turn around the baseline, even; half as many columns span the angles from -t to t."""
     margin_columns: int = 0
     margin_rows: int = 0
-    """On each side."""
+    """Additional rows on each side."""
 
     @property
     def step(self) -> float:
@@ -60,13 +60,13 @@ class Rectangle:
 
     @property
     def K(self) -> Array:
-        """`[3, 3]`: what OpenCV calls Knew; (theta, h) in radians to pixels."""
+        """`[3, 3]`: OpenCV's Knew, from (theta, h) in radians to pixels."""
         return np.array(
             [[1 / self.step, 0, self.margin_columns - 0.5], [0, 1 / self.step, self.margin_rows - 0.5], [0, 0, 1]]
         )
 
     def pixels_of(self, R_rect_from_v1: Array, directions: Array) -> tuple[Array, Array]:
-        """Row and column, with fractions, at which directions `[..., 3]` of v1 are seen.
+        """Row and column `[...]`, with fractions, of directions `[..., 3]` in v1's frame.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Rectified:
 
 
 def disparities(limits: MatcherSettings, baseline_m: float, step: float) -> int:
-    """How many disparities OpenCV has to search, a multiple of 16.
+    """The number of disparities that OpenCV has to search, a multiple of 16.
 
     Seen from d_min the baseline spans at most asin(|t|/d_min), the disparity of the nearest point searched; two more,
     so that it has neighbours for the sub-pixel step. If d_min is not beyond the baseline: a half circle.
@@ -223,7 +223,7 @@ def maps_to_view(
             cv2.CV_32FC1,
             cv2.omnidir.RECTIFY_LONGLATI,
         )
-        # Beyond the asymptote OpenCV's formula turns over and lands on the image again: the field says what is seen.
+        # Beyond the asymptote OpenCV's formula folds back onto the image: the field of view decides what is visible.
         valid = in_field(sensor, looking) & on_image(sensor, np.stack([u, v], axis=-1))
     for array in (u, v, valid):
         array.flags.writeable = False

@@ -18,7 +18,7 @@ def _odd(value: int) -> int:
 
 
 class OpenCV(MatcherSettings):
-    """What all of OpenCV's matchers have: a block, on a rectified pair of some size.
+    """Base of the settings of OpenCV's matchers: a block, on a rectified pair of some size.
 
     How many disparities are searched follows from `d_min_m`: see `rectify.disparities`.
     """
@@ -33,12 +33,12 @@ class OpenCV(MatcherSettings):
 
     @property
     def extra(self) -> str:
-        """OpenCV is one."""
+        """The extra that installs OpenCV."""
         return "peers"
 
 
 class Filtered(OpenCV):
-    """What StereoBM and StereoSGBM have in common beyond that."""
+    """Base of the settings of StereoBM and StereoSGBM."""
 
     interpolation: Literal["linear", "cubic", "lanczos4"] = "linear"
     """How the rectified pair is interpolated; OpenCV itself rectifies with `linear`."""

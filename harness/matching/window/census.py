@@ -1,4 +1,4 @@
-"""The census transform: which of a pixel's neighbours are darker than it, as bits."""
+"""The census transform: a bit for each neighbour of a pixel, set if the neighbour is darker."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Where a whole window fits into a panorama, and which pixels are searched for."""
+"""The pixels of a panorama around which a whole window fits, and the pixels to search for."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ def window_centres(panorama: Panorama, window_px: int) -> NDArray[np.bool_]:
 
 
 def whole_windows(valid: NDArray[np.bool_], window_px: int) -> NDArray[np.bool_]:
-    """The same for a mask `[height, width]`."""
+    """Pixels of a mask `[height, width]` whose whole window is set; see `window_centres`."""
     half = window_px // 2
     if valid.all():
         whole = np.ones(valid.shape, dtype=bool)

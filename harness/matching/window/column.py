@@ -1,4 +1,4 @@
-"""Windows whose columns follow the epipolar map: the same comparison, at a cost that the window's size does not change.
+"""Windows whose columns follow the epipolar map, compared at a cost that does not depend on the window's size.
 
 Both panoramas have one orientation, so that only t is left between them. Let u be a column's azimuth from that of t,
 counted to either side, 0 < u < pi. A point seen in this column appears in view 2 farther from t, at u + w, and
@@ -107,7 +107,7 @@ def costs_along_curve(
 
 
 def _over_columns(work: Callable[[int, int], None], image: Panorama, window_px: int, threads: int) -> None:
-    """Deal out the columns. Those before and after a band enter its windows too, so bands are few."""
+    """Distribute the columns over threads, in few bands: columns before and after a band enter its windows too."""
     width = image.grid.width_px
     # More bands than threads, to even out.
     bands = 1 if threads == 1 else min(2 * threads, max(1, width // (4 * window_px)))
@@ -220,12 +220,12 @@ class _Comparison:
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """Where the rows of every column go, for every sample that is searched, or beside one that is."""
+    """The maps of every column's rows into view 2, for every sample that is searched and its neighbours."""
 
     half: bool
-    """These are the maps half a sample after the whole ones."""
+    """Whether the maps are of samples k + 1/2 instead of k."""
     k_0: int
-    """The sample that comes first in the arrays below."""
+    """The first sample of the arrays below."""
     sign: Integers
     """`[width]`: 1 where phi grows along the curves, -1 where it falls."""
     gain: Integers
@@ -238,7 +238,7 @@ class _Maps:
 
 @dataclass(frozen=True, eq=False)
 class _Searched:
-    """Which samples are searched."""
+    """The samples that are searched, by pixel and by column."""
 
     k_first: Integers
     k_last: Integers
@@ -320,7 +320,7 @@ def _rows(searched: _Searched, window_px: int) -> _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Images:
-    """What is compared."""
+    """The images in the form that the kernel compares."""
 
     first: Integers
     """`[width, height]`: whole numbers of 1/PER_GREY, or census transforms."""
@@ -330,7 +330,7 @@ class _Images:
     """`[width parts, height]`: a pixel in the upper 16 bits and the step to the next row in the lower ones, or a census
     transform."""
     parts: int
-    """Columns of view 2 in one of view 1."""
+    """Columns of view 2 per column of view 1."""
 
 
 def _images(first: Panorama, second: Panorama, matcher: WindowMatcher, parts: int) -> _Images:

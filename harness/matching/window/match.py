@@ -58,7 +58,7 @@ def whole_pixels(pair: Pair, matcher: WindowMatcher) -> WholePixelMatches:
 def match_whole_pixels(
     first: Panorama, second: Panorama, t_v1: Array, matcher: WindowMatcher, *, threads: int | None = None
 ) -> WholePixelMatches:
-    """Search the whole epipolar curve of every pixel; a tie goes to the sample nearer to infinity.
+    """The best sample on the epipolar curve of every pixel; of equally good ones, the one nearer to infinity.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def match(
 def _refine_on_images(
     whole: WholePixelMatches, matcher: WindowMatcher, images: tuple[Panorama, Panorama], threads: int
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Offset and whether there is one, as `refine`, by the steps that look at the images again."""
+    """Offset and validity, as from `refine`, by the steps that use the images beside the costs."""
     if matcher.subpixel == "images":
         return gauss_newton(*images, whole, matcher, threads)
     costs = _KINDS[matcher.kind].costs_of_half_samples(*images, whole, matcher, threads)

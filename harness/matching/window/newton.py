@@ -105,7 +105,7 @@ def gauss_newton(
 
 
 def _epipolar_maps(grid: Grid, t: Array) -> tuple[Array, Array, Array]:
-    """Azimuth of each column away from t, its cotangent, and what t_z lifts a row by, `[width]` each."""
+    """Azimuth of each column away from t, its cotangent, and the shift of rows by t_z, `[width]` each."""
     away = np.abs(wrap_angle(grid.phi - np.arctan2(t[1], t[0])))
     with np.errstate(divide="ignore", invalid="ignore"):  # a column along t has no map, and no matches
         lift = -t[2] / (np.hypot(t[0], t[1]) * np.sin(away))

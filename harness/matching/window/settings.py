@@ -1,4 +1,4 @@
-"""Settings of the window matchers, and what passes from the search to the sub-pixel step."""
+"""Settings of the window matchers, and the result of the search, on which the sub-pixel step works."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -105,7 +105,7 @@ class WindowMatcher(MatcherSettings):
         return self.model_copy(update={"subpixel": "none"})
 
     def support(self, log_sigma_px: float) -> Support:
-        """The window, and as far around it as the filter's kernel reaches: all that a match is made from."""
+        """The window and the reach of the filter's kernel around it: all pixels that a match is made from."""
         return Support(max(3, self.window_px + 2 * kernel_reach(log_sigma_px)), "frontal")
 
     @property

@@ -170,7 +170,10 @@ def in_interleaved_rows(work: Callable[[NDArray[np.intp]], None], height: int, t
 
 @dataclass(frozen=True, eq=False)
 class _Images:
-    """What is compared; padded by half a window of columns on both sides. What the cost does not ask for is empty."""
+    """Images in the form that the kernel compares, padded by half a window of columns on both sides.
+
+    Arrays that the cost does not use are empty.
+    """
 
     first: NDArray[np.float32]
     second: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Sub-pixel steps: where between the samples of an epipolar curve the cost is least (section 6 of the paper)."""
+"""Sub-pixel steps: the position of the least cost between samples of an epipolar curve (section 6 of the paper)."""
 
 from typing import Literal
 
