@@ -1,4 +1,4 @@
-"""Which part of the field of view is covered by boards."""
+"""The part of the field of view that is covered by boards."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _CELLS = 12
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Coverage(OneLine):
-    """Where corners lie in the image."""
+    """The distribution of corners over the image."""
 
     counts: Array
     """`[rows, columns]`: corners in each square cell of the image; NaN in cells outside the field."""

@@ -122,8 +122,8 @@ def _from_npz(file: Path) -> ImageCorners:
         raise InputError(f"cannot be read as an NPZ archive ({error})", file=file) from error
     for name in ("points_m", "pixels", "image"):
         if name not in arrays:
-            there = ", ".join(arrays) or "none"
-            raise InputError(f"the array '{name}' is missing; there are: {there}", file=file)
+            available = ", ".join(arrays) or "none"
+            raise InputError(f"the array '{name}' is missing; there are: {available}", file=file)
     points, pixels, image = arrays["points_m"], arrays["pixels"], arrays["image"]
     if points.shape != pixels.shape or points.ndim != 2 or points.shape[1] != 2 or image.shape != points.shape[:1]:
         raise InputError(

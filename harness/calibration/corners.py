@@ -122,8 +122,8 @@ def corners_of(
                 f"give positions in metres: an extent of {_LEAST_M:g} to {_MOST_M:g}",
                 file=file,
             )
-        for where, places in (("board", points), ("image", pixels)):
-            if np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-6 * np.ptp(places)) < 2:
+        for where, positions in (("board", points), ("image", pixels)):
+            if np.linalg.matrix_rank(positions - positions.mean(axis=0), tol=1e-6 * np.ptp(positions)) < 2:
                 raise InputError(f"the corners of image '{name}' lie on one line of the {where}", file=file)
     return Corners(
         tuple(name for name, _, _ in views),

@@ -71,9 +71,9 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
             "image, sharp and evenly lit, its squares at least 10 pixels wide. Or give corners from elsewhere with "
             "--corners"
         )
-    places = [(names[i], board.points_m, corners_of_image[i]) for i in sorted(corners_of_image)]
+    detections = [(names[i], board.points_m, corners_of_image[i]) for i in sorted(corners_of_image)]
     without = tuple(name for i, name in enumerate(names) if i not in corners_of_image)
-    return Search(corners_of(places, width, height), circle, without)
+    return Search(corners_of(detections, width, height), circle, without)
 
 
 def _look(

@@ -13,9 +13,9 @@ from harness.camera.sensor import Sensor
 _BEYOND_DEG = 1.0
 """Margin of the field beyond the outermost corner if no image circle was detected."""
 _MOST_BEYOND_DEG = 3.0
-"""How far towards the image circle: farther out a model is a guess."""
+"""The most that the field extends towards the image circle: farther out a model extrapolates."""
 _INWARD_DEG = 3.0
-"""The same within the innermost corner of a mirror, in the middle of which the camera sees itself."""
+"""Margin of the field inside the innermost corner, for mirrors, in the middle of which the camera sees itself."""
 
 
 def covered_field(sensor: Sensor, corners: Corners, circle: Circle | None) -> FieldOfView:

@@ -1,4 +1,4 @@
-"""What should be known of a misalignment that was estimated from boards."""
+"""The significance and the determination of a misalignment that was estimated from boards."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -34,7 +34,7 @@ def significance(keys: Sequence[str], uncertainty: Uncertainty) -> float:
 
 
 def likelihood_ratio(central_rms_px: float, residuals: Array, uncertainty: Uncertainty) -> float:
-    """What the best central sensor adds to the sum of squared residuals, over their variance; no unit.
+    """The increase of the sum of squared residuals with the best central sensor, over their variance; no unit.
 
     Chi-squared with as many degrees of freedom as misalignment has numbers if camera and mirror are aligned, however
     weakly the corners determine these.
@@ -45,7 +45,7 @@ def likelihood_ratio(central_rms_px: float, residuals: Array, uncertainty: Uncer
 def misalignment_notes(
     keys: Sequence[str], uncertainty: Uncertainty, start: Sensor, ratio: float | None
 ) -> Iterator[str]:
-    """What should be known before the numbers are used; nothing if no misalignment was estimated.
+    """Caveats about an estimated misalignment, one line each; none if no misalignment was estimated.
 
     Parameters
     ----------

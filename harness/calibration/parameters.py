@@ -124,7 +124,7 @@ def _every_key(sensor: Sensor) -> list[str]:
     """All keys that could be estimated."""
     kind = kind_of(sensor.model)
     keys = _model_keys(sensor.model)
-    # Of a mirror's size the boards tell nothing but by a misalignment.
+    # Boards determine a mirror's size only through a misalignment.
     keys += [f"model.{name}" for name, of in (("e", "ocam"), ("a_m", "hyperboloid")) if kind == of]
     camera = ["focal_px", "aspect", "skew_px", "cx_px", "cy_px"] if kind != "ocam" else ["cx_px", "cy_px"]
     keys += [f"camera.{name}" for name in camera if name in type(sensor.camera).model_fields]

@@ -83,7 +83,7 @@ def _summary(values: Array) -> dict[str, float | None]:
 
 
 def _finite(value: Any) -> Any:
-    """The same with None instead of numbers that JSON cannot represent."""
+    """A value with None in place of every number that JSON cannot represent."""
     if isinstance(value, dict):
         return {key: _finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

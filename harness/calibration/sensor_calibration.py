@@ -42,7 +42,7 @@ _VAGUE_PX = 1.0
 
 @dataclass(frozen=True, repr=False, eq=False)
 class CentralFit(OneLine):
-    """The best sensor with camera and mirror aligned, from the same corners: what a matcher can be told."""
+    """The best sensor with camera and mirror aligned, from the same corners: one that matchers can use."""
 
     sensor: Sensor
     """With the field, and the mount, of the misaligned one."""
@@ -236,11 +236,11 @@ def _without_outliers(
     """The plain adjustment of all corners that are inliers of the robust one."""
     vector, poses, scale = parameters.vector(begin.sensor), begin.poses, _ROUGH_PX
     in_view = visible(corners, begin.sensor, poses)
-    some, poses = corners.of(in_view), poses.of(in_view)
+    used, poses = corners.of(in_view), poses.of(in_view)
     sigma = 0.0
     length = np.zeros(0)
     for _ in range(2):
-        robust = adjust(parameters, some, vector, poses, robust_px=scale) if in_view else None
+        robust = adjust(parameters, used, vector, poses, robust_px=scale) if in_view else None
         if robust is None:
             raise InputError("the initial sensor cannot project all corners; give a better one", key="start")
         vector, poses = robust.vector, robust.poses
@@ -249,14 +249,14 @@ def _without_outliers(
         sigma = max(float(np.median(length)) / 1.1774, _LEAST_SIGMA_PX)
         scale = 3 * sigma
     agrees = length <= _OUTLIER * sigma
-    left = np.bincount(some.image[agrees], minlength=len(in_view))
-    agrees &= (left >= _LEAST_CORNERS)[some.image]
+    left = np.bincount(used.image[agrees], minlength=len(in_view))
+    agrees &= (left >= _LEAST_CORNERS)[used.image]
     if not agrees.any():
         raise InputError("no board agrees with the others: are the corners in the board's order?")
     tell(f"{np.count_nonzero(agrees)} of {len(corners.image)} corners agree, about {sigma:.2g} px each way")
     keep = np.zeros(len(corners.image), dtype=bool)
     keep[np.flatnonzero(np.isin(corners.image, in_view))[agrees]] = True
-    final = adjust(parameters, corners.where(keep), vector, poses.of(np.unique(some.image[agrees]).tolist()))
+    final = adjust(parameters, corners.where(keep), vector, poses.of(np.unique(used.image[agrees]).tolist()))
     assert final is not None  # it begins where the robust one has ended
     return final, corners.where(keep), None if keep.all() else corners.where(~keep)
 
@@ -311,8 +311,8 @@ def _notes(
     if np.median(sigma_px) > _VAGUE_PX:
         yield f"The standard deviation of rays is {np.median(sigma_px):.2g} px (median): more boards would reduce it."
     if len(used.images) < _FEW_IMAGES:
-        said = "1 image is few" if len(used.images) == 1 else f"{len(used.images)} images are few"
-        yield f"{said}: {_FEW_IMAGES} with boards in all parts of the image are better."
+        number = "1 image is few" if len(used.images) == 1 else f"{len(used.images)} images are few"
+        yield f"{number}: {_FEW_IMAGES} with boards in all parts of the image are better."
     model: Any = adjusted.parameters.sensor_at(adjusted.vector).model
     if kind_of(model) == "hyperboloid" and model.b_m < 0.1 * model.a_m:
         yield "The estimated mirror is a paraboloid, the limit of hyperboloids; the unified model extends beyond it."

@@ -88,11 +88,11 @@ def fit_across(
     textured
         How many of view 1 have texture.
     """
-    given = views(images, sensors)
-    laid = lay_tiles(given)
-    tiles, planes = _planes(given, laid, inverse_range)
+    prepared = views(images, sensors)
+    laid = lay_tiles(prepared)
+    tiles, planes = _planes(prepared, laid, inverse_range)
     count = len(tiles)
-    x_c = given.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
+    x_c = prepared.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
     n = normalise(np.cross(turn.t, x_c))
     y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
     axis = np.ascontiguousarray(np.cross(y, n))
@@ -101,8 +101,8 @@ def fit_across(
         R = turn.R @ Rotation.from_rotvec(axis * delta[:, None]).as_matrix() if count else np.zeros((0, 3, 3))
         H, g, sums = np.zeros((count, 6, 6)), np.zeros((count, 6)), np.zeros((count, 4))
         _kernels.equations_across(
-            tiles, SIDE_PX, LEAST_W, given.known, given.x, given.grey, np.ascontiguousarray(R), turn.t, axis,
-            given.camera, given.coefficients, planes, gain, offset, H, g, sums,
+            tiles, SIDE_PX, LEAST_W, prepared.known, prepared.x, prepared.grey, np.ascontiguousarray(R), turn.t, axis,
+            prepared.camera, prepared.coefficients, planes, gain, offset, H, g, sums,
         )  # fmt: skip
         H = H + np.triu(H, 1).transpose(0, 2, 1) + _ridge(x_c, H)
         if iteration == _ITERATIONS:

@@ -38,8 +38,8 @@ def calibration_effects(
     """
     true = pairs.at(fit.inlier)
     e, full = sampson_jacobian(true, turn)
-    held = np.vstack(tangents(turn, freedom))
-    J = full @ held
+    basis = np.vstack(tangents(turn, freedom))
+    J = full @ basis
     leverage = leverage_weight(J)
     weighted = J * (leverage / (1 + leverage * (e / (CAUCHY * fit.scale_px)) ** 2))[:, None]
     views = [
@@ -47,7 +47,7 @@ def calibration_effects(
         _changes(true, sensors[1], "x_2", true.pixels_2, turn),
     ]
     changes = views[0] + views[1] if sensors[0] == sensors[1] else np.hstack(views)
-    return np.asarray(-held @ np.linalg.pinv(weighted.T @ J) @ weighted.T @ changes)
+    return np.asarray(-basis @ np.linalg.pinv(weighted.T @ J) @ weighted.T @ changes)
 
 
 def moved_by(effects: Array, pixels: float = REPORTED_PX) -> tuple[float, float]:

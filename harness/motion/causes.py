@@ -23,7 +23,7 @@ from harness.motion.tiles import tangents_at
 FLOOR_PX = 0.01
 """Standard deviation of interpolation and of surfaces that are not planar, pixels, added to that of every tile."""
 FIRST_ORDER = 0.03
-"""The same as a share of the offset across, since effects are to first order."""
+"""Additional standard deviation as a share of the offset across, since effects are to first order."""
 _CAUCHY = 2.385
 """Standard deviations at which a residual has half its weight."""
 _LAMBDAS = np.concatenate([[0.0], np.geomspace(1e-3, 30, 60)])
@@ -33,7 +33,7 @@ _ALIKE = 0.97
 _ENOUGH = 0.9
 """Least share that a single likely cause explains."""
 _CLEAR = 0.35
-"""What an error leaves of the median distance, where that alone is enough: it then holds for most tiles."""
+"""Largest remaining share of the median distance with which an error alone is convincing: it holds for most tiles."""
 _SECTORS = 4
 """Sectors of azimuth that errors are tried on, each by those fitted to the others."""
 _SIGNIFICANT = 6.0
@@ -214,7 +214,7 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
     effects = effects_of(tiles, sensors, turn)
     size = np.array([TYPICAL[each.removesuffix(" of view 2")] for each in effects.names])
     E, e = effects.across * size, tiles.delta
-    # What is common to neighbours is left out of a tile's own residual: sigma is scaled to the scatter about the fit.
+    # A tile's own residual misses errors common to neighbours: sigma is scaled to the scatter about the fit.
     floor = np.hypot(FLOOR_PX / tiles.px_per_rad, FIRST_ORDER * 1.4826 * np.median(np.abs(e)) if len(e) else 0.0)
     sigma = np.hypot(tiles.sigma, floor)
     weight, factor = np.ones(len(e)), 1.0
@@ -265,7 +265,7 @@ def _weighed(left: Array) -> tuple[float, Array]:
 
 
 def _gain_elsewhere(A: Array, b: Array, x: Array) -> float:
-    """What errors gain in sectors of azimuth that they were not fitted to, all sectors in turn.
+    """The gain of errors in sectors of azimuth that they were not fitted to, summed over the sectors in turn.
 
     Something that moved fills one sector, and looks like an error of the geometry there alone. Lest it lies across the
     border of two, the sectors are laid twice, and the smaller gain counts.
@@ -293,5 +293,5 @@ def _alone(effects: Effects, A: Array, b: Array, size: Array, most: float) -> tu
         full = np.zeros(len(size))
         full[columns] = theta * size[columns]
         causes.append(Cause(name, float(np.clip(gain / most, 0, 1)), errors, full))
-    # Of causes that explain as much the one with the fewest numbers comes first.
+    # Of causes that explain equally much, the one with the fewest parameters comes first.
     return tuple(sorted(causes, key=lambda each: (-round(each.explains / (1 - _ALIKE)), len(each.errors))))

@@ -79,7 +79,7 @@ class DirectFit(OneLine):
 
     @property
     def sigma_direction(self) -> float:
-        """The same of the direction of t, radians."""
+        """Standard deviation of the angle by which the direction of t is off, radians."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
 
 
@@ -110,21 +110,21 @@ def fit_direct(
     DirectFit or None
         None when too few tiles correlate between the views.
     """
-    given = views(images, sensors)
-    tiles = lay_tiles(given)
+    prepared = views(images, sensors)
+    tiles = lay_tiles(prepared)
     if len(tiles) < _LEAST_TILES:
         return None
     true = pairs.at(start.inlier)
-    planes = first_planes(given, tiles, start.turn, true)
+    planes = first_planes(prepared, tiles, start.turn, true)
     for _ in range(2):
-        state = _planes_fitted(given, tiles, start.turn, planes[0])
-        planes = best_planes(given, tiles, start.turn, state.planes[:, None], planes)
-        planes = best_planes(given, tiles, start.turn, planes_beside(tiles, planes[0]), planes)
-    good = planes[1] > _CORRELATION
-    if good.sum() < _LEAST_TILES:
+        state = _planes_fitted(prepared, tiles, start.turn, planes[0])
+        planes = best_planes(prepared, tiles, start.turn, state.planes[:, None], planes)
+        planes = best_planes(prepared, tiles, start.turn, planes_beside(tiles, planes[0]), planes)
+    correlated = planes[1] > _CORRELATION
+    if correlated.sum() < _LEAST_TILES:
         return None
-    state = _planes_fitted(given, tiles[good], start.turn, planes[0][good])
-    best = fitted = _adjusted(given, tiles[good], state, freedom)
+    state = _planes_fitted(prepared, tiles[correlated], start.turn, planes[0][correlated])
+    best = fitted = _adjusted(prepared, tiles[correlated], state, freedom)
     for blur_px in BLURS_PX:
         if best is None or fitted is None or fitted.noise_share < (STILL_NOISY if fitted.blur_px else NOISY):
             break
@@ -241,9 +241,9 @@ def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Fr
         tiles, equations = tiles[usable], equations.at(usable)
         state.planes, state.gain, state.offset = state.planes[usable], state.gain[usable], state.offset[usable]
         turns, steps = tangents(state.turn, freedom)
-        held = np.vstack([turns, steps])
-        reduced = _reduced(equations.H, held, _ridge(given, tiles, equations.H))
-        score = equations.g[:, :6] @ held - np.einsum("tik,ti->tk", reduced.carried, equations.g[:, 6:])
+        basis = np.vstack([turns, steps])
+        reduced = _reduced(equations.H, basis, _ridge(given, tiles, equations.H))
+        score = equations.g[:, :6] @ basis - np.einsum("tik,ti->tk", reduced.carried, equations.g[:, 6:])
         weight = 1 / (equations.residual + _FLOOR)
         if iteration == _ITERATIONS:
             break
@@ -252,13 +252,13 @@ def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Fr
         state.turn = moved(state.turn, turns @ motion, steps @ motion)
         _step(state, np.asarray(np.linalg.solve(reduced.inner, left[..., None])[..., 0]))
     variance = _noise_variance(equations, state.gain, given.blur_px)[:, None, None]
-    clean = _reduced(equations.H - variance * equations.N, held, _ridge(given, tiles, equations.H))
+    clean = _reduced(equations.H - variance * equations.N, basis, _ridge(given, tiles, equations.H))
     inverse = np.linalg.inv(np.einsum("t,tij->ij", weight, clean.H))
     weighted = weight[:, None] * score
     noise = np.einsum("tii->t", variance * equations.N[:, 6:9, 6:9]) / np.einsum("tii->t", equations.H[:, 6:9, 6:9])
     return DirectFit(
         turn=state.turn,
-        covariance=held @ inverse @ weighted.T @ weighted @ inverse @ held.T,
+        covariance=basis @ inverse @ weighted.T @ weighted @ inverse @ basis.T,
         tiles=tiles,
         planes=state.planes,
         noise_grey=float(np.sqrt(np.median(equations.residual))),

@@ -29,9 +29,9 @@ _TUKEY = 4.0
 """Standard deviations beyond which a point has no weight. The tiles at the foot of a wall all lie on one side, a few
 standard deviations off: with any weight they lift the floor, by two sigmas of the height on rendered pairs."""
 _BESIDE = 6
-"""How many neighbours of a point are looked at: where two of them are no floor, its tile may be partly a wall."""
+"""Number of neighbours of a point that are checked: if two of them are off the floor, its tile may be partly a wall."""
 _OFF = 3.0
-"""Standard deviations beyond which a neighbour is no floor."""
+"""Standard deviations beyond which a neighbour is off the floor."""
 
 
 @dataclass(frozen=True, repr=False)

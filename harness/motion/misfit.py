@@ -1,4 +1,4 @@
-"""How far matches lie off the epipolar curves of a motion that was fitted to them, beyond their noise.
+"""Distance of matches from the epipolar curves of a motion that was fitted to them, beyond their noise.
 
 A wrong calibration is mostly absorbed by the motion; what is left lies across the curves and is larger than the noise
 of the tiles. It is a lower limit of what was absorbed, and counts as the calibration's standard deviation.

@@ -100,14 +100,14 @@ def _needed(share: float, size: int) -> int:
 
 def _solved(solver: Any, x_1: Array, x_2: Array, freedom: Freedom) -> list[Turn]:
     """The solutions of a minimal sample. PoseLib's pose is `p_2 = R p_1 + t'`, so that t = -R^T t'."""
-    turned = freedom != "free"
-    if turned:
+    upright = freedom != "free"
+    if upright:
         x_1, x_2 = x_1 @ _Y_UP.T, x_2 @ _Y_UP.T
     turns = []
     for pose in solver(np.ascontiguousarray(x_1), np.ascontiguousarray(x_2)):
         R = np.asarray(pose.R)
         t = -R.T @ np.asarray(pose.t)
-        if turned:
+        if upright:
             R, t = _Y_UP.T @ R @ _Y_UP, _Y_UP.T @ t
         length = float(np.linalg.norm(t))
         if length > 0 and np.isfinite(R).all() and math.isfinite(length):
@@ -130,7 +130,7 @@ class _Search:
 
     @property
     def cost(self) -> float:
-        """Its cost."""
+        """The cost of the best motion; infinite before any."""
         return self._ranked[0][0] if self._ranked else math.inf
 
     def tried(self, turn: Turn) -> bool:
@@ -156,5 +156,5 @@ class _Search:
 
 def alike(one: Turn, other: Turn) -> bool:
     """Whether two motions are within 5 degrees of each other."""
-    turned = np.trace(one.R.T @ other.R)
-    return bool(angle_between(one.t, other.t) < _APART and turned > 1 + 2 * math.cos(_APART))
+    trace = np.trace(one.R.T @ other.R)
+    return bool(angle_between(one.t, other.t) < _APART and trace > 1 + 2 * math.cos(_APART))

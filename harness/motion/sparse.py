@@ -69,7 +69,7 @@ class Fit(OneLine):
 
     @property
     def sigma_direction(self) -> float:
-        """The same of the direction of t, radians."""
+        """Standard deviation of the angle by which the direction of t is off, radians."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
 
 
@@ -112,14 +112,14 @@ def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: flo
     if len(near) < turns.shape[1]:
         return start
 
-    held = np.vstack([turns, steps])
-    weight = np.sqrt(leverage_weight(sampson_jacobian(near, start)[1] @ held))
+    basis = np.vstack([turns, steps])
+    weight = np.sqrt(leverage_weight(sampson_jacobian(near, start)[1] @ basis))
 
     def at(p: Array) -> Turn:
         return moved(start, turns @ p, steps @ p)
 
     def jacobian(p: Array) -> Array:
-        return np.asarray(weight[:, None] * (sampson_jacobian(near, at(p))[1] @ held))
+        return np.asarray(weight[:, None] * (sampson_jacobian(near, at(p))[1] @ basis))
 
     minimum = least_squares(
         lambda p: weight * sampson(near, at(p)),
@@ -148,22 +148,22 @@ def _covariance(pairs: Correspondences, turn: Turn, freedom: Freedom, scale: flo
 
     Infinite where there are too few pairs.
     """
-    held = np.vstack(tangents(turn, freedom))
+    basis = np.vstack(tangents(turn, freedom))
     e, full = sampson_jacobian(pairs, turn)
-    J = full @ held
+    J = full @ basis
     ratio = (e / (CAUCHY * scale)) ** 2
     weight = leverage_weight(J) if len(e) else np.zeros(0)
     psi = weight * e / (1 + weight * ratio)
     slope = weight * (1 - weight * ratio) / (1 + weight * ratio) ** 2
     A = (slope[:, None] * J).T @ J
     cell = np.unique(np.floor(pairs.pixels_1 / _CELL_PX), axis=0, return_inverse=True)[1].ravel()
-    scores = np.zeros((cell.max(initial=-1) + 1, held.shape[1]))
+    scores = np.zeros((cell.max(initial=-1) + 1, basis.shape[1]))
     np.add.at(scores, cell, psi[:, None] * J)
-    few = len(scores) <= held.shape[1]
+    few = len(scores) <= basis.shape[1]
     if few or not np.linalg.cond(A) < 1e14:
         return np.full((6, 6), np.inf)
-    inverse = np.linalg.inv(A) * np.sqrt(len(scores) / (len(scores) - held.shape[1]))
-    return np.asarray(held @ inverse @ scores.T @ scores @ inverse @ held.T)
+    inverse = np.linalg.inv(A) * np.sqrt(len(scores) / (len(scores) - basis.shape[1]))
+    return np.asarray(basis @ inverse @ scores.T @ scores @ inverse @ basis.T)
 
 
 def fit_rotation(pairs: Correspondences, R: Array) -> tuple[Array, float]:

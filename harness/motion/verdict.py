@@ -49,7 +49,7 @@ class Status(StrEnum):
 
 
 def why_failed(pairs: int, agreeing: int | None) -> str | None:
-    """Why there is no motion; None when there is one.
+    """The reason why there is no motion; None when there is one.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def why_failed(pairs: int, agreeing: int | None) -> str | None:
 
 
 def why_no_parallax(fit: Fit, rotation_px: float) -> str | None:
-    """Why the motion is indistinguishable from a pure rotation; None when it is not."""
+    """The reason why the motion cannot be told from a pure rotation; None when it can."""
     if rotation_px >= PARALLAX * fit.scale_px:
         return None
     return (
