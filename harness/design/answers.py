@@ -1,4 +1,4 @@
-"""What a rig reaches at some ranges, and which rigs reach what is asked for."""
+"""The expected errors of a rig at some ranges, and the search for rigs that meet a requirement."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from harness.evaluation.statistics import central_68
 
 @dataclass(frozen=True, repr=False)
 class Answer(OneLine):
-    """What to expect of a rig at one range, over the directions around it."""
+    """The expected error of a rig at one range, over the directions around it."""
 
     range_m: float
     error_m: float
     """The error that 68.3 % of the estimates stay within; infinite if fewer can be seen by both views."""
     by_cause_m: dict[str, float]
-    """The same of each cause alone."""
+    """The same error from each cause alone."""
     leading: str
     """The cause with the largest share of the variance."""
 
 
 def answers(rig: RigDesign, ranges_m: Sequence[float]) -> tuple[Answer, ...]:
-    """What to expect of a rig at some ranges: surfaces that face view 1, 30 degrees or more off the baseline."""
+    """The expected errors of a rig at ranges in metres, of surfaces that face view 1, 30 degrees or more off t."""
     together = budget(rig, np.asarray(ranges_m)[:, None, None] * directions_of(rig))
     result = []
     for i, range_m in enumerate(ranges_m):
@@ -49,7 +49,7 @@ MIRROR_SCALES = (0.5, 0.75, 1.0, 1.5, 2.0)
 
 @dataclass(frozen=True)
 class Cost:
-    """What a rig costs, without a unit: a price list that is as simple as it can be."""
+    """The price list of the search, no unit: linear in pixels, in the mirror's area and in the baseline."""
 
     per_megapixel: float = 1.0
     """The cost of a million pixels."""
@@ -68,7 +68,7 @@ class Cost:
 
 @dataclass(frozen=True, repr=False)
 class Candidate(OneLine):
-    """A rig that reaches what is asked for."""
+    """A rig that meets the requirement."""
 
     rig: RigDesign
     cost: float
@@ -77,7 +77,7 @@ class Candidate(OneLine):
 
     @property
     def margin(self) -> float:
-        """How many times better it is than asked for."""
+        """The required error over the expected one."""
         return self.accuracy_m / self.answer.error_m
 
 

@@ -15,12 +15,12 @@ from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
 from harness.simulation.chip import grey_variance
 
 CAUSES = ("noise", "matching", "rotation", "t direction", "t length", "odometry", "calibration", "alignment")
-"""Causes of range errors: noise of the images, fixed errors of the matcher, and what is wrongly believed of the rig."""
+"""Causes of range errors: noise of the images, fixed errors of the matcher, and wrong calibration of the rig."""
 
 _GREY = 110.0
 """The grey level at which a chip's noise is taken."""
 _OF_NOISE, _OF_ALIASING = 1.35, 1.1
-"""What measured errors are of those that the texture's mean gradients give: slant, gain and offset have to be found,
+"""Ratio of measured errors to those that the texture's mean gradients give: slant, gain and offset are estimated,
 too, texture is uneven, and some windows reach around corners. From rendered rooms of four textures; see
 `benchmarks/design.py`."""
 
@@ -48,7 +48,7 @@ class Budget(OneLine):
 
 
 def budget(rig: RigDesign, points_m: Array, normals: Array | None = None) -> Budget:
-    """What to expect of a rig at points.
+    """The standard deviations of the range that a rig has at points, by cause.
 
     Parameters
     ----------
@@ -84,15 +84,15 @@ def _matching(rig: RigDesign, points_m: Array, normals: Array | None) -> tuple[A
     window_m2, along = np.ones(ranges[0].shape), np.ones(ranges[0].shape)
     noise, aliased = np.zeros(ranges[0].shape), np.zeros(ranges[0].shape)
     for view, (points, t) in enumerate(zip(views, (motion.t_v1, motion.R_v2_from_v1 @ motion.t_v1), strict=True)):
-        seen = _seen(rig, points, facing if view == 0 else facing @ motion.R_v2_from_v1.T)
+        texture = _visible_texture(rig, points, facing if view == 0 else facing @ motion.R_v2_from_v1.T)
         if view == 0:
-            window_m2 = rig.window_px**2 / seen.per_m2
+            window_m2 = rig.window_px**2 / texture.per_m2
         along = _along_epipolar(rig, points, t)
         # A shift in view 1 has another angle in view 2: the same length on the surface.
-        of_shift = 1 / (seen.gradient_grey**2 * window_m2 * seen.per_m2) / along**2
+        of_shift = 1 / (texture.gradient_grey**2 * window_m2 * texture.per_m2) / along**2
         of_shift = of_shift if view else of_shift * (ranges[0] / ranges[1]) ** 2
         noise = noise + variance * of_shift
-        aliased = aliased + seen.aliased_grey**2 * of_shift
+        aliased = aliased + texture.aliased_grey**2 * of_shift
     alpha_1 = angle_between(points_m, motion.t_v1)
     law = np.abs(sensitivity_to_alpha_2(alpha_1, exact_alpha_2(points_m, motion.t_v1), motion.baseline_m))
     fixed = np.hypot(_OF_ALIASING * np.sqrt(aliased), rig.fixed_error_px / along)
@@ -105,31 +105,31 @@ def pixel_sigma(rig: RigDesign, points_m: Array) -> Array:
     View 1's share of a match's: what noise, aliasing and the matcher's fixed errors leave of a window's place, on a
     surface that faces view 1.
     """
-    seen = _seen(rig, points_m, points_m)
-    of_grey = _OF_NOISE**2 * _noise_variance(rig) + (_OF_ALIASING * seen.aliased_grey) ** 2
-    return np.asarray(np.sqrt(of_grey / (seen.gradient_grey * rig.window_px) ** 2 + rig.fixed_error_px**2))
+    texture = _visible_texture(rig, points_m, points_m)
+    of_grey = _OF_NOISE**2 * _noise_variance(rig) + (_OF_ALIASING * texture.aliased_grey) ** 2
+    return np.asarray(np.sqrt(of_grey / (texture.gradient_grey * rig.window_px) ** 2 + rig.fixed_error_px**2))
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """What the pixels of a view show of the texture at points, `[...]` each."""
+class _VisibleTexture:
+    """The texture as the pixels of a view show it at points, `[...]` each."""
 
     per_m2: Array
     """Pixels per square metre of the surface."""
     gradient_grey: Array
-    """Grey levels per pixel, RMS."""
+    """Gradient, grey levels per pixel, RMS."""
     aliased_grey: Array
-    """Grey levels, RMS."""
+    """Contrast above the pixels' Nyquist frequency, grey levels, RMS."""
 
 
-def _seen(rig: RigDesign, points_m: Array, normals: Array) -> _Seen:
-    """As a view sees points, all in its own frame."""
+def _visible_texture(rig: RigDesign, points_m: Array, normals: Array) -> _VisibleTexture:
+    """The texture at points, points and normals in the view's own frame."""
     slant = np.maximum(np.abs(np.sum(normalise(normals) * normalise(points_m), axis=-1)), 0.02)
     density = pixels_per_steradian(rig.sensor, normalise(points_m))
     side_m = np.linalg.norm(points_m, axis=-1) / np.sqrt(density)  # of a pixel, across the ray
     per_m2 = slant / side_m**2
     gradient = gradient_grey(rig.texture, 1 / np.sqrt(per_m2))
-    return _Seen(per_m2, gradient, aliased_grey(rig.texture, side_m / slant))
+    return _VisibleTexture(per_m2, gradient, aliased_grey(rig.texture, side_m / slant))
 
 
 def _noise_variance(rig: RigDesign) -> float:

@@ -1,4 +1,4 @@
-"""Where a point is found: the covariance of its position in space, by what the budget says of a rig.
+"""The covariance of a triangulated point's position in space, from a rig's error budget.
 
 A point p is seen at a pixel of view 1, whose believed direction is x_1, and found at `p̂ = d_1 x_1`. The range's part of
 its error is the budget's: noise and matching along x_1, by the law. Across x_1 the point is off
@@ -29,7 +29,7 @@ from harness.geometry.angles import Array, normalise
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ellipsoid(OneLine):
-    """How well the position of one point is known."""
+    """The uncertainty of one point's position."""
 
     point_m: Array
     """`[3]`, in view 1's frame."""
@@ -122,8 +122,8 @@ def _of_pixel(rig: RigDesign, points_m: Array) -> Array:
     first = normalise(np.cross(x, helper))
     basis = np.stack([first, np.cross(x, first)], axis=-1)
     A = jacobian(rig.sensor, x) @ basis
-    seen = np.isfinite(A).all(axis=(-1, -2))
+    finite = np.isfinite(A).all(axis=(-1, -2))
     angles = np.full(A.shape, np.nan)
-    angles[seen] = np.linalg.inv(np.swapaxes(A[seen], -1, -2) @ A[seen])
+    angles[finite] = np.linalg.inv(np.swapaxes(A[finite], -1, -2) @ A[finite])
     size = np.linalg.norm(points_m, axis=-1) * pixel_sigma(rig, points_m)
     return np.asarray(size[:, None, None] ** 2 * (basis @ angles @ np.swapaxes(basis, -1, -2)))

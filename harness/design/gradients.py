@@ -1,4 +1,4 @@
-"""What pixels show of a texture, by what one of them covers of it: gradients, and what is aliased."""
+"""Gradients and aliasing of a texture in an image, as functions of a pixel's footprint on it."""
 
 from functools import lru_cache
 

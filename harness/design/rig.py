@@ -1,4 +1,4 @@
-"""What an engineer says of a rig: sensor and baseline, noise and texture, and how well everything is known."""
+"""The specification of a rig: sensor and baseline, noise and texture, and the uncertainty of all parameters."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -68,7 +68,7 @@ class RigDesign(Spec):
 
     @property
     def title(self) -> str:
-        """Its name, or its image size and baseline."""
+        """The rig's name, or else its image size and baseline."""
         camera = self.sensor.camera
         return self.name or f"{camera.width_px} x {camera.height_px} px, {self.baseline_m:g} m"
 

@@ -1,4 +1,7 @@
-"""Predicted errors of a rig beside those of images: rendered as it may really be, matched as it is believed."""
+"""Predicted errors of a rig beside measured ones: of images rendered with drawn parameters, matched with nominal ones.
+
+The parameters are drawn from their uncertainties, since the true rig is not known.
+"""
 
 from dataclasses import dataclass
 
@@ -51,7 +54,7 @@ class Verified(OneLine):
 
 
 def verify(rig: RigDesign, range_m: float, *, draws: int = 4, seed: int = 0, threads: int | None = None) -> Verified:
-    """Simulate a rig in a room with walls at a distance, as wrong as each of some draws makes it.
+    """Measure a rig's errors in a simulated room with walls at a distance, its parameters drawn anew several times.
 
     Parameters
     ----------
@@ -64,7 +67,7 @@ def verify(rig: RigDesign, range_m: float, *, draws: int = 4, seed: int = 0, thr
     scene = _room(rig, range_m)
     believed = rig.believed
     x, towards = directions(grid), alpha_1(grid, believed.motion.t_v1)
-    errors, predicted, wanted = [], [], 0
+    errors, predicted, expected = [], [], 0
     for draw, true in enumerate(drawn(rig, draws, generator(seed, "design"))):
         first, second = _poses(true.motion, range_m)
         images = [
@@ -84,7 +87,7 @@ def verify(rig: RigDesign, range_m: float, *, draws: int = 4, seed: int = 0, thr
         walls = seen.visible & (np.abs(seen.normal[..., 2]) < 0.5)
         walls &= np.sin(towards) >= FAR_FROM_T
         errors.append((range_estimate - seen.range_m)[walls])
-        wanted += int(walls.sum())
+        expected += int(walls.sum())
         points = (seen.range_m[..., None] * x)[walls][::_EVERY]
         normals = seen.normal[walls][::_EVERY] @ first.R_world_from_view
         predicted.append(budget(rig, points, normals).total_m)
@@ -95,13 +98,13 @@ def verify(rig: RigDesign, range_m: float, *, draws: int = 4, seed: int = 0, thr
         range_m,
         predicted_m=central_68(np.concatenate(predicted)),
         measured_m=float(np.quantile(known, SHARE)) if known.size else float("inf"),
-        density=known.size / max(1, wanted),
+        density=known.size / max(1, expected),
         draws=draws,
     )
 
 
 def drawn(rig: RigDesign, draws: int, random: np.random.Generator) -> list[Rig]:
-    """What a rig may really be: its uncertain numbers off by a draw each, as often as `draws` says.
+    """Rigs whose uncertain parameters deviate from the nominal ones by random draws, `draws` in number.
 
     Where there are more draws than numbers, the draws are made to have exactly the covariance that they are drawn from:
     a few then tell as much of the range's as many would.

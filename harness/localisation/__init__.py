@@ -1,1 +1,1 @@
-"""Where a robot is, by what it sees: images at known places, descriptors of whole images, a probability over places."""
+"""Localisation by appearance: images at known positions, descriptors of whole images, a density over positions."""

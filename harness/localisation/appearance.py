@@ -99,14 +99,14 @@ def local_descriptors(panorama: NDArray[np.floating]) -> Array:
     """`[rows, columns, length]`: local descriptors on a lattice of 4 pixels, all around the panorama; unit length."""
     grey = np.asarray(panorama, dtype=np.float64) / 255
     columns = grey.shape[1] - grey.shape[1] % _STEP
-    # Descriptors are blurred farther than they reach: what is wrong at a border is beyond the seam, and left out.
+    # The padding exceeds the blur's reach, so that border effects stay within the columns that are cut off.
     wrapped = np.pad(grey[:, :columns], ((_RADIUS, _RADIUS), (0, 0)), mode="edge")
     wrapped = np.pad(wrapped, ((0, 0), (_RADIUS + _BLURRED, _RADIUS + _BLURRED)), mode="wrap")
-    found = daisy(  # type: ignore[no-untyped-call]
+    descriptors = daisy(  # type: ignore[no-untyped-call]
         wrapped, step=_STEP, radius=_RADIUS, rings=_RINGS, histograms=_SECTORS, orientations=_ORIENTATIONS,
         normalization="l1",
     )[:, _BLURRED // _STEP : _BLURRED // _STEP + columns // _STEP]  # fmt: skip
-    positive = np.maximum(found, 0.0)
+    positive = np.maximum(descriptors, 0.0)
     total = positive.sum(axis=-1, keepdims=True)
     return np.sqrt(np.divide(positive, total, out=np.zeros_like(positive), where=total > 0))
 

@@ -1,4 +1,4 @@
-"""A probability over places for a new image, and the place that it is taken for.
+"""A density over positions for a new image, and the estimated position.
 
 Images that were learned from, i = 1 ... n, are at x_i and have the descriptor y_i. With Gaussian kernels of widths h
 and s (Parzen, as B. Krose, N. Vlassis, R. Bunschoten and Y. Motomura, A probabilistic model for appearance-based robot
@@ -27,12 +27,12 @@ _BACKGROUND = 0.01
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Places(OneLine):
-    """What was learned."""
+    """The learned model: positions, descriptors, and the widths of both kernels."""
 
     at_m: Array
-    """`[n, 2]`, metres."""
+    """`[n, 2]`: positions of the learned images, metres."""
     described: Array
-    """`[n, features]`."""
+    """`[n, features]`: descriptors of the learned images."""
     h: float
     """Width of the kernel over descriptors."""
     s_m: float
@@ -40,7 +40,7 @@ class Places(OneLine):
     area_m2: float
 
     def weights(self, described: Array) -> Array:
-        """`[queries, n]`: how likely each new image stands where each learned one does; sums to 1."""
+        """`[queries, n]`: the weight of each learned image for each new one; a row sums to 1."""
         return _weights(_squared(described, self.described), self.h)
 
     def density(self, described: Array, at_m: Array) -> Array:

@@ -1,4 +1,4 @@
-"""How a trial tests localisation by appearance."""
+"""Settings of a trial's test of localisation by appearance."""
 
 from typing import Annotated
 

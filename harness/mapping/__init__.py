@@ -1,1 +1,1 @@
-"""What a robot makes of ranges: range profiles, files of scans, and maps."""
+"""Range profiles, scan files and occupancy maps from a robot's range estimates."""

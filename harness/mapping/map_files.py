@@ -1,4 +1,4 @@
-"""Maps as ROS's map_server reads them: a PNG and a YAML beside it."""
+"""Map files for ROS's map_server: a PNG and a YAML beside it."""
 
 import io
 from pathlib import Path

@@ -39,13 +39,13 @@ _ONE_SURFACE = 0.15
 """Neighbouring bearings whose distances differ by less than this share of the smaller one look at one surface: between
 them the inverse of the distance runs evenly, as it nearly does on a plane."""
 _BLUR = 0.25
-"""Share of half a cell by which no distance is surer: between two bearings it is interpolated."""
+"""Least standard deviation of a distance, as a share of half a cell: distances between bearings are interpolated."""
 _BOUND = 20.0
-"""Log-odds beyond which nothing changes any more: a ten-thousandth of a millionth."""
+"""Limit of the log-odds, either way: a probability of a ten-thousandth of a millionth."""
 
 
 class Cell(IntEnum):
-    """What a cell is."""
+    """The state of a cell."""
 
     UNKNOWN = 0
     FREE = 1
@@ -54,7 +54,7 @@ class Cell(IntEnum):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Place(OneLine):
-    """Where a profile was taken: on the map, and how its frame is turned against the map's."""
+    """The pose of a profile on the map: its position, and the rotation of its frame against the map's."""
 
     x_m: float
     y_m: float
@@ -94,12 +94,12 @@ class OccupancyGrid(OneLine):
 
     frame: GridFrame
     probability: Array
-    """That a cell is occupied; the prior where nothing was measured."""
+    """Probability that a cell is occupied; the prior where nothing was measured."""
     prior: float
 
     @property
     def state(self) -> NDArray[np.uint8]:
-        """`Cell`."""
+        """`[rows, columns]`: the `Cell` of each cell, by the thresholds of ROS's map_saver."""
         state = np.full(self.probability.shape, np.uint8(Cell.UNKNOWN))
         state[self.probability > OCCUPIED_ABOVE] = Cell.OCCUPIED
         state[(self.probability < FREE_BELOW) & (self.probability < self.prior)] = Cell.FREE
@@ -130,14 +130,14 @@ def frame_around(low_m: Array, high_m: Array, cell_m: float) -> GridFrame:
 def map_of_profiles(
     profiles: list[tuple[RangeProfile, Place]], frame: GridFrame, *, prior: float, false_share: float
 ) -> OccupancyGrid:
-    """The map that profiles make together.
+    """The occupancy grid that follows from all profiles, by Bayes' rule.
 
     Parameters
     ----------
     prior
         Probability that a cell is occupied before anything is measured.
     false_share
-        Share of the answers that mean nothing.
+        Share of the profiles' distances that are false.
     """
     log_odds = np.full(frame.shape, np.log(prior / (1 - prior)))
     for profile, place in profiles:
@@ -147,26 +147,26 @@ def map_of_profiles(
 
 
 def _evidence(profile: RangeProfile, place: Place, frame: GridFrame, prior: float, false_share: float) -> Array:
-    """Log-odds `[rows, columns]`, less those of the prior, that one profile adds; 0 where it has no answer."""
+    """Log-odds `[rows, columns]`, less those of the prior, that one profile adds; 0 at bearings without a distance."""
     x, y = (each - at for each, at in zip(frame.centres(), (place.x_m, place.y_m), strict=True))
     distance = np.hypot(x, y[:, None])
-    # What the ray through its middle has in a square; the robot's own cell has no such ray.
+    # Length, over the cell's side, of the ray through a cell's centre; the robot's own cell has no such ray.
     along = np.maximum(np.maximum(np.abs(x), np.abs(y)[:, None]) / np.maximum(distance, 1e-12), np.sqrt(0.5))
     half = frame.cell_m / 2 / along
     fine_x, fine_y = (each - at for each, at in zip(frame.centres(FINER), (place.x_m, place.y_m), strict=True))
-    said = np.empty((FINER * FINER, *frame.shape))
+    log_odds = np.empty((FINER * FINER, *frame.shape))
     for i in range(FINER):
         for j in range(FINER):
             bearing = np.arctan2(fine_y[i::FINER, None], fine_x[j::FINER]) - place.yaw
-            said[i * FINER + j] = _of_ray(profile, bearing, distance, half, prior, false_share)
-    most = said.max(axis=0)
-    return np.asarray(np.where(most > 0, most, said.mean(axis=0)))
+            log_odds[i * FINER + j] = _of_ray(profile, bearing, distance, half, prior, false_share)
+    most = log_odds.max(axis=0)
+    return np.asarray(np.where(most > 0, most, log_odds.mean(axis=0)))
 
 
 def _of_ray(
     profile: RangeProfile, bearing: Array, distance: Array, half: Array, prior: float, false_share: float
 ) -> Array:
-    """What a profile says of cells by one ray each: log-odds less those of the prior; 0 without an answer."""
+    """Log-odds of cells, less those of the prior, from one ray of a profile each; 0 for a ray without a distance."""
     rho, sigma = _looked_up(profile, bearing)
     known = np.isfinite(rho)
     spread = np.hypot(np.nan_to_num(sigma), _BLUR * half)
@@ -177,7 +177,7 @@ def _of_ray(
 
 
 def _looked_up(profile: RangeProfile, bearing: Array) -> tuple[Array, Array]:
-    """Distance and standard deviation at any bearings: between two that look at one surface, else the nearest one's."""
+    """Distance and standard deviation at any bearings: interpolated on one surface, the nearest bearing's elsewhere."""
     count = profile.bearing.size
     at = (bearing - profile.bearing[0]) / profile.increment
     low = np.floor(at).astype(np.intp)

@@ -13,5 +13,5 @@ def packed(state: NDArray[np.uint8]) -> str:
 
 
 def unpacked(text: str, shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """What was packed, `[rows, columns]`."""
+    """The states `[rows, columns]` that `packed` made a text of."""
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).reshape(shape)

@@ -19,13 +19,13 @@ from harness.geometry.angles import Array
 from harness.mapping.settings import Scan
 
 _SIGMAS = 3.0
-"""Pixels within so many standard deviations of a group belong to it."""
+"""Standard deviations from a group's mean within which a pixel belongs to the group."""
 _AGREE = 0.02
-"""And pixels within this share of the distance: a wall is not as flat as its sigmas are small, nor a column a point."""
+"""Share of the distance within which a pixel belongs too: surfaces deviate by more than a small sigma."""
 _LEAST = 1e-3
-"""Share of the distance below which no standard deviation counts more."""
+"""Least standard deviation in the weights, as a share of the distance."""
 _ROUNDS = 5
-"""A group's mean has settled after so many rounds."""
+"""Rounds in which a group's mean converges."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -41,7 +41,7 @@ class RangeProfile(OneLine):
     range_m: Array
     """Horizontal distance, metres; NaN where nothing is known."""
     sigma_m: Array
-    """Standard deviation of that, metres; NaN where it is not known."""
+    """Standard deviation of `range_m`, metres; NaN where it is not known."""
 
     @property
     def increment(self) -> float:

@@ -1,4 +1,4 @@
-"""Range profiles as other programs read them: CSV, the fields of ROS's `sensor_msgs/LaserScan` as JSON, PCD and PLY.
+"""Files of range profiles for other programs: CSV, ROS's `sensor_msgs/LaserScan` as JSON, PCD and PLY.
 
 All are in the profile's frame: x forward, y left, z up, origin at the viewpoint, bearings counter-clockwise from x, as
 REP 103 has it. Points lie in the plane z = 0 of that frame.
@@ -50,7 +50,7 @@ def write_scan(profile: RangeProfile, folder: Path, range_max_m: float, frame_id
 
 
 def as_csv(profile: RangeProfile) -> str:
-    """A line a bearing: degrees, metres, metres; nothing where there is nothing."""
+    """CSV text, one line for each bearing: degrees, range and sigma in metres; an empty field for a missing number."""
     lines = ["bearing_deg,range_m,sigma_m"]
     for bearing, distance, sigma in zip(np.degrees(profile.bearing), profile.range_m, profile.sigma_m, strict=True):
         lines.append(f"{bearing:.6g},{_text(distance)},{_text(sigma)}")
@@ -58,7 +58,7 @@ def as_csv(profile: RangeProfile) -> str:
 
 
 def laser_scan(profile: RangeProfile, range_max_m: float, frame_id: str = "view_1") -> dict[str, Any]:
-    """The fields of `sensor_msgs/LaserScan`, JSON-able.
+    """A profile as the fields of `sensor_msgs/LaserScan`, in types that JSON has.
 
     A bearing without an answer is None, which JSON has instead of the NaN of REP 117: nothing was measured. All is
     measured at once, so that both times are zero; so is the stamp.
@@ -73,7 +73,7 @@ def laser_scan(profile: RangeProfile, range_max_m: float, frame_id: str = "view_
         "scan_time": 0.0,
         "range_min": RANGE_MIN_M,
         "range_max": range_max_m,
-        "ranges": [float(each) if there else None for each, there in zip(profile.range_m, known, strict=True)],
+        "ranges": [float(each) if is_known else None for each, is_known in zip(profile.range_m, known, strict=True)],
         "intensities": [],
     }
 
@@ -87,25 +87,25 @@ def from_laser_scan(table: Mapping[str, Any], file: str | Path = "scan") -> Rang
         When a field is missing or wrong, or the scan does not go around once from -pi on.
     """
     try:
-        given = np.array([math.nan if each is None else each for each in table["ranges"]], dtype=np.float64)
+        range_m = np.array([math.nan if each is None else each for each in table["ranges"]], dtype=np.float64)
         low, high = float(table["range_min"]), float(table["range_max"])
         begin, step = float(table["angle_min"]), float(table["angle_increment"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"is no LaserScan: {error}", file=file) from error
-    if not 1 <= given.size <= MOST_BEARINGS:
-        raise InputError(f"must be 1 to {MOST_BEARINGS} ranges; found {given.size}", file=file, key="ranges")
-    middle = bearings(given.size)
+    if not 1 <= range_m.size <= MOST_BEARINGS:
+        raise InputError(f"must be 1 to {MOST_BEARINGS} ranges; found {range_m.size}", file=file, key="ranges")
+    middle = bearings(range_m.size)
     # Single precision, in which ROS keeps them, is 2.4e-7 at pi.
-    if abs(begin - middle[0]) > 1e-6 or abs(step * given.size - 2 * np.pi) > 1e-6 * given.size:
+    if abs(begin - middle[0]) > 1e-6 or abs(step * range_m.size - 2 * np.pi) > 1e-6 * range_m.size:
         raise InputError(
-            f"must begin at {middle[0]:.6g} and go round once in {given.size} steps", file=file, key="angle_min"
+            f"must begin at {middle[0]:.6g} and go round once in {range_m.size} steps", file=file, key="angle_min"
         )
-    known = np.isfinite(given) & (given >= low) & (given <= high)
-    return RangeProfile(middle, np.where(known, given, np.nan), np.full(given.size, np.nan))
+    known = np.isfinite(range_m) & (range_m >= low) & (range_m <= high)
+    return RangeProfile(middle, np.where(known, range_m, np.nan), np.full(range_m.size, np.nan))
 
 
 def as_pcd(profile: RangeProfile) -> str:
-    """Version 0.7, ASCII: x, y, z and sigma of each point, metres; nan where sigma is not known."""
+    """PCD text, version 0.7, ASCII: x, y, z and sigma of each point, metres; nan where sigma is not known."""
     points = _points(profile)
     head = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -124,7 +124,7 @@ def as_pcd(profile: RangeProfile) -> str:
 
 
 def as_ply(profile: RangeProfile) -> bytes:
-    """Points with the property `sigma`, metres."""
+    """PLY text: points with the property `sigma`, metres."""
     points = _points(profile)
     cloud = trimesh.Trimesh(
         vertices=points[:, :3],

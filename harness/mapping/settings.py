@@ -1,4 +1,4 @@
-"""Which range profile is made of a pair, and which map of several."""
+"""Settings of range profiles, and of occupancy maps from the profiles of several pairs."""
 
 import math
 from itertools import pairwise
