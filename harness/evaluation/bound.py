@@ -1,4 +1,4 @@
-"""The Cramér-Rao bound: how well any unbiased window matcher can know alpha_2 and the range, pixel by pixel.
+"""The Cramér-Rao bound on the errors of any unbiased window matcher in alpha_2 and in the range, pixel by pixel.
 
 Data: all raw pixels of mirror image 1 whose centres lie in the window's footprint, `y_1 = K_1 T + n_1`, and those of
 mirror image 2 that the same piece of surface covers, `y_2 = K_2 (T ∘ W_θ) + n_2`, with white Gaussian noise of one

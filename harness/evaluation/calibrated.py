@@ -1,4 +1,4 @@
-"""How well a calibration is known, as `omnirange calibrate` has written it: parameters with their covariance.
+"""The covariance of a calibration's parameters, as `omnirange calibrate` writes it.
 
 Errors of a calibration are correlated: a focal length too long goes with a mirror too flat. They are drawn, and
 propagated, along the columns of the covariance's Cholesky factor, which are independent and one standard deviation

@@ -101,7 +101,7 @@ class Calibration:
 
 
 def calibration(error: ArrayLike, sigma: ArrayLike) -> Calibration:
-    """How a predicted standard deviation compares with the errors made.
+    """Errors in units of the standard deviation that was predicted for each.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How near a matcher comes to the Cramér-Rao bound: its spread over draws of the noise over the bound, pixel by pixel.
+"""The efficiency of a matcher: its spread over draws of the noise over the Cramér-Rao bound, pixel by pixel.
 
 Spread and bias are separated, and gross errors from both: a matcher that takes one brick for another is not imprecise
 but wrong, and a bound on precision does not apply.
@@ -37,7 +37,7 @@ class Efficiency:
     """Median of the ratio, pixel by pixel; None without a bound."""
     std_over_bound_quartiles: tuple[float, float] | None
     rms_over_bound: float | None
-    """The same with the bias in it: √(std² + bias²)."""
+    """Median of the ratio with the bias included, √(std² + bias²); None without a bound."""
 
 
 def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
@@ -124,7 +124,7 @@ def within_without_bias(errors_px: Array, sigma_px: Array) -> tuple[float, float
     finite, n = fine[:, use], count[use]
     errors = np.where(finite, errors_px[:, use], 0.0)
     mean = errors.sum(axis=0) / n
-    # The mean of n draws follows them: what is left of each has (n - 1)/n of its variance.
+    # The mean of n draws follows them: deviations from it have (n - 1)/n of the variance.
     scaled = (errors - mean) / (np.where(finite, sigma_px[:, use], 1.0) * np.sqrt((n - 1) / n))
     one, two, three = (float((np.abs(scaled[finite]) <= k).mean()) for k in (1, 2, 3))
     return one, two, three

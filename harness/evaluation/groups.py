@@ -64,7 +64,7 @@ def members(labels: NDArray[np.int16], groups: int) -> list[Indices]:
 
 
 def bins(values: Array, edges: Sequence[float]) -> NDArray[np.int16]:
-    """Which bin `[i, i + 1)` of ascending edges each value is in, in the values' shape; -1 for none."""
+    """The index of the bin `[i, i + 1)` of ascending edges that holds each value, in the values' shape; -1 for none."""
     out = np.empty(values.shape, dtype=np.int16)
     _kernels.bins(np.ascontiguousarray(values).reshape(-1), np.asarray(edges), out.reshape(-1))
     return out

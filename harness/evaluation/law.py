@@ -69,7 +69,7 @@ def _fit_limited(limited: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _bounded(cells: pd.DataFrame) -> pd.DataFrame:
-    """Those cells whose Cramér-Rao bound is known."""
+    """The cells whose Cramér-Rao bound is known."""
     return cells[cells["bound_alpha"].notna()] if "bound_alpha" in cells else cells.iloc[:0]
 
 
@@ -139,7 +139,7 @@ def _judged(fit: dict[str, Any]) -> str:
 
 
 def slope_verdict(fit: dict[str, Any]) -> str:
-    """What the slope of a fit on the exact law allows to say, in a few words."""
+    """The conclusion that the slope of a fit on the exact law allows, in a few words."""
     if fit["slope_ci95"] is None:
         return "one seed: nothing can be concluded"
     low, high = fit["slope_ci95"]
@@ -155,7 +155,7 @@ def _explains_nothing(fit: dict[str, Any]) -> bool:
 
 
 def _directions(fit: dict[str, Any]) -> str:
-    """Where the law fails although it may hold overall: directions with 1 outside their own interval."""
+    """Directions in which the law fails although it may hold overall: 1 is outside their own interval."""
     judged = [part for part in fit["by_alpha_1"] if part["slope_ci95"] is not None]
     outside = [part for part in judged if not part["slope_ci95"][0] <= 1 <= part["slope_ci95"][1]]
     if not outside:

@@ -148,7 +148,7 @@ def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
-    """Which baseline has the smallest error at each range, and which one the naive law recommends.
+    """The baseline with the smallest error at each range, and the one that the naive law recommends.
 
     Errors are averaged as logarithms over directions, conditions and seeds, over the directions and conditions that
     every baseline has at that range. The naive law, d²/|t| with a constant sigma, always recommends the longest.

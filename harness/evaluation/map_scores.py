@@ -1,4 +1,4 @@
-"""How right a map is, against the floor plan that it should be.
+"""Scores of a map against the true floor plan.
 
 The plan's lines make cells occupied that they cross. Cells that can be reached from the path without crossing one are
 free. Of the lines those count that border on what is free: what is inside of a solid, or behind a wall, nobody can map,
@@ -28,19 +28,19 @@ class MapScore:
     iou_free: float
     """Cells that are free in both, over those that are in either; of the cells that are scored."""
     iou_occupied: float
-    """The same of occupied ones: a line of cells, which half a cell's error halves."""
+    """Occupied cells in both maps over those in either: a line of cells, so that an error of half a cell halves it."""
     known: float
     """Share of the scored cells that the map calls free or occupied."""
     border_m: float | None
     """Mean distance from the map's occupied cells to the plan's nearest line; None without any."""
     border_p95_m: float | None
-    """What 95 % of these are within."""
+    """The 95th percentile of these distances."""
     missed_borders: float
     """Share of the plan's borders with no occupied cell within two cells."""
 
 
 def true_states(segments_m: Array, seeds_m: Array, frame: GridFrame) -> States:
-    """The map that should be: `Cell`, unknown where nothing is scored.
+    """The true map, a `Cell` for each cell; unknown where nothing is scored.
 
     Parameters
     ----------

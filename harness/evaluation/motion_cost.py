@@ -1,4 +1,4 @@
-"""What errors of an estimated motion cost in range: predicted from its covariance, and measured with the true motion.
+"""Range errors due to an estimated motion: predicted from its covariance, and measured with the true motion.
 
 Measured is the error alone: where exact matches, along the epipolar curves of the estimated motion, would put the true
 points, less where they are. What a matcher adds is the same for both motions.
@@ -54,7 +54,7 @@ def motion_figures(true: Motion, estimated: Motion, error: MotionError, x_1: Arr
 
 
 def range_shift(true: Motion, believed: Motion, x_1: Array, range_m: Array) -> Array:
-    """By how much ranges `[n]` (metres) are off where exact matches are triangulated with a believed motion."""
+    """Errors of ranges `[n]`, metres, of exact matches that are triangulated with a believed motion."""
     y = true.apply(range_m[:, None] * x_1) @ believed.R_v2_from_v1
     t = normalise(believed.t_v1)
     beside = normalise(x_1 - (x_1 @ t)[:, None] * t)  # m of the epipolar plane of x_1; what of y lies across it is lost

@@ -50,7 +50,7 @@ class Errors(OneLine):
 
 
 def reference(truth: Truth, directions_v1: Array, curves: Curves) -> Reference:
-    """What the matches are compared with.
+    """The truth that matches are compared with, in the matcher's terms.
 
     With the point known, so is p = d_1 x_1 - t, and all follows without another angle: alpha_2 between p and t (eq. 6),
     the law |p|²/(|t| sin alpha_1) (eq. 11), and the step of alpha_2 with phi, see `epipolar.angular_step`, where

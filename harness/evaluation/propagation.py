@@ -1,4 +1,4 @@
-"""What a wrong rig does to the range: from what is true and what is believed to the error, point by point.
+"""Range errors due to a wrongly believed rig, point by point, from the true and the believed parameters.
 
 A point p is seen at pixel u_1 of view 1 and at u_2 of view 2 by the true rig. The believed rig takes u_1 to a direction
 x_1 and u_2 to a direction x_2, turned into v1's frame. A matcher that follows the believed epipolar curve of x_1 ends
@@ -43,7 +43,7 @@ class Rig(OneLine):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Believed(OneLine):
-    """Where points are according to a believed rig."""
+    """The points as triangulated with a believed rig."""
 
     x_1: Array
     """`[..., 3]`, unit: the believed direction from view 1."""
@@ -57,7 +57,7 @@ class Believed(OneLine):
 
 
 def believed_points(points_m: Array, true: Rig, believed: Rig) -> Believed:
-    """Where the believed rig finds points that the true rig sees.
+    """The points that the true rig sees, as triangulated with the believed rig.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def range_errors(points_m: Array, true: Rig, believed: Rig, normals: Array | Non
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of a rig that may be wrong."""
+    """A parameter of a rig that may be wrong."""
 
     key: str
     unit: str
@@ -208,7 +208,7 @@ MISALIGNMENT: tuple[Parameter, ...] = (
 
 
 def calibration_parameters(sensor: Sensor) -> tuple[Parameter, ...]:
-    """What a calibration of a sensor's model finds: focal length (a share), centre, shape (shares) and lens terms."""
+    """The parameters that a sensor's calibration estimates: focal length and shape (as shares), centre, lens terms."""
     fields = type(sensor.model).model_fields
     shape = [name for name in fields if isinstance(getattr(sensor.model, name), float)]
     relative = isinstance(sensor.model, Mirror)  # lengths; other models have numbers near 0 and 1
@@ -251,7 +251,7 @@ def sensitivities(
 
 
 def point_sensitivities(points_m: Array, rig: Rig, parameters: Sequence[Parameter]) -> Array:
-    """Derivatives of where points are found by errors of parameters, `[..., 3, parameters]`, metres per unit of each.
+    """Derivatives of triangulated points by errors of parameters, `[..., 3, parameters]`, metres per unit of each.
 
     By central differences around the believed rig, as `sensitivities`, whose range errors are what these are along the
     ray.
@@ -278,5 +278,5 @@ def propagated(sensitivity: Array, covariance: Array) -> Array:
 
 
 def diagonal(parameters: Sequence[Parameter], sigmas: Mapping[str, float]) -> Array:
-    """The covariance of independent parameters, in their order; what is not in `sigmas` is exact."""
+    """The covariance of independent parameters, in their order; a parameter that is not in `sigmas` is exact."""
     return np.diag([sigmas.get(each.key, 0.0) ** 2 for each in parameters])

@@ -46,7 +46,7 @@ class Region:
     """A named part of the picture."""
 
     split: str
-    """Which division of the picture it is part of: `surface`, `alpha_1`, ..."""
+    """The division of the picture that it belongs to: `surface`, `alpha_1`, ..."""
     part: str
     """Unique within the split."""
     pixels: NDArray[np.intp]
@@ -67,7 +67,7 @@ class CellPixels:
 
 @dataclass(frozen=True, repr=False)
 class Layout(OneLine):
-    """What scoring derives from the truth, ready for many trials of one geometry.
+    """The part of scoring that depends on the truth alone, for many trials of one geometry.
 
     Arrays `[n]` are of the pixels of `groups`.
     """
@@ -79,7 +79,7 @@ class Layout(OneLine):
     surface: NDArray[np.int8]
     """`[n]`: index into `SURFACES`; -1 outside the domain."""
     solid_angle: Array
-    """`[n]`: what a pixel covers of the sphere, in pixels at the horizon."""
+    """`[n]`: the solid angle of a pixel, in units of a pixel's at the horizon."""
     range_m: Array
     """`[n]`: the truth."""
     by_range: Sorted
@@ -201,7 +201,7 @@ def cell_pixels(reference: Reference) -> tuple[CellPixels, ...]:
 
 
 def _cells(reference: Reference) -> tuple[tuple[CellPixels, ...], Labels]:
-    """The same, and the cell of each pixel `[pixels]`, -1 for none."""
+    """The cells that the domain falls into, and the cell of each pixel `[pixels]`, -1 for none."""
     domain = np.flatnonzero(reference.domain)
     alpha_deg = np.degrees(reference.alpha_1.ravel()[domain])
     # Within the domain the sine is at least a half, but for a rounding.

@@ -1,4 +1,4 @@
-"""How well a rig is known: standard deviations of its numbers, and the covariances that errors are propagated from."""
+"""The uncertainty of a rig: standard deviations of its parameters, and the covariances that propagation starts from."""
 
 import math
 from typing import Annotated
@@ -86,7 +86,7 @@ class Uncertainty(Spec):
 
 
 def covariances(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tuple[str, tuple[Parameter, ...], Array]]:
-    """What is uncertain of a rig: causes, with their parameters and the covariance of these.
+    """The causes of a rig's uncertainty, each with its parameters and their covariance.
 
     Parameters
     ----------

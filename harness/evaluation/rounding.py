@@ -1,4 +1,4 @@
-"""How much of the error at whole samples is rounding: what the paper calls discretization."""
+"""The share of rounding in the error at whole samples, which the paper calls discretization."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from harness.geometry.angles import Array
 
 
 def rounding(reference: Reference, errors: Errors, k: Array) -> dict[str, float | None]:
-    """What rounding to the nearest sample explains of the errors on walls of the domain; empty where none is matched.
+    """Errors on walls of the domain beside those of rounding to the nearest sample alone; empty where none is matched.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How right a range profile is: its error where it is right, what it misses, and what it sees that is not there.
+"""Scores of a range profile: errors of right estimates, missed obstacles, and false ones.
 
 An estimate is *right* within a share of the true distance. Farther than that the robot takes an obstacle for free
 space: it is *missed*; nearer than that the obstacle is *false*. A bearing without an estimate is neither: the robot
@@ -23,7 +23,7 @@ _IN_FRONT = 0.05
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Something that stands in front of what is behind it, by the truth."""
+    """An object of the true scene that stands out in front of its background."""
 
     name: str
     """The object's, in the scene."""
@@ -42,9 +42,9 @@ class ScanScore:
     """Figures of one profile. Shares are of the bearings that truly have an obstacle."""
 
     bearings: int
-    """With a true obstacle."""
+    """Number of bearings with a true obstacle."""
     density: float
-    """Share with an estimate."""
+    """Share of these with an estimate."""
     bias_m: float | None
     """Mean error of the right ones; None where there are none, as for all that follow."""
     rms_m: float | None
@@ -54,7 +54,7 @@ class ScanScore:
     within_1_sigma: float | None
     """Share of all estimates whose error is within their own standard deviation; 0.683 is right."""
     within_2_sigma: float | None
-    """Within two; 0.954 is right."""
+    """Share of all estimates whose error is within two of their own standard deviations; 0.954 is right."""
     missed: float
     """Share with an estimate that is too far."""
     false: float
@@ -63,7 +63,7 @@ class ScanScore:
     """Obstacles that stand in front of something."""
     obstacles_found: int
     thin: int
-    """The thin ones among them."""
+    """The number of thin obstacles."""
     thin_found: int
 
 

@@ -71,7 +71,7 @@ class ShapeScores:
     """Left-right consistency error: the mean over rows of the difference between the range errors in the first and in
     the last column, absolute, metres. A jump at the seam that is not in the scene."""
     seam_px: float
-    """The same of disparities."""
+    """Left-right consistency error of disparities, pixels."""
     precision: tuple[float, float, float]
     """The share of the estimate's boundary pixels that are boundary pixels of the truth, for each of `EDGES_M`."""
     recall: tuple[float, float, float]

@@ -131,7 +131,7 @@ def between(draws: Array, seeds: int) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def resampled(seeds: int, draws: int = DRAWS) -> Array:
-    """How often each seed counts `[1 + draws, seeds]`: once each first, then as drawn; read-only."""
+    """Bootstrap weights of seeds `[1 + draws, seeds]`: first one for each, then as often as drawn; read-only."""
     drawn = np.random.default_rng(0).multinomial(seeds, np.full(seeds, 1 / seeds), size=draws)
     weights = np.concatenate([np.ones((1, seeds)), drawn.astype(np.float64)])
     weights.flags.writeable = False

@@ -73,7 +73,7 @@ class Tally:
 
     @property
     def matched(self) -> int:
-        """How many pixels of the domain have an estimate."""
+        """Number of pixels of the domain with an estimate."""
         return self.logarithm.size
 
 

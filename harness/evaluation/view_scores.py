@@ -1,4 +1,4 @@
-"""How near a warped view is to the view itself.
+"""Scores of a warped view against the rendered one.
 
 Peak signal-to-noise ratio 10 log10(255^2 / mean squared error), the same with pixels weighted by their solid angle
 (WS-PSNR: Y. Sun, A. Lu and L. Yu, Weighted-to-spherically-uniform quality evaluation for omnidirectional video, IEEE
@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 
 PEAK_GREY = 255.0
 MOST_DB = 99.0
-"""What two equal views have: a number, so that means can be taken."""
+"""The PSNR of two equal views: finite, so that means can be taken."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ViewScore:
 
     psnr_db: float
     ws_psnr_db: float
-    """Weighted by solid angle."""
+    """PSNR over the compared pixels, weighted by solid angle."""
     ssim: float
     holes: float
     """Share of the pixels that were filled."""
