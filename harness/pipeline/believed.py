@@ -1,4 +1,4 @@
-"""What is believed of a rig, and wrong: errors of the motion and the calibration that the matcher is given."""
+"""Errors of the motion and the calibration that the matcher is given."""
 
 from typing import Annotated, Literal
 
@@ -20,7 +20,7 @@ Error = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class Believed(Spec):
-    """What the matcher is given less what is true: fixed errors, and errors that the seed draws.
+    """Errors of the rig that the matcher is given, believed less true: fixed ones, and ones that the seed draws.
 
     Images come from the true rig. Ranges are those that the matcher finds with the motion and the calibration that it
     believes; they are compared with the truth along the directions that it believes.
@@ -55,7 +55,7 @@ class Believed(Spec):
 
     @property
     def is_true(self) -> bool:
-        """Whether what is believed is true."""
+        """Whether the believed rig is the true one."""
         return self == Believed()
 
 
@@ -113,7 +113,7 @@ def believed_rig(true: Rig, believed: Believed, draws: dict[str, float]) -> Rig:
 
 
 def calibrated(true: Rig, believed: Believed) -> Rig:
-    """The rig with central sensors: those that are believed of misaligned mirrors."""
+    """The rig with central sensors in place of misaligned ones."""
     if believed.alignment == "nominal":
         first, second = (central_of(each) for each in true.sensors)
     else:

@@ -1,4 +1,4 @@
-"""What the numbers may depend on besides an experiment's own settings."""
+"""The environment that results may depend on besides an experiment's settings: program, machine and libraries."""
 
 import hashlib
 import platform
@@ -43,9 +43,9 @@ def source_hash() -> str:
 
 @lru_cache(maxsize=1)
 def code_hash() -> str:
-    """SHA-256 of all that makes a trial's row: the source from the camera to the evaluation, and the libraries.
+    """SHA-256 of the code that a trial's row depends on: source from the camera to the evaluation, and libraries.
 
-    Not of the report, the command line, or what runs trials and keeps their rows.
+    The report, the command line, and the code that runs trials and stores their rows are not included.
     """
     rooms = ("geometry", "camera", "io", "simulation", "motion", "matching", "evaluation", "pipeline")
     versions = [f"{name} {metadata.version(name)}" for name in _LIBRARIES]

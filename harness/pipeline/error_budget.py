@@ -1,4 +1,4 @@
-"""The error budget of a trial, by range and by direction: what each cause is predicted to do, and what errors did."""
+"""The error budget of a trial, by range and direction: the predicted error of each cause, and the measured errors."""
 
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from harness.simulation.noise import generator
 Z_EDGES = np.arange(0.0, 6.0001, 0.05)
 """Bins of |error| over its predicted standard deviation; what lies beyond is in the last one."""
 CALIBRATED = "alignment, calibrated"
-"""The cause that is left of a misaligned mirror after the best calibration of a central sensor."""
+"""The remaining cause when a misaligned mirror is calibrated as a central sensor as well as possible."""
 _EVERY = 3
 """Rows and columns between the pixels that count."""
 _LEAST_SINE = 0.5
@@ -68,7 +68,7 @@ def error_budget(outcome: Outcome) -> list[dict[str, Any]] | None:
             follow = partial(calibrated, believed=trial.believed)
         sensitivity = sensitivities(points, base, parameters, normals, follow)
         sigma[name] = propagated(sensitivity, covariance)
-        # What is believed is off what is true; of the alignment, what is true is off what is believed.
+        # Errors are believed less true; those of the alignment are true less believed.
         side = 1 if cause == "alignment" else -1
         follows = follows + side * sensitivity @ [draws.get(each.key, 0.0) for each in parameters]
     total = np.sqrt(sum(each**2 for each in sigma.values()))

@@ -17,12 +17,12 @@ class MotionOfImages(OneLine):
     """A motion from two images."""
 
     motion: Motion
-    """With the true |t|, which images do not tell."""
+    """The motion, with the true |t|, which images do not determine."""
     error: MotionError
-    """What it says of its own uncertainty."""
+    """The estimate's own uncertainty."""
     status: str
     reasons: tuple[str, ...]
-    """Why it is not `ok`, in words."""
+    """The reasons why its status is not `ok`, in words."""
 
 
 def motion_of_images(

@@ -52,7 +52,7 @@ _NO_RANGE = 0.02
 
 
 class Verdict(StrEnum):
-    """What a geometry is good for."""
+    """The verdict on a geometry."""
 
     OK = "ok"
     """Matches lie on their curves as far as the noise lets one see, or what is wrong costs less than the noise."""
@@ -70,9 +70,9 @@ class GeometryCheck(OneLine):
 
     verdict: Verdict
     tiles: Across
-    """What was measured."""
+    """The offsets of matches from their epipolar curves, tile by tile."""
     causes: Causes | None
-    """What may be wrong; None where there are too few tiles."""
+    """The likely errors; None with too few tiles."""
     error_share: Array
     """`[tiles]`: standard deviation that the geometry adds to ranges about a tile, as a share of the range."""
     covered: float
@@ -90,7 +90,7 @@ class GeometryCheck(OneLine):
 
     @property
     def explained_px(self) -> Array:
-        """`[tiles]`: what of it the likeliest error explains."""
+        """`[tiles]`: the part of `across_px` that the likeliest error explains, pixels."""
         if self.causes is None:
             return np.zeros(len(self.tiles))
         theta = self.causes.likely[0].theta if self.causes.likely else self.causes.theta
@@ -98,7 +98,7 @@ class GeometryCheck(OneLine):
 
     @property
     def sigma_px(self) -> Array:
-        """`[tiles]`: what of it the noise explains, as a standard deviation."""
+        """`[tiles]`: the standard deviation of `across_px` from noise, pixels."""
         sigma = self.tiles.sigma if self.causes is None else self.causes.sigma
         return np.asarray(sigma * self.tiles.px_per_rad)
 
@@ -109,7 +109,7 @@ class GeometryCheck(OneLine):
 
     @property
     def noise_px(self) -> float:
-        """The same, if there were only noise."""
+        """The expected value of `rms_px` from noise alone."""
         return float(np.sqrt(np.median(self.sigma_px**2))) if len(self.tiles) else math.nan
 
     @property
@@ -130,7 +130,7 @@ class GeometryCheck(OneLine):
 
     @property
     def least(self) -> int:
-        """How many windows a verdict needs."""
+        """The least number of windows for a verdict."""
         return max(LEAST_TILES, math.ceil(LEAST_MATCHED * self.textured))
 
     @property
@@ -139,7 +139,7 @@ class GeometryCheck(OneLine):
         return self.tried >= LEAST_TILES and len(self.tiles) < LEAST_ALIKE * self.tried
 
     def lines(self) -> list[str]:
-        """The verdict in plain words, a sentence each."""
+        """The verdict in plain words, as a list of sentences."""
         if not self.contradicted:
             return self._verdict_lines()
         text = (

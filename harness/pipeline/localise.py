@@ -47,7 +47,7 @@ _ROOM_M = 0.2
 _TRIES = 500
 """Places that are drawn before an area is taken to be full."""
 _BEARINGS = 72
-"""Bearings of the profile that says where there is room for a view that is made."""
+"""Bearings of the profile that shows where there is room for a synthesised view."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -69,7 +69,7 @@ class _PairImages(OneLine):
 
 
 def figures_of(outcome: Outcome) -> list[dict[str, Any]] | None:
-    """How far new images are placed from where they are, JSON-able; None where the trial asks for no such test.
+    """The localisation errors of new images, JSON-able; None where the trial asks for no such test.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def figures_of(outcome: Outcome) -> list[dict[str, Any]] | None:
     if not settings.images:
         return None
     grid = _grid(trial)
-    rng = generator(trial.seed, "places", fingerprint(trial.scene))  # of all that no matcher changes
+    rng = generator(trial.seed, "places", fingerprint(trial.scene))  # the same for every matcher
     pairs = [_pair(trial, grid, place, i) for i, place in enumerate(_places(trial, settings.most // 2, rng, True))]
     singles = [
         _Learned(place, _single(trial, grid, place, 0.0, f"single {i}"), i, real=True)
@@ -110,20 +110,20 @@ def _words_rng(trial: Trial, way: str, count: int) -> np.random.Generator:
 def _sets(
     settings: Localisation, pairs: list[_PairImages], singles: list[_Learned]
 ) -> Iterator[tuple[int, str, list[_Learned]]]:
-    """Number of real images, the way, and what is learned from."""
+    """Sets of images to learn from: the number of real images, how the set is made, and the images."""
     for count in sorted(settings.images):
-        some = pairs[: count // 2]
-        real = [each for pair in some for each in pair.real]
+        chosen = pairs[: count // 2]
+        real = [each for pair in chosen for each in pair.real]
         yield count, PAIRS, real
         if settings.synthesised:
             for way in (SYNTHESISED, TRUE_RANGES):
-                yield count, way, real + [each for pair in some for each in pair.made[way]]
+                yield count, way, real + [each for pair in chosen for each in pair.made[way]]
     for count in sorted({*settings.images, 2 * settings.most}):
         yield count, SINGLES, singles[:count]
 
 
 class _Described:
-    """Local descriptors of images, each made once."""
+    """A cache of the local descriptors of images."""
 
     def __init__(self) -> None:
         self._known: dict[int, Array] = {}
@@ -183,7 +183,7 @@ def _pair(trial: Trial, grid: Grid, place: tuple[float, float], number: int) -> 
         )
         for view, (pose, image) in enumerate(zip((first, second), outcome.images, strict=True))
     ]
-    made: dict[str, list[_Learned]] = {SYNTHESISED: [], TRUE_RANGES: []}
+    synthesised: dict[str, list[_Learned]] = {SYNTHESISED: [], TRUE_RANGES: []}
     if settings.synthesised and outcome.valid.any():
         offsets = _room_for(outcome, settings, generator(trial.seed, "made views", str(number)))
         exact = np.zeros(outcome.trial.panorama.shape)
@@ -198,8 +198,8 @@ def _pair(trial: Trial, grid: Grid, place: tuple[float, float], number: int) -> 
             for offset in offsets:
                 view = warp([source], images, first.R_world_from_view.T @ offset, directions(grid), fill=True)
                 at = (float(first.position_m[0] + offset[0]), float(first.position_m[1] + offset[1]))
-                made[way].append(_Learned(at, view.grey, number, real=False))
-    return _PairImages(real, made)
+                synthesised[way].append(_Learned(at, view.grey, number, real=False))
+    return _PairImages(real, synthesised)
 
 
 def _room_for(outcome: Outcome, settings: Localisation, rng: np.random.Generator) -> list[Array]:
@@ -232,14 +232,14 @@ def _places(trial: Trial, count: int, rng: np.random.Generator, with_pair: bool)
         When the area has none to speak of.
     """
     (a, b), (c, d) = trial.localisation.area_m
-    found: list[tuple[float, float]] = []
+    positions: list[tuple[float, float]] = []
     for _ in range(_TRIES + 20 * count):
-        place = float(rng.uniform(min(a, c), max(a, c))), float(rng.uniform(min(b, d), max(b, d)))
-        poses = _at(trial, place, 0.0, "").poses
+        position = float(rng.uniform(min(a, c), max(a, c))), float(rng.uniform(min(b, d), max(b, d)))
+        poses = _at(trial, position, 0.0, "").poses
         if all(_has_room(trial, np.asarray(pose.position_m)) for pose in (poses if with_pair else poses[:1])):
-            found.append(place)
-        if len(found) == count:
-            return found
+            positions.append(position)
+        if len(positions) == count:
+            return positions
     raise InputError("has hardly any place with room for the views", file=trial.scene.name, key="localisation.area_m")
 
 
@@ -257,12 +257,12 @@ def _has_room(trial: Trial, position_m: Array) -> bool:
 
 def _single(trial: Trial, grid: Grid, place: tuple[float, float], yaw_deg: float, name: str) -> NDArray[np.float32]:
     """The panorama of one image at a place, with its noise."""
-    there = _at(trial, place, yaw_deg, name)
-    return _panorama(Work(there, StageCache(), threads=1)(NOISE, 0), there, 0, grid)
+    moved = _at(trial, place, yaw_deg, name)
+    return _panorama(Work(moved, StageCache(), threads=1)(NOISE, 0), moved, 0, grid)
 
 
 def _panorama(image: NDArray[np.float32], trial: Trial, view: int, grid: Grid) -> NDArray[np.float32]:
-    """An image on the grid, in the orientation of view 1, what it does not see at the mean of what it does."""
+    """An image on the grid, in the orientation of view 1; unknown pixels have the mean of the known ones."""
     turn = relative_motion(*trial.poses).R_v2_from_v1 if view else None
     unwrapped = unwrap(image, trial.assumed_sensors[view], grid, R_sensor_from_panorama=turn)
     known = unwrapped.valid & np.isfinite(unwrapped.values)
@@ -271,7 +271,7 @@ def _panorama(image: NDArray[np.float32], trial: Trial, view: int, grid: Grid) -
 
 
 def _at(trial: Trial, place: tuple[float, float], yaw_deg: float, name: str) -> Trial:
-    """The trial's rig at a place, with noise of its own, and nothing but its ranges asked for."""
+    """The trial with its rig at another position and other noise, without further scores."""
     view_1 = trial.view_1
     at = (*place, trial.poses[0].position_m[2])
     seed = int(generator(trial.seed, "image", fingerprint(trial.scene), name).integers(2**62)) if name else 0

@@ -1,4 +1,4 @@
-"""The maps of a trial: what was estimated, what is true, and how they differ, pixel by pixel; in memory and as NPZ."""
+"""The maps of a trial: estimate, truth and error, pixel by pixel; in memory and as NPZ."""
 
 import io
 import zipfile
@@ -44,7 +44,7 @@ MAPS = {
     "domain": ("", "whether errors are counted: the true point is visible, at least 30 degrees from the baseline"),
     "visible": ("", "whether view 2 sees the true point"),
 }
-"""Name: unit and meaning. Every map is `[height, width]` of view 1's panorama."""
+"""Unit and meaning of each map by name. Every map is `[height, width]` of view 1's panorama."""
 
 README = f"""\
 The maps of every trial of this run, one file KEY.npz for each, where KEY is the trial's key in trials.csv.
@@ -72,7 +72,7 @@ d_2 = |t| sin(alpha_1)/sin(alpha_2 - alpha_1).
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrialMaps(OneLine):
-    """What a trial estimated and what is true; arrays are `[height, width]` of view 1's panorama, read-only.
+    """The estimates of a trial and the truth; arrays are `[height, width]` of view 1's panorama, read-only.
 
     Row 0 is at the top, columns ascend in azimuth. Missing is NaN, with the reason beside it.
     """
@@ -94,14 +94,14 @@ class TrialMaps(OneLine):
     alpha_2: Array
     """Estimated angle between t and the direction from viewpoint 2 to the point, radians; NaN: no match."""
     true_alpha_2: Array
-    """What `alpha_2` should be, radians."""
+    """True value of `alpha_2`, radians."""
     sigma_alpha_2: Array
     """Predicted standard deviation of `alpha_2`, radians; NaN where nothing is predicted. The matcher's own, or
     derived from the residuals between the views."""
     confidence: Array | None
     """The matcher's own, higher is more confident; None for a matcher that has none."""
     reason: NDArray[np.uint8]
-    """`Reason`: why there is no range; 0 where there is one."""
+    """The `Reason` for a missing range; 0 where there is a range."""
     domain: Mask
     """Where errors are counted: the true point is visible, at least 30 degrees from the baseline."""
     visible: Mask
@@ -224,7 +224,7 @@ def _locked(array: NDArray[Any]) -> NDArray[Any]:
 # --- Files --------------------------------------------------------------------------------------------------------
 
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What reading a missing, truncated or foreign file raises."""
+"""The exceptions that reading a missing, truncated or unrelated file raises."""
 
 
 def write_maps(maps: TrialMaps, folder: Path) -> None:
@@ -272,8 +272,8 @@ def has_maps(folder: Path, key: str) -> bool:
     """Whether the maps of this trial exist, are complete, and were made by the present code and libraries."""
     try:
         with maps_file(folder, key).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            its = (str(archive["key"]), str(archive["code"]))
-            return its == (key, code_hash()) and archive.zip.testzip() is None
+            stored = (str(archive["key"]), str(archive["code"]))
+            return stored == (key, code_hash()) and archive.zip.testzip() is None
     except _UNREADABLE:
         return False
 

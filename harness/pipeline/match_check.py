@@ -1,4 +1,4 @@
-"""Matches of photographs that cannot be right, marked: both views do not look alike there, or the point has moved.
+"""Rejection of implausible matches of photographs: the views do not look alike there, or the point has moved.
 
 In an experiment a matcher answers for itself, and its outliers are counted. Here nobody counts them.
 """
@@ -24,7 +24,7 @@ WINDOW_PX = 9
 LEAST_CONTRAST = 1.0
 """Standard deviation of a window's grey levels: below, rounding to 8 bits is most of it."""
 LEAST_MOVED_PX = 1.0
-"""How far off its curve a window lies that has moved, pixels of view 2."""
+"""Least offset of a moved window from its epipolar curve, pixels of view 2."""
 _LOOSE = 0.5
 """Weight of a tile that does not go with the rest."""
 _LEAST_BESIDE = 2
@@ -32,17 +32,20 @@ _LEAST_BESIDE = 2
 
 
 def without_unlike(pair: Pair, matcher: MatcherSettings, matches: Matches) -> Matches:
-    """Matches less those at which both views do not look alike, or have no texture.
+    """Matches without those at which the views do not look alike, or have no texture.
 
     A matcher that predicts its own standard deviation has looked at that, and is left as it is.
     """
     if matches.sigma_alpha_2 is not None:
         return matches
     first, second = pair.panoramas()
-    there = sampled_at(second, matcher.curves(pair.grid, pair.t_v1), matches.alpha_2)
-    both = np.isfinite(there) & first.valid
-    share, mean_1, mean_2 = (_means(each, both) for each in (np.ones(pair.grid.shape), first.values, there))
-    squares = [_means(a * b, both) for a, b in ((first.values, first.values), (there, there), (first.values, there))]
+    second_values = sampled_at(second, matcher.curves(pair.grid, pair.t_v1), matches.alpha_2)
+    both = np.isfinite(second_values) & first.valid
+    share, mean_1, mean_2 = (_means(each, both) for each in (np.ones(pair.grid.shape), first.values, second_values))
+    squares = [
+        _means(a * b, both)
+        for a, b in ((first.values, first.values), (second_values, second_values), (first.values, second_values))
+    ]
     with np.errstate(invalid="ignore", divide="ignore"):
         v_1, v_2 = squares[0] / share - (mean_1 / share) ** 2, squares[1] / share - (mean_2 / share) ** 2
         covariance = squares[2] / share - mean_1 * mean_2 / share**2
@@ -63,15 +66,15 @@ def moved(pair: Pair, check: GeometryCheck) -> NDArray[np.bool_]:
     lattice = np.zeros((camera.height_px // SIDE_PX + 2, camera.width_px // SIDE_PX + 2), dtype=bool)
     row, column = (tiles.tiles // SIDE_PX).T
     lattice[row[loose], column[loose]] = True
-    beside = ndimage.convolve(lattice.astype(int), np.ones((3, 3), int), mode="constant") - lattice
-    lattice &= beside >= _LEAST_BESIDE
+    neighbours = ndimage.convolve(lattice.astype(int), np.ones((3, 3), int), mode="constant") - lattice
+    lattice &= neighbours >= _LEAST_BESIDE
     pixels, valid = project(pair.sensors[0], directions(pair.grid))
     u, v = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp) // SIDE_PX, -1, 0)
     return np.asarray(valid & lattice[np.clip(v, 0, lattice.shape[0] - 1), np.clip(u, 0, lattice.shape[1] - 1)])
 
 
 def without(matches: Matches, wrong: NDArray[np.bool_], reason: Reason) -> Matches:
-    """Matches less some of them; the same object where none of them is matched."""
+    """Matches without those of some pixels; the same object if none of these is matched."""
     wrong = wrong & (matches.reasons == Reason.MATCHED)
     if not wrong.any():
         return matches

@@ -1,4 +1,4 @@
-"""Views from other viewpoints, warped from a trial's pair with its ranges, beside what they are compared with.
+"""Views from other viewpoints, warped from a trial's pair with its ranges, and the views they are compared with.
 
 The *ceiling* is the same warp with the true ranges, and the *floor* the nearest of the two images untouched, turned to
 the new view's orientation: a warp is worth its while between the two.
@@ -44,7 +44,7 @@ class NovelView(OneLine):
     compared: Mask
     """The pixels that count: those that the sensor sees from there."""
     disoccluded: Mask
-    """What view 1 has not seen, by the truth."""
+    """The pixels that view 1 does not see, by the truth."""
     warped: WarpedView
     """With the matcher's ranges; holes are filled."""
     ceiling: WarpedView
@@ -78,7 +78,7 @@ def novel_views(outcome: Outcome, distances_m: Sequence[float] | None = None) ->
     viewpoints = [relative_motion(trial.poses[0], pose).t_v1 for pose in poses]
     source = Source(RangeSurface(trial.panorama, outcome.range_m, sigma_m(outcome)), AT_REST)
     images, looking = _images(outcome, pair.motion), directions(trial.panorama)
-    # What no matcher changes is made once for all of them.
+    # Views that do not depend on the matcher are made once for all matchers.
     bounds = pair.shared("ceiling and floor", line, lambda: _ceilings_and_floors(outcome, viewpoints))
     return [
         NovelView(distance, *_expected_of(outcome, pose), warp([source], images, at, looking, fill=True), *bound)
@@ -114,7 +114,7 @@ def figures_of(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def columns_of(views: list[dict[str, Any]]) -> dict[str, float | None]:
-    """Means over the distances, of what `figures_of` made, by the names of `trials.csv`."""
+    """Means over the distances of the scores from `figures_of`, by the names of `trials.csv`."""
     kinds = {"view": "warped", "view_ceiling": "ceiling", "view_floor": "floor"}
     figures: dict[str, float | None] = {
         f"{name}_psnr_db": float(np.mean([view[kind]["psnr_db"] for view in views])) for name, kind in kinds.items()
@@ -139,8 +139,8 @@ def _expected(
     grid: Grid,
     samples: int,
 ) -> tuple[Grey, Mask, Mask]:
-    """The rendered view on the panorama, the pixels that count, and what view 1 has not seen."""
+    """The rendered view on the panorama, the pixels that count, and those that view 1 does not see."""
     looking = directions(grid)
     grey, valid = sample(render(scene, sensor, pose, samples), sensor, looking)
-    seen = truth(scene, pose, looking, in_use(sensor, looking), pose_2=pose_1, sensor_2=sensor)
-    return np.where(valid, grey, np.float32(np.nan)), valid, valid & ~seen.visible
+    ground_truth = truth(scene, pose, looking, in_use(sensor, looking), pose_2=pose_1, sensor_2=sensor)
+    return np.where(valid, grey, np.float32(np.nan)), valid, valid & ~ground_truth.visible

@@ -1,4 +1,4 @@
-"""The map of a trial: its pair's range profile taken all along a path, and what the true profiles would make of it."""
+"""The map of a trial: from its pair's range profiles along a path, and from the true profiles."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -33,7 +33,7 @@ States = NDArray[np.uint8]
 
 @dataclass(frozen=True, repr=False, eq=False)
 class PathMap(OneLine):
-    """A map, what it should be, and the ceiling: the map of the true profiles taken at the same places."""
+    """A map, the true map, and the ceiling: the map of the true profiles at the same positions."""
 
     frame: GridFrame
     state: States
@@ -59,19 +59,19 @@ def path_map_of(outcome: Outcome) -> PathMap | None:
         place = Place(*pose.position_m[:2], float(np.arctan2(x_axis[1], x_axis[0])))
         try:
             estimated.append((profile_of(run_trial(each, threads=1), each.scan), place))
-        except InputError as error:  # of views that stand where none can
+        except InputError as error:  # a view at a position that is not valid
             raise InputError(error.problem, file=error.file, key="trial.map.path_m") from error
         exact.append((true_scan(each.scene, pose, each.scan).profile(_EXACT_M), place))
     stations = np.array([[place.x_m, place.y_m] for _, place in estimated])
     settings, scan = trial.map, trials_along(trial)[0].scan
     plan = floor_plan(trial.scene, trial.poses[0].position_m, scan)
-    seen = stations.min(axis=0) - scan.range_max_m, stations.max(axis=0) + scan.range_max_m
-    ends = np.clip(np.concatenate([plan.reshape(-1, 2), stations]), *seen)
+    bounds = stations.min(axis=0) - scan.range_max_m, stations.max(axis=0) + scan.range_max_m
+    ends = np.clip(np.concatenate([plan.reshape(-1, 2), stations]), *bounds)
     frame = frame_around(ends.min(axis=0), ends.max(axis=0), settings.cell_m)
     true = true_states(plan, stations, frame)
     state, ceiling = (
-        map_of_profiles(some, frame, prior=settings.prior, false_share=settings.false_share).state
-        for some in (estimated, exact)
+        map_of_profiles(profiles, frame, prior=settings.prior, false_share=settings.false_share).state
+        for profiles in (estimated, exact)
     )
     scores = [score_map(each, true, plan, frame) for each in (state, ceiling)]
     return PathMap(frame, state, ceiling, true, scores[0], scores[1], stations)
@@ -86,19 +86,19 @@ def figures_of(outcome: Outcome) -> dict[str, Any] | None:
         `score` and `ceiling`: see `map_scores.MapScore`; `origin_m`, `cell_m` and `shape` of the cells; `state`,
         `ceiling_state` and `true`: see `packed.packed`; `stations_m`.
     """
-    made = path_map_of(outcome)
-    if made is None:
+    path_map = path_map_of(outcome)
+    if path_map is None:
         return None
     return {
-        "score": asdict(made.score),
-        "ceiling": asdict(made.ceiling_score),
-        "origin_m": list(made.frame.origin_m),
-        "cell_m": made.frame.cell_m,
-        "shape": list(made.frame.shape),
-        "state": packed(made.state),
-        "ceiling_state": packed(made.ceiling),
-        "true": packed(made.true),
-        "stations_m": made.stations_m.tolist(),
+        "score": asdict(path_map.score),
+        "ceiling": asdict(path_map.ceiling_score),
+        "origin_m": list(path_map.frame.origin_m),
+        "cell_m": path_map.frame.cell_m,
+        "shape": list(path_map.frame.shape),
+        "state": packed(path_map.state),
+        "ceiling_state": packed(path_map.ceiling),
+        "true": packed(path_map.true),
+        "stations_m": path_map.stations_m.tolist(),
     }
 
 
@@ -121,7 +121,7 @@ def trials_along(trial: Trial) -> list[Trial]:
         "novel_views": NovelViews(),
         "scoring": Scoring(),
     }
-    made = []
+    trials = []
     for i, (x, y, heading) in enumerate(trial.map.stations()):
         turn = math.degrees(heading)
         at = (x + offset[0], y + offset[1], first.position_m[2])
@@ -130,5 +130,5 @@ def trials_along(trial: Trial) -> list[Trial]:
         turned = {"azimuth_deg": second.azimuth_deg + turn, "yaw_deg": second.yaw_deg + placed_yaw_deg + turn}
         view_2 = second.model_copy(update=turned)
         seed = int(generator(trial.seed, "path", fingerprint(trial.scene), f"station {i}").integers(2**62))
-        made.append(trial.model_copy(update={**shared, "view_1": view_1, "view_2": view_2, "seed": seed}))
-    return made
+        trials.append(trial.model_copy(update={**shared, "view_1": view_1, "view_2": view_2, "seed": seed}))
+    return trials

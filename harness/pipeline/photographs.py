@@ -60,7 +60,7 @@ class Photograph(OneLine):
     colour: NDArray[np.uint8]
     """`[height, width, 3]`."""
     scale: str
-    """How the file's levels became grey, for people."""
+    """The conversion from the file's levels to grey, in words."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,7 +101,7 @@ class Estimate(OneLine):
         return directions(self.pair.grid)[self.valid] * self.range_m[self.valid][:, None]
 
     def summary(self) -> dict[str, Any]:
-        """The figures of the whole as plain values; None where there is none."""
+        """The overall figures as plain values; None for a figure without a value."""
 
         def median(values: Array) -> float | None:
             known = values[np.isfinite(values)]

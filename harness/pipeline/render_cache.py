@@ -45,7 +45,7 @@ def limit_bytes() -> int:
 
 @dataclass(frozen=True)
 class Contents:
-    """What is in the cache."""
+    """The number of files in the cache, and their size."""
 
     files: int
     bytes: int
@@ -113,7 +113,7 @@ class RenderCache:
                 break
             _remove(path)
             total -= size
-        # Other processes write too: none takes more than a share of what is left before it looks again.
+        # Other processes write too: each writes at most a share of the remaining room before it checks again.
         self._room = (self.limit - total) // 8
 
     def _files(self) -> list[tuple[float, Path, int]]:
@@ -152,7 +152,7 @@ def _read(path: Path) -> NDArray[np.float32] | None:
         return None
     if not isinstance(image, np.ndarray) or image.dtype != np.float32:
         return None
-    with suppress(OSError):  # in a cache that may only be read there is no order of removal
+    with suppress(OSError):  # a read-only cache has no order of removal
         os.utime(path)
     image.flags.writeable = False
     return image

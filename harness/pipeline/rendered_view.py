@@ -170,5 +170,5 @@ def _unwrapped(image: NDArray[np.float32], sensor: Sensor, grid: Grid) -> NDArra
     """The panorama of an image, grey or in colour; NaN where the sensor sees nothing."""
     if image.ndim == 3:
         return np.stack([_unwrapped(np.ascontiguousarray(band), sensor, grid) for band in image.T.swapaxes(1, 2)], -1)
-    made = unwrap(image, sensor, grid)
-    return np.where(made.valid, made.values, np.float32(np.nan))
+    panorama = unwrap(image, sensor, grid)
+    return np.where(panorama.valid, panorama.values, np.float32(np.nan))

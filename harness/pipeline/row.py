@@ -28,14 +28,14 @@ from harness.pipeline.trial import Outcome
 
 
 class Beside(NamedTuple):
-    """Something that a trial may be scored by beside its ranges."""
+    """A kind of score that a trial may have beside those of its ranges."""
 
     name: str
-    """In the row."""
+    """Its key in the row."""
     entry_of: Callable[[Outcome], Any]
-    """What the row has of it, JSON-able; None or empty where the trial asks for nothing."""
+    """Computes the row's entry from an outcome, JSON-able; None or empty where the trial does not ask for it."""
     columns_of: Callable[[Any], dict[str, float | None]]
-    """What `trials.csv` has of that."""
+    """The columns of `trials.csv` from that entry."""
 
 
 BESIDE = (
@@ -44,7 +44,7 @@ BESIDE = (
     Beside("map", path_map.figures_of, path_map.columns_of),
     Beside("localisation", localise.figures_of, lambda _: {}),
 )
-"""In the order of the columns."""
+"""All such scores, in the order of the columns."""
 
 
 def row_of(outcome: Outcome) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
     trial, refined = outcome.trial, outcome.matches.refined
     errors = tally(outcome.layout, outcome.valid, outcome.errors)
     regions = measure_regions(errors)
-    beside = {each.name: scored for each in BESIDE if (scored := each.entry_of(outcome))}
+    further = {each.name: scored for each in BESIDE if (scored := each.entry_of(outcome))}
     optional: dict[str, Any] = {
         "sample": sampled(outcome),
         "noise_grey": noise_grey(outcome) if trial.scoring.sample_px else None,
@@ -72,7 +72,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
         "rounding": _rounding(outcome) or None,
         "remark": outcome.matches.remark or None,
         "motion": _status(outcome),
-        **beside,
+        **further,
     }
     return {
         "figures": {
@@ -87,8 +87,8 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **{
                 key: value
                 for each in BESIDE
-                if each.name in beside
-                for key, value in each.columns_of(beside[each.name]).items()
+                if each.name in further
+                for key, value in each.columns_of(further[each.name]).items()
             },
         },
         "regions": regions,
@@ -105,7 +105,7 @@ def _rounding(outcome: Outcome) -> dict[str, float | None]:
 
 
 def _reasons(outcome: Outcome) -> dict[str, int]:
-    """How many pixels of the domain have each reason; without reasons that do not occur."""
+    """The number of pixels of the domain with each reason; without reasons that do not occur."""
     counts = np.bincount(outcome.reason[outcome.reference.domain], minlength=len(Reason))
     return {reason.name: int(counts[reason]) for reason in Reason if counts[reason]}
 

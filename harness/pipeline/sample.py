@@ -1,4 +1,4 @@
-"""What a row stores beyond figures: errors of sampled pixels, and the quality of confidence."""
+"""The entries of a row beyond figures: errors of sampled pixels, and the quality of confidence."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ _EVERY = 5
 """Steps of the curve, of its hundred, between the points of a figure."""
 
 BAD_PX = 1.0
-"""Errors that confidence should detect are beyond this."""
+"""Errors above this should be detected by confidence."""
 
 
 def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
@@ -30,15 +30,15 @@ def sampled(outcome: Outcome) -> dict[str, list[float | None]] | None:
     step = outcome.trial.scoring.sample_px
     if not step:
         return None
-    some = (slice(step // 2, None, step), slice(step // 2, None, step))
-    domain = outcome.reference.domain[some]
+    lattice = (slice(step // 2, None, step), slice(step // 2, None, step))
+    domain = outcome.reference.domain[lattice]
     pitch = outcome.trial.panorama.phi_pitch
     sigma, bound = outcome.matches.sigma_alpha_2, outcome.bound_px
     nothing = np.full(domain.sum(), np.nan)
     return {
-        "error_px": _plain(_errors(outcome, outcome.errors.disparity_px)[some][domain]),
-        "bound_px": _plain(nothing if bound is None else bound[some][domain]),
-        "sigma_px": _plain(nothing if sigma is None else sigma[some][domain] / pitch),
+        "error_px": _plain(_errors(outcome, outcome.errors.disparity_px)[lattice][domain]),
+        "bound_px": _plain(nothing if bound is None else bound[lattice][domain]),
+        "sigma_px": _plain(nothing if sigma is None else sigma[lattice][domain] / pitch),
     }
 
 

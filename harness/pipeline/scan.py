@@ -54,8 +54,8 @@ class TrueScan(OneLine):
 
     def profile(self, sigma_m: float = 0.0) -> RangeProfile:
         """As a profile whose distances are exact."""
-        there = self.range_m
-        return RangeProfile(bearings(there.size), there, np.where(np.isfinite(there), sigma_m, np.nan))
+        range_m = self.range_m
+        return RangeProfile(bearings(range_m.size), range_m, np.where(np.isfinite(range_m), sigma_m, np.nan))
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -1,4 +1,4 @@
-"""How sharp two photographs are, beside each other and by themselves, and what to do about it.
+"""The sharpness of two photographs, relative and absolute, and its equalisation.
 
 Least squares takes what one view shows sharply and the other does not for a difference of the two: it loses three
 quarters of the matches where one is blurred by a pixel more, and all of them at two. So the sharper one is blurred by
@@ -50,7 +50,7 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, repr=False)
 class Sharpness(OneLine):
-    """How sharp two views are."""
+    """The sharpness of two views."""
 
     levels: tuple[Array, Array]
     """`[2, 8]` each, over rows and columns of the panorama: logarithm of fine over coarse energy. About 0 for a sharp
@@ -64,7 +64,7 @@ class Sharpness(OneLine):
         return max(_median(each) for each in self.levels)
 
     def lines(self) -> list[str]:
-        """What was done, in plain words; nothing where nothing was."""
+        """The applied blur in plain words, one line for each blurred view."""
         return [
             f"sharpness: view {view + 1} is sharper; it was blurred by {blur_px:.2g} px to match"
             for view, blur_px in enumerate(self.added_px)
@@ -87,10 +87,10 @@ def compare_sharpness(
     """Estimate how much sharper one view is than the other, over the panorama."""
     views = list(zip(images, sensors, (np.eye(3), motion.R_v2_from_v1), strict=True))
     levels = [_levels(*each, grid, 0.0) for each in views]
-    apart = _median(levels[0] - levels[1])
-    if not abs(apart) > _ALIKE or not _same_scale(sensors, motion, grid):
+    difference = _median(levels[0] - levels[1])
+    if not abs(difference) > _ALIKE or not _same_scale(sensors, motion, grid):
         return Sharpness((levels[0], levels[1]), (0.0, 0.0))
-    sharper = 0 if apart > 0 else 1
+    sharper = 0 if difference > 0 else 1
     curve = np.stack([levels[sharper], *(_levels(*views[sharper], grid, each) for each in _BLURS[1:])])
     target = levels[1 - sharper]
     squares = [
@@ -127,7 +127,7 @@ def half_size(pair: Pair) -> Pair:
 
 
 def filled(matches: Matches, others: Matches) -> Matches:
-    """Matches with those of others where they have none."""
+    """Matches, with missing ones filled in from others."""
     missing = (matches.reasons != Reason.MATCHED) & (others.reasons == Reason.MATCHED)
 
     def both(name: str) -> Any:
@@ -164,9 +164,9 @@ def _levels(image: Image, sensor: Sensor, R: Array, grid: Grid, blur_px: float) 
     pixels, valid = project(sensor, directions(grid) @ R.T)
     column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
     row, column = np.clip(row, 0, image.shape[0] - 1), np.clip(column, 0, image.shape[1] - 1)
-    there = valid & inside[row, column]
-    bands = [np.where(there, (a - b)[row, column] ** 2, 0.0) for a, b in pairwise(smooth)]
-    fine, coarse, share = (_block_means(each) for each in (*bands, there.astype(np.float64)))
+    usable = valid & inside[row, column]
+    bands = [np.where(usable, (a - b)[row, column] ** 2, 0.0) for a, b in pairwise(smooth)]
+    fine, coarse, share = (_block_means(each) for each in (*bands, usable.astype(np.float64)))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(share > 0.2, np.log(fine / coarse), np.nan)
 

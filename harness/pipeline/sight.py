@@ -127,7 +127,7 @@ def _blind(sensor: Sensor, grid: Grid, key: str) -> InputError:
 
 
 def _z(sensor: Sensor) -> str:
-    """What the sensor's field spans on the cylinder."""
+    """The interval of z, as text, that the sensor's field spans on the cylinder."""
     lowest, highest = sensor.field.elevation_min_deg, sensor.field.elevation_max_deg
     limits = field_of(sensor)
     if limits.up_z != 1 or limits.nearest > -1:  # tilted, or a cone: every half degree of elevation, 5 of azimuth
@@ -143,7 +143,7 @@ _IDENTITY = np.eye(3).tobytes()
 
 
 def _directions(grid: Grid, rotation: bytes) -> Array:
-    """Where the panorama's pixels lie in the sensor's frame, `[height, width, 3]`."""
+    """The directions of the panorama's pixels in the sensor's frame, `[height, width, 3]`."""
     return cylinder(grid) if rotation == _IDENTITY else cylinder(grid) @ np.frombuffer(rotation).reshape(3, 3).T
 
 
@@ -163,7 +163,7 @@ def _shares(sensor: Sensor, grid: Grid, rotation: bytes = _IDENTITY) -> tuple[fl
 
 
 def _remedy(sensor: Sensor, grid: Grid, name: str) -> str:
-    """The key to blame: the first one without which something would be seen; empty when there is none."""
+    """The key to blame: the first one without which something would be visible; empty if there is no such key."""
     if sensor.mask is not None:
         sensor = sensor.model_copy(update={"mask": None})
         if _shares(sensor, grid)[1] > LITTLE:

@@ -129,7 +129,7 @@ class MotionGiven(Spec):
 
 
 class Scoring(Spec):
-    """What is stored of a trial beyond its figures."""
+    """Additional results that are stored with a trial."""
 
     sample_px: Annotated[int, Field(ge=0, le=256)] = 0
     """Keep the errors of every so many rows and columns, panorama pixels, for figures over the pixels of several trials
@@ -164,10 +164,10 @@ class Trial(Spec):
     render: Rendering = Rendering()
     """How images are rendered."""
     optics: Optics = Optics()
-    """What the lens makes of both images, or of the first if the second has its own."""
+    """Lens effects on both images, or on the first if the second has its own."""
     optics_2: Optics | None = None
-    """What the lens makes of the second image, where it is not the same. Keys that are not given have their defaults; a
-    dotted key, as on an axis, changes a copy of the first view's."""
+    """Lens effects on the second image, if they differ. Keys that are not given have their defaults; a dotted key, as
+    on an axis, changes a copy of the first view's."""
     exposure_2: Exposure = Exposure()
     """How the second image differs from the first in exposure."""
     noise: Noise = Noise()
@@ -195,7 +195,7 @@ class Trial(Spec):
     localisation: Localisation = Localisation()
     """Localisation by appearance, with real images and with others that are made of them."""
     scoring: Scoring = Scoring()
-    """What is stored of the trial beyond its figures."""
+    """Additional results that are stored with the trial."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of all that is random: placement and noise."""
 
@@ -249,12 +249,12 @@ class Trial(Spec):
         could be described before keeps its key.
         """
         if self.sensors[0] == self.sensors[1]:
-            del settings["sensor_2"]  # the same trial, whether or not it is given
-        for sensor, given in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
-            _without_what_is_new_of_sensors(sensor, given)
+            del settings["sensor_2"]  # the same trial, whether or not the key is given
+        for sensor, specification in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
+            _without_what_is_new_of_sensors(sensor, specification)
         for name in ("optics", "optics_2", "chip", "motion", "believed", "novel_views", "scan", "map", "localisation"):
             if getattr(self, name) == type(self).model_fields[name].default:
-                del settings[name]  # as before there was one
+                del settings[name]  # as in versions without this table
         sigma = settings.get("believed", {}).get("sigma", {})
         if self.believed.sigma.odometry == Odometry():
             sigma.pop("odometry", None)
@@ -298,7 +298,7 @@ class Trial(Spec):
 
     @property
     def lenses(self) -> tuple[Optics, Optics]:
-        """What the lens makes of the image of each view."""
+        """The lens effects of each view."""
         return self.optics, self.optics if self.optics_2 is None else self.optics_2
 
     @property
@@ -308,14 +308,15 @@ class Trial(Spec):
 
     @property
     def bound_noise_grey(self) -> float:
-        """What `Outcome.bound_px` is to be multiplied with: the white noise; 1 where the chip has a noise of its own,
-        which differs from pixel to pixel and is in the bound already.
+        """The factor of `Outcome.bound_px`: the standard deviation of the white noise; 1 where the chip adds noise.
+
+        The chip's noise differs from pixel to pixel and is in the bound already.
         """
         return self.noise.sigma_grey if self.chip.is_ideal else 1.0
 
     @property
     def assumed_sensors(self) -> tuple[Sensor, Sensor]:
-        """The sensor of each view as whoever uses its images takes it to be: central, its camera and mirror aligned.
+        """The sensor of each view as users of its images assume it: central, its camera and mirror aligned.
 
         Instead of a mirror with a `[profile]` it is the nearest central camera (`camera.central`).
         Panoramas, matches, ranges and the truth that they are compared with are those of this sensor.
@@ -332,7 +333,7 @@ class Trial(Spec):
 def _without_what_is_new_of_sensors(settings: dict[str, Any], given: Sensor) -> None:
     """Take out of a key's settings of a sensor what it has had for less long, where it is at its default."""
     if given.misalignment.is_zero:
-        settings.pop("misalignment", None)  # as before there was one
+        settings.pop("misalignment", None)  # as in versions without this table
     if given.profile is None:
         settings.pop("profile", None)
     if mask := settings.pop("mask", None):

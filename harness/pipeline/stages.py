@@ -102,7 +102,7 @@ class StageKeys:
         self._keys: dict[tuple[Stage[Any], int], Hashable] = {}
 
     def of(self, stage: Stage[Any], view: int = 0) -> Hashable:
-        """What the result of a stage depends on: two trials with equal keys have equal results."""
+        """The key of a stage's result, from all that it depends on: two trials with equal keys have equal results."""
         if (stage, view) not in self._keys:
             before = (
                 self.of(each, which)
@@ -194,6 +194,6 @@ class Clock:
         self._inside[-1] += took
 
     def timed(self, stage: str, make: Callable[[], T]) -> T:
-        """What `make` returns, its time counted for this stage."""
+        """The result of `make`, its time counted for this stage."""
         with self(stage):
             return make()

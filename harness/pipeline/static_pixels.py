@@ -1,4 +1,4 @@
-"""Pixels that show what moves with the camera: its own robot, arm or holder.
+"""Pixels that show objects which move with the camera: its own robot, arm or holder.
 
 They look the same at the same place of both images, where everything else has moved. Only what surely is so counts: a
 window with contrast that correlates with itself, where no point of the scene within the limits of the search would have
@@ -32,7 +32,7 @@ Image = NDArray[np.float32]
 def static_pixels(
     images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], motion: Motion, d_min_m: float, d_max_m: float
 ) -> NDArray[np.bool_]:
-    """Pixels `[height, width]` of both images that show what moves with the camera.
+    """Pixels `[height, width]` of both images that show objects which move with the camera.
 
     Parameters
     ----------

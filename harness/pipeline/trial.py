@@ -43,11 +43,11 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True, repr=False)
 class Outcome(OneLine):
-    """All that a trial made. Arrays are on view 1's panorama unless stated otherwise."""
+    """All results of a trial. Arrays are on view 1's panorama unless stated otherwise."""
 
     trial: Trial
     pair: Pair
-    """What the matcher was given."""
+    """The matcher's input."""
     clean: tuple[NDArray[np.float32], NDArray[np.float32]]
     """The light on the chip of both views: the mirror images before their noise."""
     truth: Truth
@@ -121,13 +121,13 @@ def _render(work: Work, view: int) -> Image:
 
 
 def _refuse_changed_scene(work: Work) -> None:
-    """What is made of a scene's files is kept under the fingerprint that they had when the trial began."""
+    """Refuse a scene whose files changed: results are cached under the fingerprint from the trial's beginning."""
     if fingerprint(work.trial.scene) != work.setup.scene:
         raise InputError("a file of the scene changed while the trial ran; run it again", file=work.scene_name)
 
 
 def _rendered_from(setup: Setup, view: int) -> Hashable:
-    """All that the picture is made of; it outlives the process that made it, so that a model's code counts too."""
+    """The key of a render: all that the image depends on, including a camera model's code, as renders are stored."""
     sensor = setup.trial.sensors[view]
     made_from = (setup.scene, sensor, setup.poses[view], setup.trial.render)
     identity = sensor.model.identity()
@@ -252,7 +252,7 @@ MOTION = Stage(
 
 def _given_motion(work: Work) -> Motion:
     """The motion that the matcher is given."""
-    if work.trial.motion.source == "truth":  # no stage, and no time, for what is known
+    if work.trial.motion.source == "truth":  # the motion is known: the stage takes no time
         return work.setup.assumed.motion
     estimated = work(MOTION)
     assert estimated is not None
@@ -356,9 +356,9 @@ def _bound(work: Work, _view: int) -> Array | None:
 
 
 def _support(trial: Trial) -> Support | None:
-    """What a match is made from, if the bound is requested."""
-    wanted = trial.scoring.sample_px or trial.scoring.bound
-    return trial.matching.support(trial.filter.log_sigma_px) if wanted else None
+    """The pixels that a match is made from, if the bound is requested."""
+    is_requested = trial.scoring.sample_px or trial.scoring.bound
+    return trial.matching.support(trial.filter.log_sigma_px) if is_requested else None
 
 
 def _odd_up_to(number: int) -> int:
@@ -384,7 +384,7 @@ _ORDERED_BY = (RENDER, TRUTH, NOISE, PAIR)
 
 
 def sharing_keys(trial: Trial) -> dict[str, Hashable]:
-    """Which trials can share the stages up to each of these: those with equal keys. In the order of the pipeline."""
+    """For each stage, in the pipeline's order, a key: trials with equal keys can share the stages up to it."""
     keys = StageKeys(setup_of(trial))
     shared: dict[str, Hashable] = {
         stage.name: tuple(keys.of(stage, view) for view in stage.views) for stage in _ORDERED_BY
@@ -478,7 +478,7 @@ def _check_view(work: Work, pose: Pose, key: str) -> None:
 
 @contextmanager
 def _naming_scene_file(work: Work) -> Iterator[None]:
-    """What the scene is refused for names the file that it was read from, and its key."""
+    """A context in which errors about the scene name the file that it was read from, and its key."""
     try:
         yield
     except InputError as error:
