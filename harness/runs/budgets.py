@@ -13,7 +13,7 @@ from harness.runs.cases import CASE
 from harness.runs.experiment import Planned
 
 OWN = "matching"
-"""The cause that no trial is without: the matcher, with the images' noise."""
+"""The cause that every trial has: the matcher, with the images' noise."""
 
 
 _OVER: dict[str, tuple[str, Callable[[int], float]]] = {
@@ -98,7 +98,7 @@ def _quantiles(counts: Array) -> Array:
 
 
 def _of_causes_alone(entry: dict[str, Any], entries: list[dict[str, Any]], middle: str) -> float | None:
-    """The root of the sum of squares of what each cause of an entry does alone, the matcher's own part counted once."""
+    """The root of the sum of squares of an entry's causes, each measured alone, the matcher's own part counted once."""
     if len(entry["causes"]) < 2:
         return None
     same = [e for e in entries if all(e[key] == entry[key] for key in ("matcher", "subpixel", middle))]
@@ -114,7 +114,7 @@ _ALIKE = 1.3
 
 
 def _alone(cause: str, entry: dict[str, Any], same: list[dict[str, Any]]) -> float | None:
-    """What a cause does alone where it is of an entry's size, by its prediction; None where no entry has that."""
+    """The measured error of a cause alone, of the size predicted for an entry; None if it was not measured alone."""
     ratios = {
         each["measured_m"]: abs(float(np.log(each["predicted_m"][cause] / entry["predicted_m"][cause])))
         for each in same

@@ -22,7 +22,7 @@ NAME_MEANING = (
 
 
 def settings_of(case: Settings) -> Settings:
-    """What a case changes: dotted keys of a trial and their values, without its name."""
+    """The settings that a case changes: dotted keys of a trial and their values, without its name."""
     return {key: value for key, value in case.items() if key != NAME}
 
 
@@ -38,8 +38,8 @@ def label(case: Settings, number: int) -> str:
 
 def key_of_name(key: str, cases: Sequence[Settings]) -> str:
     """A key such as `cases[1].seed` with the case's name instead of its number, for cases that are given by name."""
-    number, _, rest = key.removeprefix("cases[").partition("]")
-    below = rest.removeprefix(".")
+    number, _, remainder = key.removeprefix("cases[").partition("]")
+    below = remainder.removeprefix(".")
     return below if below == NAME else ": ".join(filter(None, (str(cases[int(number)][NAME]), below)))
 
 
@@ -71,7 +71,7 @@ def check_cases(cases: Sequence[Settings], axes: Mapping[str, Any]) -> None:
 
 
 def with_names(cases: Sequence[Settings]) -> list[Settings]:
-    """The cases, those without a name called by what they change; says so, as the next version will refuse them."""
+    """The cases, nameless ones named after their settings, with a notice that the next version will refuse these."""
     complete: list[Settings] = []
     nameless: list[str] = []
     for number, case in enumerate(cases):
@@ -109,7 +109,7 @@ def may_be_methods(cases: Sequence[Settings], axes: Mapping[str, Any]) -> bool:
 def method_labels(
     cases: Sequence[Settings], axes: Mapping[str, Any], methods: Iterable[tuple[str, MethodName]]
 ) -> dict[MethodName, str]:
-    """What methods are called by the cases that name them; empty unless each case is a method of its own.
+    """The names that cases give to methods; empty unless each case is a method of its own.
 
     Parameters
     ----------

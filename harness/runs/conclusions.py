@@ -1,4 +1,4 @@
-"""What a sweep says, in sentences that say no more than their intervals allow."""
+"""Conclusions from a sweep, in sentences that claim no more than their intervals allow."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 FIGURES = (("wall", "wall_range_median_abs_m"), ("all", "range_median_abs_m"))
 """Median |range error| of walls, where square windows fit; of everything where there are no walls."""
 _LEAST = 0.02
-"""A difference of less than 2 % is none worth a sentence, however sure it is."""
+"""Least relative difference that is worth a sentence, however certain: 2 %."""
 
 
 def conclusions(
@@ -46,11 +46,11 @@ def conclusions(
         Sentences on what else the trials were scored by, such as warped views.
     """
     table, axes = table_of(rows, labels or {})
-    measured = [(place, name) for place, name in FIGURES if not table.empty and (table[name] > 0).any()]
+    measured = [(part, name) for part, name in FIGURES if not table.empty and (table[name] > 0).any()]
     if not measured or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
         return []
-    place, figure = measured[0]
-    where = "on walls" if place == "wall" else "over all pixels"
+    part, figure = measured[0]
+    where = "on walls" if part == "wall" else "over all pixels"
     best = _best_method(table, axes, figure)
     sentences = list(_about_methods(table, axes, figure, where))
     of_best = table[table["method"] == best]
@@ -65,7 +65,7 @@ def conclusions(
 
 
 def table_of(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
-    """A row a trial: its method, seed, figures, and for each axis the index of its value; and the axes' values."""
+    """A table of trials with method, seed, figures and the index of the value on each axis; and the axes' values."""
     not_axes = ("seed", *METHOD_KEYS, *([CASE] if labels else []))
     known: dict[str, dict[str, Any]] = {}
     for row in rows:
@@ -89,7 +89,7 @@ def _pivot(table: pd.DataFrame, columns: str, axes: dict[str, list[Any]], figure
     """Groups of trials alike but for `columns`; seeds first, and only groups that have every value where any has."""
     others = [key for key in axes if key != columns] + (["method"] if columns != "method" else [])
     pivot = table.pivot_table(index=["seed", *others], columns=columns, values=figure, aggfunc="mean", dropna=False)
-    positive = pivot.where(pivot > 0)  # what has a logarithm
+    positive = pivot.where(pivot > 0)  # only these have a logarithm
     return balanced(positive.dropna(how="all").dropna(axis=1, how="all"))
 
 
@@ -159,8 +159,8 @@ def _about_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> 
         if fit["r2"] is not None and fit["r2"] < LEAST_R2:
             yield f"The law, {method} on walls: none to be seen (slope {interval}, R² {fit['r2']:.2f})."
         else:
-            said = f"the error grows as its power {interval}, R² {fit['r2']:.2f}; 1 is the law."
-            yield f"The law, {method} on walls: {said}"
+            verdict = f"the error grows as its power {interval}, R² {fit['r2']:.2f}; 1 is the law."
+            yield f"The law, {method} on walls: {verdict}"
 
 
 def _has_interval(ratio: tuple[float, float, float]) -> bool:

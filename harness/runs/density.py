@@ -65,12 +65,14 @@ def too_sparse(trials: Iterable[tuple[Trial, Mapping[str, Any]]]) -> str:
             reasons.update(payload["reasons"])
     if not sparse:
         return ""
-    said = f"{len(sparse)} of {total} trials have a range for less than {LITTLE:.0%} of the pixels that both views see"
+    sentence = (
+        f"{len(sparse)} of {total} trials have a range for less than {LITTLE:.0%} of the pixels that both views see"
+    )
     if not reasons.total():
-        return f"{said}: there are hardly any such pixels; see trial.view_1, trial.view_2 and trial.sensor.field"
+        return f"{sentence}: there are hardly any such pixels; see trial.view_1, trial.view_2 and trial.sensor.field"
     _, cause, keys = max(_CAUSES, key=lambda each: sum(reasons[reason.name] for reason in each[0]))
     named = [f"trial.{key} {how}".rstrip() for key, how in keys.items() if _can_help(sparse[0], key)]
-    return f"{said}, mostly because {cause}; see {', '.join(named)}"
+    return f"{sentence}, mostly because {cause}; see {', '.join(named)}"
 
 
 def _can_help(trial: Trial, key: str) -> bool:

@@ -51,13 +51,13 @@ class Details:
     """The trials in detail."""
 
     trials: list[Trial]
-    """All that should be shown."""
+    """All trials that should be shown."""
     keys: list[str]
     outcomes: list[Outcome]
-    """Those that are, with their keys."""
+    """The outcomes of the trials that are shown, and their keys."""
     left_out: list[LeftOut]
     comparison: dict[str, Any] | None
-    """What `summary.json` has of their comparison, as kept with the run; None where it is to be worked out."""
+    """Their comparison for `summary.json`, as stored with the run; None if it is still to be computed."""
 
 
 def details_of(
@@ -80,7 +80,7 @@ def details_of(
     methods: dict[MethodName, Trial] = {}
     for each in experiment.planned:
         methods.setdefault(each.method, each.trial)
-    # A case that names a method is shown with all that it says of the matcher.
+    # A case that names a method is shown with all settings that it gives the matcher.
     matchings = {name: _matching_of_case(experiment, case) for name, case in experiment.method_labels.items()}
     chosen = list(methods.items())[:MOST_DETAILS]
     beyond = [
@@ -122,7 +122,7 @@ def _label(method: MethodName) -> str:
 def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, store: Store) -> None:
     """Store the results of the trials shown in a run's file, with their comparison."""
     if details.left_out and isinstance(experiment, RecordedExperiment):
-        return  # what is kept says more than what could be shown here
+        return  # the stored results are more complete than these
     trials = [
         {"key": key, "scene": fingerprint(outcome.trial.scene), "trial": as_table(outcome.trial)}
         for key, outcome in zip(details.keys, details.outcomes, strict=True)
@@ -135,7 +135,7 @@ def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, s
 
 
 class _Stored:
-    """What a run's file holds of the trials shown in detail."""
+    """The trials shown in detail, as stored in a run's file."""
 
     def __init__(self, experiment: Experiment, store: Store | None) -> None:
         self._store = store
@@ -144,8 +144,8 @@ class _Stored:
         fact = store.fact(_FACT) if store else None
         self.comparison: dict[str, Any] | None = None
         self._keys_of_trials: list[tuple[Trial, str, str]] = []
-        with contextlib.suppress(KeyError, TypeError, InputError):  # a file that was meddled with: nothing is kept
-            # Another plan may have been made since with other files of a matcher.
+        with contextlib.suppress(KeyError, TypeError, InputError):  # a file that was edited by hand: ignore its details
+            # The experiment may have been planned again since, with other files of a matcher.
             if fact and (not self._recorded or fact["plan"] == _plan_hash(experiment)):
                 tables = [up_to_date(Trial, each["trial"])[0] for each in fact["trials"]]
                 self._keys_of_trials = [
@@ -155,7 +155,7 @@ class _Stored:
                 self.comparison = fact["comparison"] if self._recorded else None
 
     def outcome_of(self, trial: Trial, *, run_code: bool) -> tuple[str, Outcome] | LeftOut:
-        """A trial's key and outcome, or why there is none."""
+        """A trial's key and outcome, or the reason why there is no outcome."""
         name = _label(method_of(trial.matching))
         earlier = next(((key, scene) for each, key, scene in self._keys_of_trials if each == trial), None)
         try:
@@ -183,7 +183,7 @@ def with_method(base: Trial, other: Trial) -> Trial:
     matching = other.matching
     if type(matching) is type(base.matching) and isinstance(matching, WindowMatcher):
         mixed = base.matching.model_dump() | {"kind": matching.kind, "subpixel": matching.subpixel}
-        with contextlib.suppress(ValueError):  # pydantic's: what this kind does not take; its own settings then
+        with contextlib.suppress(ValueError):  # this kind rejects the settings: keep its own
             matching = WindowMatcher.model_validate(mixed)
     return base.model_copy(update={"matching": matching})
 

@@ -11,13 +11,13 @@ from harness.runs.named_files import SENSORS, read_in
 from harness.runs.values import Settings, text_of
 
 KIND = "matching.kind"
-"""The key that says which matcher: with another one, the matcher's table has other keys."""
+"""The key that selects the matcher, on which the other keys of its table depend."""
 
 MODEL_KINDS = ("sensor.model.kind", "sensor_2.model.kind")
-"""The same of camera models."""
+"""The keys that select a camera model."""
 
 _OF_VIEW_2 = {"sensor_2": "sensor", "optics_2": "optics"}
-"""Tables of the second view, and the first view's that they are where they are not given."""
+"""Tables of the second view, and the first view's tables that stand in for missing ones."""
 
 
 def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | None = None, key: str = "") -> Any:
@@ -38,7 +38,7 @@ def changed(table: Mapping[str, Any], settings: Settings, *, file: str | Path | 
             table = {**table, name: table[_OF_VIEW_2[name]]}
         where = f"{key}.{dotted}" if key else dotted
         if dotted == KIND and isinstance(table.get("matching"), Mapping):
-            # Before what else is said of the matcher: another kind has other keys.
+            # Before the matcher's other keys, which depend on its kind.
             table = {**table, "matching": registry.carried_over(table["matching"], settings[dotted])}
         if dotted in MODEL_KINDS:
             sensor, model, _ = dotted.split(".")
@@ -58,7 +58,7 @@ def _table_of_view_2(dotted: str) -> str | None:
 
 
 def value_at(table: Any, key: str) -> Any:
-    """The value at a dotted key, None when there is none."""
+    """The value at a dotted key; None if there is no such key."""
     for part in key.split("."):
         try:
             table = table[int(part)] if isinstance(table, list | tuple) else table.get(part)

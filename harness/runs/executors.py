@@ -1,4 +1,4 @@
-"""Where trials are run: in this process, in processes of this machine, or on a Dask cluster."""
+"""The executors that run trials: this process, processes of this machine, or a Dask cluster."""
 
 import logging
 import multiprocessing
@@ -29,7 +29,7 @@ WORKER = {**ONE_THREAD, "OMNIRANGE_WORKER": "1"}
 
 @dataclass(frozen=True)
 class Backend:
-    """What runs batches, through the interface of `concurrent.futures`."""
+    """An executor of batches, with the interface of `concurrent.futures`, and its limits."""
 
     open: Callable[[], AbstractContextManager[Executor]]
     """Called again when the executor is broken."""
@@ -135,7 +135,7 @@ def _in_processes(count: int) -> Iterator[Executor]:
             try:
                 yield pool
             except BaseException:
-                # What they are still at is of no use, and may take minutes.
+                # The results of running batches are of no use, and may take minutes.
                 for process in set(multiprocessing.active_children()) - before:
                     process.kill()
                 _end_server()
@@ -160,12 +160,12 @@ def _begin_server(context: Any) -> None:
     from multiprocessing import forkserver, resource_tracker
 
     context.set_forkserver_preload(["harness.runs.server"])  # imported once, for all
-    resource_tracker.ensure_running()  # first: it meddles with which signals are held back
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    resource_tracker.ensure_running()  # first, as it changes the mask of blocked signals
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)  # Ctrl-C in between comes now
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)  # Ctrl-C in between comes now
 
 
 def _end_server() -> None:
@@ -208,7 +208,7 @@ def _on_dask(address: str) -> Backend:
         from distributed import Client
     except ImportError:
         raise InputError("needs Dask: pip install 'omnirange[dask]'", key="--dask") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is said by us, once
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported by this program, once
     try:
         client = Client(address, timeout=10, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
@@ -230,5 +230,5 @@ def _on_dask(address: str) -> Backend:
         finally:
             client.close()
 
-    # More than there are workers for: others may join.
+    # More batches than workers, as workers may join.
     return Backend(connected, threads, slots=max(64, 4 * threads), remote=True, name=f"on Dask at {address}")

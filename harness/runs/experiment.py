@@ -1,4 +1,4 @@
-"""What an experiment is: a base trial, axes along which its settings vary, and named cases."""
+"""Experiments: a base trial, axes along which its settings vary, and named cases."""
 
 import itertools
 import math
@@ -48,9 +48,9 @@ class Planned:
     """Its case's name, if there are cases, and the values of all axes, in the order of the columns."""
     trial: Trial
     method: MethodName
-    """What its method is called in this experiment."""
+    """The name of its method in this experiment."""
     scene_file: str = ""
-    """Where its scene was read from, for messages; empty for a shipped scene and for a table."""
+    """The file of its scene, for messages; empty for a shipped scene and for a table."""
     case_keys: tuple[str, ...] = ()
     """The keys that a case stands for: those that the cases set, or those of a method where each case is one."""
 
@@ -177,7 +177,7 @@ class Experiment(Spec):
 
     @cached_property
     def method_labels(self) -> Mapping[MethodName, str]:
-        """What methods are called by the cases that name them; empty unless each case is a method of its own."""
+        """The names that cases give to methods; empty unless each case is a method of its own."""
         return labels_in(self.planned, self.cases, self.axes)
 
     def _scene_file_at(self, settings: Settings) -> str:
@@ -216,23 +216,23 @@ class Experiment(Spec):
         """The axis or the key of a case that has set a key of the trial, such as `scene.objects[0].size_m`, if any
         has.
         """
-        asked = (path or "").replace("[", ".").replace("]", "").split(".")
+        parts = (path or "").replace("[", ".").replace("]", "").split(".")
         for key in settings:
             keys = key.split(".")
-            shorter = min(len(keys), len(asked))
-            if keys[:shorter] == asked[:shorter]:
+            shorter = min(len(keys), len(parts))
+            if keys[:shorter] == parts[:shorter]:
                 return self.key_in_file(key, case)
         return None
 
     def key_in_file(self, key: str, case: int | None) -> str:
-        """Where in the experiment a key is given."""
+        """The key in the experiment that sets a key of a trial: of an axis, or of a case."""
         return f"axes.{key}" if key in self.axes or case is None else f"cases[{case}].{key}"
 
 
 def labels_in(
     planned: Sequence[Planned], cases: Sequence[Settings], axes: Mapping[str, Any]
 ) -> Mapping[MethodName, str]:
-    """What methods are called by the cases of some trials; see `method_labels`."""
+    """The names that the cases of some trials give to methods; see `method_labels`."""
     named = [(str(each.coordinates[CASE]), each.method) for each in planned if CASE in each.coordinates]
     return method_labels(cases, axes, named)
 
@@ -240,7 +240,7 @@ def labels_in(
 def with_case_keys(
     planned: tuple[Planned, ...], cases: Sequence[Settings], axes: Mapping[str, Any]
 ) -> tuple[Planned, ...]:
-    """Trials that know what a case stands for."""
+    """The trials with `case_keys` set."""
     keys = METHOD_KEYS if labels_in(planned, cases, axes) else keys_of(cases)
     return tuple(replace(each, case_keys=keys) for each in planned) if keys else planned
 

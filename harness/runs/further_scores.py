@@ -1,4 +1,4 @@
-"""What trials may be scored by beside their ranges: warped views, range profiles, maps, localisation."""
+"""Scores of trials beside those of their ranges: warped views, range profiles, maps, localisation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,11 +17,11 @@ class Further(NamedTuple):
     """One kind of score."""
 
     name: str
-    """In `summary.json`."""
+    """Its key in `summary.json`."""
     entries_of: Callable[[Sequence[tuple[Planned, dict[str, Any]]]], Entries]
-    """What the summary has of trials and their rows; empty where none is scored so."""
+    """Computes the summary's entries from trials and their rows; empty if none of them has this score."""
     conclusions: Callable[[Entries, Mapping[MethodName, str]], list[str]]
-    """What follows from that, in sentences, with what methods are called by cases."""
+    """Conclusions from these entries, in sentences, with the names that cases give to methods."""
 
 
 FURTHER = (
@@ -30,4 +30,4 @@ FURTHER = (
     Further("maps", path_maps_of, path_maps_conclusions),
     Further("localisation", localisations_of, localisations_conclusions),
 )
-"""In the order of the summary and of the conclusions."""
+"""All further scores, in the order of the summary and of the conclusions."""

@@ -1,4 +1,4 @@
-"""What a sweep comes to, in one sentence: the head of its report, and what the terminal says first."""
+"""The main result of a sweep in one sentence, which heads its report and the terminal's summary."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -44,15 +44,15 @@ def _of_the_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) ->
     ]
     if not fits:
         return None
-    seen = [fit for fit in fits if slope_verdict(fit) != NO_LAW]
-    none = [in_words((fit["matcher"], fit["subpixel"]), labels) for fit in fits if fit not in seen]
-    said = []
-    if seen:
-        powers = "; ".join(_power(fit, labels) for fit in seen)
-        said.append(f"on walls the range error grows as this power of the law, which says 1: {powers}")
+    lawful = [fit for fit in fits if slope_verdict(fit) != NO_LAW]
+    none = [in_words((fit["matcher"], fit["subpixel"]), labels) for fit in fits if fit not in lawful]
+    sentences = []
+    if lawful:
+        powers = "; ".join(_power(fit, labels) for fit in lawful)
+        sentences.append(f"on walls the range error grows as this power of the law, which says 1: {powers}")
     if none:
-        said.append(f"no law to be seen with {' and '.join(none)}")
-    text = "; ".join(said)
+        sentences.append(f"no law to be seen with {' and '.join(none)}")
+    text = "; ".join(sentences)
     return f"{text[0].upper()}{text[1:]}."
 
 
@@ -64,12 +64,12 @@ def _power(fit: dict[str, Any], labels: Mapping[MethodName, str]) -> str:
 def _of_the_best(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> str | None:
     """The combination of method and settings with the smallest error, beside the middle one."""
     table, axes = table_of(rows, labels)
-    measured = [(place, name) for place, name in FIGURES if not table.empty and (table[name] > 0).any()]
+    measured = [(part, name) for part, name in FIGURES if not table.empty and (table[name] > 0).any()]
     if not measured:
         return None
-    place, figure = measured[0]
+    part, figure = measured[0]
     table["setting"], settings = pd.factorize(pd.MultiIndex.from_frame(table[["method", *axes]]))
-    positive = table[table[figure] > 0]  # what has a logarithm
+    positive = table[table[figure] > 0]  # only these have a logarithm
     pivot = balanced(positive.pivot_table(index="seed", columns="setting", values=figure))
     if pivot.shape[1] < 2:
         return None
@@ -79,7 +79,7 @@ def _of_the_best(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> str
     values = [f"{key} = {value_text(axes[key][int(i)])}" for key, i in zip(axes, indices, strict=True)]
     several = len(set(table["method"])) > 1
     who = " with ".join(filter(None, [method if several or not values else "", ", ".join(values)]))
-    where = "on walls" if place == "wall" else "over all pixels"
+    where = "on walls" if part == "wall" else "over all pixels"
     low, high = curve.low[best], curve.high[best]
     scale, unit = (1.0, "m") if curve.mean[best] >= 0.9995 else (1000.0, "mm")
     middle = length(float(np.nanmedian(curve.mean)))

@@ -1,4 +1,4 @@
-"""What the keys of a specification mean: the docstrings below them, read from the source."""
+"""The meanings of a specification's keys: the docstrings below them, read from the source."""
 
 import ast
 import inspect

@@ -87,7 +87,7 @@ def _blamed(
     axes: tuple[str, Mapping[str, Any]],
     has_own_cases: bool,
 ) -> InputError:
-    """What is wrong with an experiment, said of the option and the key that are to blame, or else of its file.
+    """The error of an experiment, attributed to the option and the key at fault, or else to its file.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def _cases_up_to_date(cases: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _up_to_date(keys: DottedKeys, given: dict[str, Any], option: str) -> dict[str, Any]:
-    """What an option gives, under the present names of its keys."""
+    """The settings that an option gives, under the present names of their keys."""
     try:
         present, renamed = dotted_up_to_date(keys, given)
     except InputError as error:

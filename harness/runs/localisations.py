@@ -71,11 +71,11 @@ def _said(entry: dict[str, Any], method: str) -> str:
     sure = [each for each in entry["gains"] if each["error_ratio_ci95"][1] < 1]
     if not sure:
         worse = [each for each in entry["gains"] if each["error_ratio_ci95"][0] > 1]
-        told = "; they make the error larger with " + _numbers(worse) if worse else ""
-        return f"{start}views made of pairs replace no real images that these seeds show{told}."
+        harm = "; they make the error larger with " + _numbers(worse) if worse else ""
+        return f"{start}views made of pairs replace no real images that these seeds show{harm}."
     parts = [f"{_with_ends(each, 'error_ratio', '.2f')} with {each['images']}" for each in sure]
-    rest = [each for each in entry["gains"] if each not in sure]
-    unsure = f"; with {_numbers(rest)} that is not certain" if rest else ""
+    uncertain = [each for each in entry["gains"] if each not in sure]
+    unsure = f"; with {_numbers(uncertain)} that is not certain" if uncertain else ""
     last = sure[-1]
     return (
         f"{start}of the localisation error that pairs have, views made of them leave {listed(parts)} real images"
@@ -123,7 +123,7 @@ def _entry(
 
 
 def _gains(means: dict[tuple[str, int], Array], seeds: int) -> list[dict[str, Any]]:
-    """What the views that were made are worth, for each number of images; see `localisations_of`."""
+    """The gains from synthesised views for each number of real images; see `localisations_of`."""
     weights = resampled(seeds)
     over = weights.sum(axis=1)
     average = {key: (weights @ values) / over for key, values in means.items()}
@@ -135,10 +135,10 @@ def _gains(means: dict[tuple[str, int], Array], seeds: int) -> list[dict[str, An
     for way, images in sorted(average, key=lambda key: key[1]):
         if way != SYNTHESISED:
             continue
-        made, alone = average[SYNTHESISED, images], average[PAIRS, images]
-        worth, pairs_worth = images_with(made, counts, curve), images_with(alone, counts, curve)
+        synthesised, alone = average[SYNTHESISED, images], average[PAIRS, images]
+        worth, pairs_worth = images_with(synthesised, counts, curve), images_with(alone, counts, curve)
         gain: dict[str, Any] = {"images": images}
-        drawn = {"error_ratio": made / alone, "worth": worth, "pairs_worth": pairs_worth}
+        drawn = {"error_ratio": synthesised / alone, "worth": worth, "pairs_worth": pairs_worth}
         bounds = {"worth": _bound(worth[0], counts), "pairs_worth": _bound(pairs_worth[0], counts)}
         if not any(bounds.values()):
             drawn["replaced"] = worth / pairs_worth

@@ -7,7 +7,7 @@ from harness.display import shortened_labels
 from harness.matching.interface import MatcherSettings
 
 MethodId = tuple[str, str, tuple[str, ...]]
-"""What a method is: the matcher's kind, its sub-pixel step, and the command of a program."""
+"""The identity of a method: the matcher's kind, its sub-pixel step, and the command of a program."""
 MethodName = tuple[str, str]
 """Its name in tables: the matcher and its sub-pixel step. Unique within an experiment."""
 
@@ -19,7 +19,7 @@ _STEPS = {"none": "whole pixels", "own": ""}
 
 
 def in_words(method: MethodName, labels: Mapping[MethodName, str]) -> str:
-    """What a method is called in a sentence: as the cases name it, if they do."""
+    """The name of a method in a sentence: the one that cases give it, if they do."""
     if method in labels:
         return labels[method]
     matcher, step = method

@@ -17,10 +17,10 @@ SENSORS = ("sensor", "sensor_2")
 """The keys of a trial that may name a sensor's file."""
 _SENSOR_FILES = (*SENSORS, *(f"{name}.file" for name in SENSORS))
 MASKS = tuple(f"{name}.mask" for name in SENSORS)
-"""Those that may name a mask's."""
+"""The keys of a trial that may name a mask's file."""
 
 CALIBRATIONS = ("believed.sigma.calibration", "uncertainty.calibration")
-"""Those that may name a calibration's covariance, of a trial and of a rig."""
+"""The keys of a trial, and of a rig, that may name the file of a calibration's covariance."""
 
 
 def absolute(key: str, value: Any, folder: Path, file: str | Path, where: str | None = None) -> Any:
@@ -83,7 +83,7 @@ def read_in(trial: Mapping[str, Any], folder: Path, file: str | Path | None, key
         for name in parents:
             if not isinstance(inner.get(name), dict):
                 break
-            inner[name] = dict(inner[name])  # the table that was given stays as it is
+            inner[name] = dict(inner[name])  # leave the caller's table unchanged
             inner = inner[name]
         else:
             if last in inner:

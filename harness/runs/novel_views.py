@@ -1,4 +1,4 @@
-"""How good views warped from a run's ranges are, against their distance, over seeds."""
+"""The quality of views warped from a run's ranges, against their distance, over seeds."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -59,10 +59,10 @@ def _reach_of(method: str, entries: list[dict[str, Any]]) -> str:
     if not sure:
         return f"Views warped with {method} are not certain to be better than the nearest image at any distance."
     low, high = (f"{pick(each['gain_db'] for each in sure):.1f}" for pick in (min, max))
-    said = f"Views warped with {method} are better than the nearest image at {_distances(sure)}, by "
-    said += f"{low} dB" if low == high else f"{low} to {high} dB"
+    sentence = f"Views warped with {method} are better than the nearest image at {_distances(sure)}, by "
+    sentence += f"{low} dB" if low == high else f"{low} to {high} dB"
     unsure = [each for each in entries if each not in sure]
-    return f"{said}; at {_distances(unsure)} that is not certain." if unsure else f"{said}."
+    return f"{sentence}; at {_distances(unsure)} that is not certain." if unsure else f"{sentence}."
 
 
 def _distances(entries: list[dict[str, Any]]) -> str:

@@ -104,14 +104,14 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
     """
     for number, case in enumerate(experiment.cases):
         for key in settings.keys() & settings_of(case).keys():
-            said = f"{label(case, number)} gives this key; a case cannot be overridden"
-            raise InputError(said, file=option, key=key)
+            problem = f"{label(case, number)} gives this key; a case cannot be overridden"
+            raise InputError(problem, file=option, key=key)
     if not settings:
         return experiment
     settings = {key: absolute(key, value, Path(), option) for key, value in settings.items()}
     trial = parse(Trial, changed(as_given(experiment.trial), settings, file=option), file=option)
     axes = {key: values for key, values in experiment.axes.items() if key not in settings}
-    # What another matcher, or another camera model, does not know cannot be varied.
+    # Keys that another matcher, or another camera model, does not have cannot be varied.
     axes = {key: values for key, values in axes.items() if all(_is_known(key, *each) for each in settings.items())}
     changed_experiment = experiment.model_copy(update={"trial": trial, "axes": axes})
     scene = settings.get("scene")
@@ -131,12 +131,12 @@ def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: st
             raise InputError("give at least one value", file=option, key=key)
         for number, case in enumerate(experiment.cases):
             if key in settings_of(case):
-                said = f"{label(case, number)} gives this key; a case cannot be overridden"
-                raise InputError(said, file=option, key=key)
+                problem = f"{label(case, number)} gives this key; a case cannot be overridden"
+                raise InputError(problem, file=option, key=key)
     merged = experiment.axes | {
         key: [absolute(key, value, Path(), option) for value in values] for key, values in given.items()
     }
-    # An axis of the experiment that one of the given matchers, or camera models, does not know cannot be varied.
+    # An axis over a key that one of the given matchers, or camera models, does not have cannot be varied.
     merged = {
         key: values
         for key, values in merged.items()
@@ -158,7 +158,7 @@ def with_cases(experiment: Experiment, cases: list[Settings]) -> Experiment:
             {key: absolute(key, value, Path(), "cases", f"cases[{number}].{key}") for key, value in case.items()}
             for number, case in enumerate(cases)
         ]
-        # Read as those of a file are, so that a wrong type is refused in the same words.
+        # Parsed like the values of a file, so that a wrong type gives the same message.
         changed_experiment = parse(type(experiment), as_given(experiment) | {"cases": placed})
         check_cases(changed_experiment.cases, experiment.axes)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""How right a run's maps are, over seeds, and the maps as files."""
+"""Scores of a run's maps over seeds, and the maps as files."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -70,11 +70,11 @@ def write_path_maps(done: Iterable[tuple[Planned, dict[str, Any]]], folder: Path
     """
     names = []
     for planned, payload in done:
-        if made := payload.get("map"):
+        if entry := payload.get("map"):
             label = re.sub(r"[^A-Za-z0-9_.-]+", "-", "-".join(planned.method))
             name = f"{label}-{planned.key}"
-            state = unpacked(made["state"], tuple(made["shape"]))
-            write_map(state, frame_of(made), folder / FOLDER, name)
+            cells = unpacked(entry["state"], tuple(entry["shape"]))
+            write_map(cells, frame_of(entry), folder / FOLDER, name)
             names.append(name)
     return names
 

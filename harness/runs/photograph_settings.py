@@ -13,7 +13,7 @@ DEFAULT_KIND = "slanted"
 
 
 class OwnSettings(Spec):
-    """What is left to choose where images, sensor and poses are given."""
+    """The settings of an estimate from given images, sensor and poses."""
 
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""

@@ -1,4 +1,4 @@
-"""The order in which trials are run, so that what they share is made once, and how long that may take."""
+"""The order in which trials are run, so that shared results are computed once, and an estimate of the time."""
 
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Plan:
 
     @property
     def total_s(self) -> float:
-        """All of them, on one thread."""
+        """Seconds of all trials, on one thread."""
         return sum(self.seconds)
 
     @property

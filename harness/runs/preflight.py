@@ -1,4 +1,4 @@
-"""What can be told before anything is rendered: viewpoints where nothing can be seen, and extras that are missing."""
+"""Checks before anything is rendered: viewpoints from which nothing is visible, and missing extras."""
 
 import importlib.util
 import warnings
@@ -13,15 +13,15 @@ from harness.simulation.fingerprint import fingerprint
 from harness.simulation.scene_geometry import check_position, geometry_near
 
 MODULES = {"peers": ("cv2",), "motion": ("cv2", "poselib")}
-"""What the extras of this package bring along."""
+"""The modules that each extra of this package installs."""
 _MOST_POSITIONS = 500
-"""Most viewpoints that are checked; the others are when they are rendered."""
+"""Most viewpoints that are checked here; the others are checked when they are rendered."""
 
 _Position = tuple[str, tuple[float, float, float]]
 
 
 def preflight(planned: Sequence[Planned], total: int, given: str | Path) -> None:
-    """Refuse what every trial would fail of, and give notice of what some will.
+    """Refuse errors that every trial would fail with, and give notice of those that only some will.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def preflight(planned: Sequence[Planned], total: int, given: str | Path) -> None
 
 
 def missing_extra(trial: Trial) -> InputError | None:
-    """That an extra is not installed which the matcher, or the estimate of the motion, needs."""
+    """The error that an extra is missing which the matcher, or the estimate of the motion, needs; None if none is."""
     for extra, key in (
         (trial.matching.extra, "trial.matching.kind"),
         ("motion" if trial.motion.source == "estimated" else "", "trial.motion.source"),
@@ -61,12 +61,12 @@ def missing_extra(trial: Trial) -> InputError | None:
 def _is_installed(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
-    except ImportError:  # of what is being loaded to find it
+    except ImportError:  # raised by a parent package that is imported to find the module
         return False
 
 
 def _unreachable(planned: Planned, known: dict[_Position, InputError | None]) -> InputError | None:
-    """That a viewpoint is outside the scene, or inside an object of it."""
+    """The error that a viewpoint is outside the scene, or inside an object of it; None if it is neither."""
     scene = planned.trial.scene
     name = fingerprint(scene)
     for pose, key in zip(planned.trial.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):

@@ -34,7 +34,7 @@ class RecordedExperiment(Experiment):
 
     @cached_property
     def scene_fingerprints(self) -> frozenset[str]:
-        """Those that the scenes had then."""
+        """The scenes' fingerprints at the time of the run."""
         return self._scenes
 
     def with_plan(self, planned: tuple[Planned, ...], scenes: frozenset[str]) -> Self:

@@ -1,4 +1,4 @@
-"""What matchers say of how they made their matches, over the trials of a run."""
+"""The remarks of matchers on how they made their matches, over the trials of a run."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from harness.runs.run import Row
 
 
 def remarks(rows: Iterable[Row]) -> list[str]:
-    """A line for each matcher and what it had to say, see `Matches.remark`, with the number of trials."""
+    """A line for each matcher and remark of it (`Matches.remark`), with the number of trials."""
     with_one = (row for row in rows if '"remark"' in row.finished.payload)  # most rows need not be read for it
-    said = Counter((row.planned.trial.matching.kind, row.payload.get("remark", "")) for row in with_one)
-    return [f"{kind}, {count} trial{'s' * (count > 1)}: {remark}" for (kind, remark), count in said.items() if remark]
+    counts = Counter((row.planned.trial.matching.kind, row.payload.get("remark", "")) for row in with_one)
+    return [f"{kind}, {count} trial{'s' * (count > 1)}: {remark}" for (kind, remark), count in counts.items() if remark]

@@ -69,7 +69,7 @@ class Row:
 
     @cached_property
     def payload(self) -> dict[str, Any]:
-        """What `row.row_of` made; empty when the trial failed."""
+        """The row from `row.row_of`; empty if the trial failed."""
         return json.loads(self.finished.payload)
 
 
@@ -99,7 +99,7 @@ class Result(OneLine):
         names = names_in([outcome.trial for outcome in self.outcomes], self.experiment.planned)
         coordinates = []
         for outcome in self.outcomes:
-            # The base trial is of no case, unless cases name methods.
+            # The base trial belongs to no case, unless cases name methods.
             case = self.experiment.method_labels.get(names[method_id(outcome.trial.matching)])
             table = as_table(outcome.trial) | {CASE: case}
             coordinates.append({key: value_at(table, key) for key in columns if key != CASE or case})
@@ -148,7 +148,7 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
 
 
 def run_status(experiment: Experiment, store: Store, maps: Path | None = None) -> RunStatus:
-    """How far a run has come, and what is left to do.
+    """The state of a run: how many trials are done, failed and left.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def run_plan(
 
 
 def result_of(experiment: Experiment, store: Store, *, run_code: bool = True) -> Result:
-    """All that is known of a run; see `result_from`."""
+    """The result of a run so far; see `result_from`."""
     return result_from(experiment, rows_of(experiment, store), store, run_code=run_code)
 
 
@@ -227,7 +227,7 @@ def result_from(
     cells = cell_table(trials)
     law, claims, labels = law_of(cells), claims_of(trials), experiment.method_labels
     further = {each.name: each.entries_of(trials) for each in FURTHER}
-    said = [sentence for each in FURTHER for sentence in each.conclusions(further[each.name], labels)]
+    sentences = [sentence for each in FURTHER for sentence in each.conclusions(further[each.name], labels)]
     optional = {
         "claims": claims,
         "limit": limit_of(trials),
@@ -238,17 +238,17 @@ def result_from(
         "law": law,
         **further,
         "headline": None if claims else headline(done, law, labels),
-        "conclusions": [] if claims else conclusions(done, law, labels, said),
+        "conclusions": [] if claims else conclusions(done, law, labels, sentences),
     }
     summary |= {name: value for name, value in optional.items() if value}
-    made = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
+    environment_table = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
     if store and store.other_code:
-        made["trials_made_by"] = f"other code or libraries than these, {store.other_code}"
-    return Result(experiment, rows, cells, details, summary, made)
+        environment_table["trials_made_by"] = f"other code or libraries than these, {store.other_code}"
+    return Result(experiment, rows, cells, details, summary, environment_table)
 
 
 def _labels(details: Details, experiment: Experiment) -> dict[str, str]:
-    """What methods are called by the cases that name them, by their keys in the summary."""
+    """The names that cases give to methods, by the methods' keys in the summary."""
     if not experiment.method_labels:
         return {}
     names = names_in(details.trials, experiment.planned)
@@ -280,7 +280,7 @@ def run_experiment(experiment: Experiment, folder: Path | None = None, *, worker
 
 
 def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
-    """Write what needs no report: `experiment.toml`, `trials.csv`, `timings.csv`; `failures.csv` if any trial failed.
+    """Write the files without a report: `experiment.toml`, `trials.csv`, `timings.csv`, and `failures.csv` if needed.
 
     Raises
     ------
@@ -337,7 +337,7 @@ def columns_of(experiment: Experiment) -> list[str]:
 
 
 def _digest(experiment: Experiment, store: Store) -> str:
-    """What the files are made from. Rows follow from their keys, the code and whether they are done."""
+    """SHA-256 of all that the output files depend on. Rows follow from their keys, the code and their states."""
     states = store.states(each.key for each in experiment.planned)
     parts = [source_hash(), dump_toml(experiment, given=True), json.dumps(states, sort_keys=True)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
@@ -403,7 +403,7 @@ def compare(outcomes: dict[str, Outcome], *, wall_only: bool) -> dict[str, Measu
 
 
 def names_in(trials: Sequence[Trial], planned: Sequence[Planned] = ()) -> Mapping[MethodId, MethodName]:
-    """What the methods of trials are called, within an experiment if its trials are given."""
+    """The names of the methods of trials, unique within an experiment if its trials are given."""
     return method_names([each.matching for each in (*(one.trial for one in planned), *trials)])
 
 
@@ -429,7 +429,7 @@ def methods_in(trials: Sequence[Trial], planned: Sequence[Planned] = ()) -> dict
 
 
 def key_of(method: MethodName) -> str:
-    """What `summary.json` calls a method: the matcher, and its sub-pixel step unless it has its own."""
+    """The key of a method in `summary.json`: the matcher, and its sub-pixel step unless it has its own."""
     kind, step = method
     return kind if step == "own" else f"{kind} {step}"
 

@@ -1,4 +1,4 @@
-"""How right a run's range profiles are, over seeds."""
+"""Scores of a run's range profiles over seeds."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any

@@ -177,7 +177,7 @@ def _of_tables(tables: Sequence[Any], stem: str, expanded: dict[Any, str]) -> It
     """The keys of tables with a `kind`: equal ones once, with all kinds that have them."""
     merged: dict[Setting, list[str]] = {}
     for table in tables:
-        # A table inside one kind's table is expanded where it comes first, whichever kind that is.
+        # A table inside the tables of several kinds is expanded once, at the first of them.
         for each in _of_spec(table, stem, (), expanded):
             kinds = each.kinds or _kinds_of(table)
             bare = Setting(each.key, each.kinds, each.type, each.unit, each.default, each.meaning)
@@ -223,8 +223,8 @@ def _default_of(field: FieldInfo, *, is_table: bool) -> str:
     value = field.get_default(call_default_factory=True)
     if isinstance(value, BaseModel):
         plain = {name: each.get_default() for name, each in type(value).model_fields.items()}
-        given = {name: json.dumps(getattr(value, name)) for name in plain if getattr(value, name) != plain[name]}
-        return f"{{ {', '.join(f'{name} = {text}' for name, text in given.items())} }}" if given else ""
+        changed = {name: json.dumps(getattr(value, name)) for name in plain if getattr(value, name) != plain[name]}
+        return f"{{ {', '.join(f'{name} = {text}' for name, text in changed.items())} }}" if changed else ""
     return "" if value is None or is_table else json.dumps(value)
 
 

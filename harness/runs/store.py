@@ -26,7 +26,7 @@ _APPLICATION, _SCHEMA = 0x6F6D6E69, 2
 """SQLite's `application_id` of our files ("omni"), and the `user_version`, that of the tables below."""
 
 _DAMAGE = (sqlite3.Error, UnicodeError)
-"""What reading a damaged file raises; the second from names that are no longer text."""
+"""The exceptions that reading a damaged file raises; the second one from names that are no longer text."""
 
 _TABLES = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL, seal TEXT NOT NULL);
@@ -64,12 +64,12 @@ class Finished:
     seconds: str = "{}"
     """JSON: wall time of each stage."""
     message: str = ""
-    """What went wrong with a failed trial, in one line."""
+    """The error of a failed trial, in one line."""
     traceback: str = ""
 
     @property
     def is_refused(self) -> bool:
-        """Whether it failed because something given to the program is wrong, rather than the program."""
+        """Whether the trial failed by a mistake in the program's input, rather than by a bug."""
         return bool(json.loads(self.payload).get("refused", False))
 
     @property
@@ -188,7 +188,7 @@ class Store:
         return trials
 
     def states(self, keys: Iterable[str]) -> dict[str, str]:
-        """Only the states, which is quicker."""
+        """The states of these trials by key; quicker than `finished`."""
         wanted = set(keys)
         rows = self._rows("SELECT key, state FROM trials WHERE code = ?", self._read)
         return {key: state for key, state in rows if key in wanted}

@@ -1,4 +1,4 @@
-"""What a worker does, in this process, in another, or on another machine: a batch of trials in, their rows out."""
+"""The work of a worker, in this process, in another, or on another machine: a batch of trials in, their rows out."""
 
 import hashlib
 import json

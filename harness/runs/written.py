@@ -85,7 +85,7 @@ def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes]
 
 
 def _stored_hashes(store: Store) -> dict[str, Any] | None:
-    """Those that the database has; None where it has none, as of a run that has not come to an end yet."""
+    """The hashes in the database; None if it has none, as for a run that has not ended yet."""
     hashes: dict[str, Any] | None = store.fact(_FACT)
     reported = store.fact(_FACT_OF_REPORT)
     return hashes or (reported[1] if reported else None)
