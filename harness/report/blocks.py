@@ -23,7 +23,7 @@ def rms(values: Array) -> float:
 
 
 def in_blocks(name: str, grid: Grid, fields: Fields) -> Data:
-    """One row a block: its middle, and each field summed up over the pixels that have it."""
+    """One row for each block: its middle, and each field summarised over the pixels that have a value."""
     downs, acrosses = (
         np.array_split(np.arange(size), min(most, size)) for size, most in zip(grid.shape, BLOCKS, strict=True)
     )

@@ -33,16 +33,16 @@ def build_report(
         Called with the number of sections that are made, and of all, as each is begun.
     """
     context = Context.of(result)
-    made = sections_of(context, failures, sections, observe)
+    page_sections = sections_of(context, failures, sections, observe)
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
         trial=context.trial,
         sweep=context.sweep,
-        opening=opening(context, made),
+        opening=opening(context, page_sections),
         abstract=list(words.abstract(result, context.trial, context.compared)),
         overview=list(words.overview(result, context.sweep)),
-        sections=made,
+        sections=page_sections,
     )
 
 
@@ -54,18 +54,18 @@ def sections_of(
 ) -> list[Section]:
     """The sections of a report in their order, without those that have nothing to show; see `build_report`."""
     ordered = _in_order(SECTIONS if sections is None else sections, context)
-    made: dict[int, Section] = {}
+    by_number: dict[int, Section] = {}
     with theme.style() as missing:
-        # Those that take the room that is left are made last.
+        # Sections that take the remaining room are made last.
         for begun, number in enumerate(sorted(range(len(ordered)), key=lambda number: ordered[number].takes_the_rest)):
             observe(begun, len(ordered))
-            room = MOST_BYTES - sum(section.size for section in made.values())
+            room = MOST_BYTES - sum(section.size for section in by_number.values())
             section = _made(ordered[number], replace(context, room=room), missing)
             if section:
-                made[number] = section
+                by_number[number] = section
     if failures is not None:
         failures.extend(missing)
-    return [made[number] for number in sorted(made)]
+    return [by_number[number] for number in sorted(by_number)]
 
 
 def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:
@@ -80,7 +80,7 @@ def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:
 
 
 def _made(declared: Declared, context: Context, failures: list[str]) -> Section | None:
-    """The section; if it fails, one that says why, so that the others are unaffected."""
+    """The section; if it fails, a section with the error in its place, so that the others are unaffected."""
     title = declared.id
     try:
         title = declared.title_in(context)

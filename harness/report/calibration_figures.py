@@ -137,14 +137,14 @@ def ray_map(calibration: SensorCalibration) -> Picture:
 
 @theme.panel
 def halves_map(calibration: SensorCalibration) -> Picture:
-    """How far apart two halves of the images put rays."""
+    """Distance of the pixels to which two halves of the images project rays, over the field."""
     assert calibration.halves is not None
     return _map(calibration, calibration.halves.difference_px, "difference (px)", "(a) first half against second half")
 
 
 @theme.panel
 def halves_ratio(calibration: SensorCalibration) -> Picture:
-    """The same, in standard deviations."""
+    """Distance of these pixels in standard deviations, over the field."""
     assert calibration.halves is not None
     # Each half has twice the variance, and there are two of them.
     expected = 2 * np.maximum(calibration.ray_sigma_px, 1e-12)
@@ -156,7 +156,7 @@ def halves_ratio(calibration: SensorCalibration) -> Picture:
 
 @theme.panel
 def correlations(calibration: SensorCalibration) -> Picture:
-    """Correlation of the numbers that were found."""
+    """Correlation matrix of the estimated parameters."""
     names = [key.rpartition(".")[2] for key in calibration.keys]
     size = min(HALF - 190, 60 + 32 * len(names))  # names to the left, bar and its labels to the right
     fig = theme.figure(HALF, size + 110)

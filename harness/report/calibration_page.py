@@ -1,4 +1,4 @@
-"""A page on a calibration: what was found, what is left of the corners, and how sure the rays are."""
+"""A page on a calibration: parameters, residuals of the corners, and uncertainty of the rays."""
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def _unit(key: str) -> str:
 
 
 def _summary(values: Array) -> dict[str, float]:
-    """Median, the 95th percentile and the largest of what is known."""
+    """Median, 95th percentile and maximum of the finite values."""
     known = values[np.isfinite(values)]
     median, high = np.percentile(known, [50, 95]).tolist()
     return {"median": median, "high": high, "most": float(known.max())}

@@ -24,7 +24,7 @@ class Data:
 
     @cached_property
     def csv(self) -> str:
-        """Five significant digits; nothing where there is no number."""
+        """The rows as CSV with five significant digits; an empty field for a missing number."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(self.headings)
@@ -38,7 +38,7 @@ class Data:
 
     @property
     def size(self) -> str:
-        """For people."""
+        """The size of the CSV in words."""
         return f"{max(1, round(len(self.csv.encode()) / 1000))}\u00a0kB"
 
 
@@ -60,7 +60,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Cell:
-    """What a table shows, and what it sorts by."""
+    """A cell of a table: its text, and the value that the table sorts by."""
 
     text: str
     value: float | str | None = None
@@ -91,12 +91,12 @@ class Table:
         empty = {i for i in range(len(self.headings)) if self.rows and all(row[i].text == "–" for row in self.rows)}
         if not empty:
             return self
-        kept = [i for i in range(len(self.headings)) if i not in empty]
+        columns = [i for i in range(len(self.headings)) if i not in empty]
         return replace(
             self,
-            headings=[self.headings[i] for i in kept],
-            rows=[[row[i] for i in kept] for row in self.rows],
-            screen_only=tuple(kept.index(i) for i in self.screen_only if i in kept),
+            headings=[self.headings[i] for i in columns],
+            rows=[[row[i] for i in columns] for row in self.rows],
+            screen_only=tuple(columns.index(i) for i in self.screen_only if i in columns),
         )
 
 

@@ -1,4 +1,4 @@
-"""A page on a rig: the errors to expect of it by cause, where around it they are large, and what its sensor sees."""
+"""A page on a rig: its expected errors by cause and by direction, and its sensor's field of view."""
 
 from collections.abc import Sequence
 
@@ -95,8 +95,8 @@ def _by_cause(rig: RigDesign) -> Picture:
 
 
 def magnification(chosen: Sequence[Ellipsoid]) -> int:
-    """How many times larger than they are ellipsoids are drawn: 1, 2 or 5 times a power of ten, so that the largest
-    has about a sixth of the plan's half as its semi-axis; 1 where none is seen.
+    """The scale at which ellipsoids are drawn: 1, 2 or 5 times a power of ten, so that the semi-axis of the largest is
+    about a sixth of the plan's half; 1 where no point is seen.
     """
     sizes = [float(each.semi_axes_m[0]) for each in chosen if each.is_seen]
     if not sizes or max(sizes) <= 0:
@@ -164,14 +164,18 @@ def _plan(rig: RigDesign, chosen: Sequence[Ellipsoid], magnified: int) -> Pictur
 
 
 def _in_words(chosen: Sequence[Ellipsoid], magnified: int) -> str:
-    """What ellipses are drawn, for whoever does not see them."""
-    said = [
+    """A description of the ellipses, as alternative text."""
+    descriptions = [
         f"at ({', '.join(f'{value + 0.0:.3g}' for value in each.point_m)}) m {1000 * each.semi_axes_m[0]:.3g} mm by "
         f"{1000 * each.semi_axes_m[1]:.3g} by {1000 * each.semi_axes_m[2]:.3g}"
         for each in chosen
         if each.is_seen
     ]
-    return f"Ellipsoids of one standard deviation, {magnified} times as large: {'; '.join(said)}." if said else ""
+    return (
+        f"Ellipsoids of one standard deviation, {magnified} times as large: {'; '.join(descriptions)}."
+        if descriptions
+        else ""
+    )
 
 
 def _draw_from_above(ax: Axes, ellipsoid: Ellipsoid, magnified: int) -> None:

@@ -102,7 +102,7 @@ def _escaped(text: str) -> str:
 
 
 def _symbols(text: str) -> str:
-    """What LaTeX has commands for, so that every engine takes it."""
+    """A text with its symbols replaced by LaTeX commands, which every engine accepts."""
     for symbol, command in _SYMBOLS.items():
         text = text.replace(symbol, command)
     return text

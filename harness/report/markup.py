@@ -20,7 +20,7 @@ def html(text: str, **values: Any) -> Markup:
         functions `d(n)` and `alpha(n)` (the symbols with their index) and `key(label, colour)` (a method's name beside
         its colour).
     """
-    # Safe: the source is ours, and what is put in is escaped by Jinja.
+    # Safe: the source is this program's, and Jinja escapes the values.
     return Markup(_fragment(text).render(values))  # noqa: S704
 
 

@@ -1,4 +1,4 @@
-"""The methods that a report compares: what they are called and how they are drawn."""
+"""The methods that a report compares: their names and their graphic styles."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from harness.runs.run import by_method, methods_in, names_in
 
 @dataclass(frozen=True)
 class Named:
-    """What a method is called, and its colour."""
+    """A method's name and colour."""
 
     key: str
     """As in `summary.json`."""
@@ -41,7 +41,7 @@ _STEPS = {"none": ("whole pixels", theme.PIXEL), "parabola": ("sub-pixel", theme
 
 
 class Look(NamedTuple):
-    """How a method is named and coloured."""
+    """A method's labels and colour."""
 
     label: str
     step_label: str
@@ -59,13 +59,13 @@ def looks(pairs: list[tuple[str, str]], labels: Mapping[MethodName, str] | None 
     labels
         What methods are called by the cases that name them.
     """
-    given = labels or {}
+    by_case = labels or {}
     drawn_as = [step if matcher in _WINDOWS else f"{matcher} {step}" for matcher, step in pairs]
     spare = iter(theme.SPARE * len(pairs))
     colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
     several = len({matcher for matcher, _ in pairs}) > 1
     refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
-    said, steps = [], []
+    names, steps = [], []
     for matcher, step in pairs:
         # "Sub-pixel" is enough where there is one such step.
         label = short = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
@@ -73,11 +73,11 @@ def looks(pairs: list[tuple[str, str]], labels: Mapping[MethodName, str] | None 
             label = short = matcher
         elif several:
             label = f"{matcher}, {short}"
-        said.append(given.get((matcher, step), label))
+        names.append(by_case.get((matcher, step), label))
         steps.append(short)
     return {
         pair: Look(label, step, colours[name])
-        for pair, label, step, name in zip(pairs, shortened_labels(said, _LONGEST), steps, drawn_as, strict=True)
+        for pair, label, step, name in zip(pairs, shortened_labels(names, _LONGEST), steps, drawn_as, strict=True)
     }
 
 

@@ -34,21 +34,21 @@ class Claim:
     judged: dict[str, Any]
     """An entry of the summary's `claims`."""
     figure: str
-    """What its link leads to."""
+    """The anchor that its link leads to."""
     number: int | None
     """The figure's number; None where it is not on the page."""
 
 
 @dataclass(frozen=True)
 class Opening:
-    """What comes first."""
+    """The head of a report."""
 
     claims: tuple[Claim, ...]
     headline: str | None
     picture: Picture | None
     """The first panel of the figure that shows it."""
     key: Picture | None
-    """What its lines stand for, where a picture of its own says that."""
+    """The legend of its lines, where it is a picture of its own."""
     figure: str
     number: int | None
 

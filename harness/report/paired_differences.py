@@ -1,4 +1,4 @@
-"""Comparison of runs: what differs between them, and paired differences of their main figures."""
+"""Comparison of runs: the settings that differ, and paired differences of their main figures."""
 
 import itertools
 import json
@@ -80,9 +80,9 @@ class Pairing:
     seeds: int
     differences: list[Difference]
     why_none: str
-    """In words, when nothing could be paired."""
+    """The reason in words, if nothing could be paired."""
     left_out: list[str]
-    """What has no partner in the other run, in words; a phrase for each run."""
+    """The trials without a partner in the other run, in words; a phrase for each run."""
 
 
 @dataclass(frozen=True)
@@ -153,11 +153,11 @@ def build_comparison(*folders: Path) -> Comparison:
 
 
 def _pair(first: Run, second: Run) -> Pairing:
-    made = pairs_of(first, second)
-    seeds = {first.settings[a].get("seed", "") for a, _ in made.table}
-    differences = list(_differences(first, second, made))
+    pairs = pairs_of(first, second)
+    seeds = {first.settings[a].get("seed", "") for a, _ in pairs.table}
+    differences = list(_differences(first, second, pairs))
     return Pairing(
-        first, second, made.differing, len(made.table), len(seeds), differences, made.why_none, made.left_out
+        first, second, pairs.differing, len(pairs.table), len(seeds), differences, pairs.why_none, pairs.left_out
     )
 
 
@@ -275,12 +275,12 @@ def _picture(shown: list[Difference]) -> Picture:
     ax = theme.axes(fig, 250, above, WIDE - 290, row * len(names) + 10)
     ax.axvline(0, color=theme.TRUTH, linewidth=0.9)
     described = []
-    # Twenty looks, no two alike: more groups than that are told by the table.
+    # Twenty distinct styles: with more groups, only the table distinguishes them.
     spare = itertools.cycle([(colour, mark) for mark in "os^Dv" for colour in theme.SPARE])
     for index, group in enumerate(groups):
         mine = [each for each in shown if each.group == group]
-        apart = min(0.22, 0.8 / len(groups))
-        y = np.array([names.index(each.figure) for each in mine]) + apart * (index - (len(groups) - 1) / 2)
+        spacing = min(0.22, 0.8 / len(groups))
+        y = np.array([names.index(each.figure) for each in mine]) + spacing * (index - (len(groups) - 1) / 2)
         share = np.array([100 * each.difference / abs(each.first) for each in mine])
         spans = np.array(
             [

@@ -1,4 +1,4 @@
-"""Which trials of two runs are pairs: those of one scene, pose and noise; the method may differ."""
+"""Pairs of trials of two runs: trials of one scene, pose and noise; the method may differ."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -53,40 +53,40 @@ def pairs_of(first: Run, second: Run) -> Pairs:
     if common:
         table = [(by_settings[0][each], by_settings[1][each]) for each in common]
         return Pairs(table, [], _in_words(first, second, differing), "", _left_out(first, second, table))
-    found = _by_method(first, second, differing)
-    if found is not None:
-        return found
+    of_methods = _by_method(first, second, differing)
+    if of_methods is not None:
+        return of_methods
     return Pairs([], [], _in_words(first, second, differing), _why_none(first, second, differing, unique=unique))
 
 
 def _by_method(first: Run, second: Run, differing: Sequence[str]) -> Pairs | None:
     """The pairs of every method with every method; None where there are none, or a method has no unique trial."""
-    apart = {key for key in differing if not key.startswith(_MATCHER)}
+    other_settings = {key for key in differing if not key.startswith(_MATCHER)}
     methods = _method_names([*first.settings, *second.settings])
     trials: list[dict[Conditions, dict[str, int]]] = []
     for run in (first, second):
         conditions: dict[Conditions, dict[str, int]] = {}
         for index, settings in enumerate(run.settings):
-            same = conditions.setdefault(_conditions(settings, apart, _MATCHER), {})
+            same = conditions.setdefault(_conditions(settings, other_settings, _MATCHER), {})
             method = methods[_method(settings)]
             if method in same:
                 return None
             same[method] = index
         trials.append(conditions)
-    made = [
+    matched = [
         (a, b, f"{other} against {one}")
         for conditions, mine in trials[0].items()
         for one, a in mine.items()
         for other, b in trials[1].get(conditions, {}).items()
     ]
-    if not made:
+    if not matched:
         return None
-    order = list(dict.fromkeys(text for *_, text in made))
-    made.sort(key=lambda each: order.index(each[2]))
-    table = [(a, b) for a, b, _ in made]
+    order = list(dict.fromkeys(text for *_, text in matched))
+    matched.sort(key=lambda each: order.index(each[2]))
+    table = [(a, b) for a, b, _ in matched]
     of_runs = [list(dict.fromkeys(methods[_method(each)] for each in run.settings)) for run in (first, second)]
-    words = {METHOD: (_few(of_runs[0]), _few(of_runs[1]))} | _in_words(first, second, sorted(apart))
-    return Pairs(table, [text for *_, text in made], words, "", _left_out(first, second, table))
+    in_words = {METHOD: (_few(of_runs[0]), _few(of_runs[1]))} | _in_words(first, second, sorted(other_settings))
+    return Pairs(table, [text for *_, text in matched], in_words, "", _left_out(first, second, table))
 
 
 def _method(settings: dict[str, str]) -> Conditions:
@@ -130,7 +130,7 @@ def _why_none(first: Run, second: Run, differing: Sequence[str], *, unique: bool
 
 
 def _left_out(first: Run, second: Run, table: Sequence[tuple[int, int]]) -> list[str]:
-    """What has no partner, of either run."""
+    """The trials without a partner, a phrase for each run."""
     phrases = []
     for run, other, used in zip((first, second), (second, first), map(set, zip(*table, strict=True)), strict=True):
         alone = [settings for index, settings in enumerate(run.settings) if index not in used]
@@ -157,7 +157,7 @@ def _differing(first: Run, second: Run) -> list[str]:
 
 
 def _in_words(first: Run, second: Run, differing: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """What differs, each with its values in both runs; keys of cases as the cases, where these have other names."""
+    """The differing settings with their values in both runs; keys of cases as the cases, if these have other names."""
     of_cases = {*first.case_keys, *second.case_keys}
     names = [list(dict.fromkeys(filter(None, run.cases))) for run in (first, second)]
     if set(names[0]) == set(names[1]) or not of_cases & set(differing):

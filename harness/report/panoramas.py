@@ -46,7 +46,7 @@ def unmirrored(values: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def extent_of(grid: Grid) -> tuple[float, float, float, float]:
-    """Where an unmirrored panorama lies on axes of degrees and z."""
+    """The extent (left, right, bottom, top) of an unmirrored panorama on axes of degrees and z."""
     return 180.0, -180.0, grid.z_min, grid.z_max
 
 

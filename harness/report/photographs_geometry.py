@@ -22,7 +22,7 @@ _LOOSE = 0.5
 
 @theme.panel
 def across_picture(estimate: Estimate) -> Picture:
-    """Where matches lie off their epipolar curves, over the panorama."""
+    """Distances of matches from their epipolar curves, over the panorama."""
     check, grid = estimate.geometry, estimate.pair.grid
     table = check.table()
     fig, ax, bar = panorama_axes(grid, top=8)
@@ -61,7 +61,7 @@ def _curves(estimate: Estimate, view: int, chosen: NDArray[np.intp]) -> Picture:
         n, x = normalise(np.cross(t, tiles.x_1[i])), tiles.x_1[i]
         q = x - tiles.w[i] * t
         if view:
-            # Where it was found: turned across the curve's plane by delta.
+            # The matched direction: turned across the curve's plane by delta.
             y = normalise(q)
             n, x = motion.R_v2_from_v1 @ n, motion.R_v2_from_v1 @ (y + np.tan(tiles.delta[i]) * n)
         points = _unbroken(plane_points(sensor, n, 1440))
@@ -94,14 +94,14 @@ def _few(estimate: Estimate) -> NDArray[np.intp]:
     check = estimate.geometry
     if not len(check.tiles):
         return np.zeros(0, np.intp)
-    good = np.flatnonzero(check.sigma_px <= np.median(check.sigma_px))
-    n = normalise(np.cross(estimate.pair.motion.t_v1, check.tiles.x_1[good]))
-    picked = [int(np.argmin(check.sigma_px[good]))]
-    while len(picked) < min(_CURVES, len(good)):
+    precise = np.flatnonzero(check.sigma_px <= np.median(check.sigma_px))
+    n = normalise(np.cross(estimate.pair.motion.t_v1, check.tiles.x_1[precise]))
+    picked = [int(np.argmin(check.sigma_px[precise]))]
+    while len(picked) < min(_CURVES, len(precise)):
         # Planes have no side: n and -n are the same.
-        apart = np.min(1 - np.abs(n @ n[picked].T), axis=1)
-        picked.append(int(np.argmax(apart)))
-    return good[picked]
+        distance = np.min(1 - np.abs(n @ n[picked].T), axis=1)
+        picked.append(int(np.argmax(distance)))
+    return precise[picked]
 
 
 def _unbroken(points: Array) -> Array:

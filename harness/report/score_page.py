@@ -107,7 +107,7 @@ def _pooled(scores: Sequence[Score]) -> tuple[Array, Array]:
 
 @theme.panel
 def _cumulative(scores: Sequence[Score]) -> Picture:
-    """What share of the pixels that count has an error of at most so much; without an estimate none."""
+    """The cumulative distribution of relative errors over the scored pixels; a missing estimate exceeds every error."""
     off, _ = _pooled(scores)
     whole = sum(int(each.domain.sum()) for each in scores)
     fig = theme.figure(HALF, _HEIGHT)

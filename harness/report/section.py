@@ -41,7 +41,7 @@ class Context:
 
     @classmethod
     def of(cls, result: Result) -> "Context":
-        """What the report of a result is made from."""
+        """The context for the report of a result."""
         planned, labels = result.experiment.planned, result.experiment.method_labels
         methods = methods_of(result.outcomes, planned, labels)
         named = names_of(result.details.trials, planned, labels)
@@ -55,7 +55,7 @@ class Context:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What is in `summary.json`."""
+        """The contents of `summary.json`."""
         return self.result.summary
 
     @property
@@ -95,14 +95,14 @@ class Figure:
     data: Data | None = None
     """The numbers behind it, to download."""
     missing: str = ""
-    """What to say when there is no picture; empty for the usual words."""
+    """The text in place of a missing picture; empty for the default."""
     paper: str = ""
     """The figure of the paper that it repeats, such as `fig. 5(a)`."""
 
 
 @dataclass(frozen=True)
 class LineKey:
-    """What the lines of the figures that follow stand for: a picture without a number."""
+    """The legend of the figures that follow: a picture without a number."""
 
     kind: ClassVar = "key"
     picture: Picture
@@ -126,14 +126,14 @@ class FixedTable:
 
     kind: ClassVar = "fixed table"
     html: Markup
-    """What is inside `<table>`."""
+    """The contents of `<table>`."""
     caption: Markup
     full: bool = False
 
 
 @dataclass(frozen=True)
 class InAbstract:
-    """What a section contributes to the head of the page, in the report of a sweep; not shown in the section itself."""
+    """A section's contribution to the head of a sweep's report; not shown in the section itself."""
 
     kind: ClassVar = "abstract"
     html: Markup
@@ -141,7 +141,7 @@ class InAbstract:
 
 @dataclass(frozen=True)
 class Interactive:
-    """What needs a script: it has no number, and says itself what there is to read without one."""
+    """A part of the page that needs a script: it has no number, and contains its own text for use without scripts."""
 
     kind: ClassVar = "interactive"
     html: Markup
@@ -157,13 +157,13 @@ class Section:
     """A section, ready for the template."""
 
     id: str
-    """What links lead to."""
+    """The anchor of links."""
     title: str
     blocks: tuple[Block, ...]
 
     @property
     def abstract(self) -> list[Markup]:
-        """What it says at the head of the page."""
+        """Its contributions to the head of the page."""
         return [block.html for block in self.blocks if isinstance(block, InAbstract)]
 
     @property
@@ -191,13 +191,13 @@ def _size_of(block: Block) -> int:
 
 
 class About(Enum):
-    """What a section is about, which decides its position."""
+    """The subject of a section, which decides its position."""
 
     ALL_TRIALS = "all trials"
     """Made from rows. It comes first in the report of a sweep, after the base trial elsewhere."""
     BASE_TRIAL = "the base trial"
     THE_RUN = "the run"
-    """At the end."""
+    """The run itself. It comes last."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class Declared:
         return Section(self.id, self.title_in(context), blocks) if blocks else None
 
     def title_in(self, context: Context) -> str:
-        """Its title in one report."""
+        """The section's title in a report."""
         return self.title if isinstance(self.title, str) else self.title(context)
 
 

@@ -11,7 +11,7 @@ from harness.report import theme
 from harness.report.theme import HALF
 
 _DIMMED = 0.6
-"""How much of what lies below a masked pixel's shade is taken away."""
+"""Opacity of the shade over masked pixels."""
 
 
 def image_axes(rows: int, columns: int) -> tuple[Figure, Axes, tuple[float, float, float, float]]:
@@ -26,7 +26,7 @@ def image_axes(rows: int, columns: int) -> tuple[Figure, Axes, tuple[float, floa
 
 
 def draw_mask(ax: Axes, sensor: Sensor) -> None:
-    """Dim what the sensor's mask hides, and draw its outline; nothing where there is no mask."""
+    """Dim the masked pixels, and draw the mask's outline; nothing without a mask."""
     hidden = masked_pixels(sensor)
     if hidden is None:
         return
@@ -39,7 +39,7 @@ def draw_mask(ax: Axes, sensor: Sensor) -> None:
 
 
 def mask_words(sensor: Sensor) -> str:
-    """How much of what the camera sees is masked, for a caption; empty where there is no mask."""
+    """The share of the field that is masked, for a caption; empty without a mask."""
     hidden = masked_pixels(sensor)
     if hidden is None:
         return ""

@@ -1,4 +1,4 @@
-"""A page on what a sensor sees: its image with circle, blind spot and elevations, and its resolution."""
+"""A page on a sensor's field of view: its image with circle, blind spot and elevations, and its resolution."""
 
 import io
 import math
@@ -141,7 +141,7 @@ def _draw_image(coverage: Coverage, fig: Figure, left: float) -> None:
 
 
 def _window(coverage: Coverage) -> tuple[np.ndarray, np.ndarray]:
-    """What is drawn: the image, and the field's edge unless it is far outside."""
+    """The window to draw, its lower and upper corner: the image, and the field's edge unless it is far outside."""
     size = np.array([coverage.sensor.camera.width_px, coverage.sensor.camera.height_px], dtype=np.float64)
     low, high = np.full(2, -0.5), size - 0.5
     ring = coverage.rim.pixels[np.isfinite(coverage.rim.pixels).all(axis=-1)]

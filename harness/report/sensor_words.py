@@ -1,4 +1,4 @@
-"""What a sensor is and sees, in words: for a terminal and for a page."""
+"""A sensor and its field of view in words, for the terminal and for a page."""
 
 import math
 from typing import Any
@@ -25,12 +25,12 @@ def title_of(coverage: Coverage) -> str:
 
 
 def facts_of(coverage: Coverage) -> dict[str, str]:
-    """What there is to say, by name."""
+    """A description of a sensor's model, mount, field and image, in words by name."""
     low, high = coverage.elevation_deg
     rim = coverage.rim
     outer = _number(math.degrees(rim.angle_rad))
     inner = math.degrees(coverage.blind.angle_rad) if coverage.blind else 0.0
-    said = {
+    facts = {
         "model": _model(coverage.sensor),
         "mount": _mount(coverage.sensor),
         "field": (f"{_number(inner)} to {outer} deg off the optical axis; " if has_circle(coverage.sensor) else "")
@@ -40,11 +40,11 @@ def facts_of(coverage: Coverage) -> dict[str, str]:
         "resolution": _resolution(coverage),
         "used": f"{coverage.used:.1%} of the image's pixels see something{_hidden(coverage.sensor)}",
     }
-    return {name: text for name, text in said.items() if text}
+    return {name: text for name, text in facts.items() if text}
 
 
 def misalignment_of(sensor: Sensor) -> list[str]:
-    """That rays meet in no viewpoint, and why, a sentence each; nothing where they do."""
+    """Sentences on why the sensor's rays meet in no viewpoint; empty for a central sensor."""
     profile = []
     if sensor.profile is not None:
         fit = best_central(sensor)
@@ -61,24 +61,24 @@ def misalignment_of(sensor: Sensor) -> list[str]:
 
 
 def warnings_of(coverage: Coverage) -> list[str]:
-    """What does not fit, a sentence each; empty where all does."""
+    """Warnings about parts of the calibration that do not fit together, a sentence each."""
     camera = coverage.sensor.camera
     smaller = min(camera.width_px, camera.height_px)
     middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     away = np.array(coverage.axis_px) - middle
     if not has_circle(coverage.sensor):
         return []
-    said = []
+    warnings = []
     if np.isfinite(away).all() and np.hypot(*away) > _OFF_CENTRE * smaller:
         u, v = coverage.axis_px
-        said.append(
+        warnings.append(
             f"The optical axis meets the image at ({u:.1f}, {v:.1f}), {np.hypot(*away):.0f} px from its middle "
             f"({middle[0]:g}, {middle[1]:g}): {_whither(away)}. If the image was cut or scaled after the calibration, "
             "the centre has to be moved with it."
         )
     rim = coverage.rim
     if HARDLY < rim.on_image < 1 and rim.sides:
-        said.append(
+        warnings.append(
             f"The edge of the field leaves the image at the {_listed(rim.sides)}: {1 - rim.on_image:.0%} of its "
             "directions are cut off there."
         )
@@ -87,16 +87,16 @@ def warnings_of(coverage: Coverage) -> list[str]:
         if rim.on_image == 1 and longest < 0.6 * smaller:
             where = np.array(rim.centre_px) - middle
             corner = np.hypot(*where) > 0.15 * smaller
-            said.append(
+            warnings.append(
                 f"The image circle is {longest:.0f} px across in an image of {camera.width_px} x {camera.height_px}"
                 + (f", and lies {_whither(where)} of its middle" if corner else "")
                 + f": only {coverage.used:.1%} of the pixels are used. Is the focal length that of another resolution?"
             )
         else:
-            said.append(f"Only {coverage.used:.1%} of the image's pixels see something.")
+            warnings.append(f"Only {coverage.used:.1%} of the image's pixels see something.")
     if coverage.blind and coverage.blind.on_image == 0:
-        said.append("The blind spot lies outside the image.")
-    return said
+        warnings.append("The blind spot lies outside the image.")
+    return warnings
 
 
 _XI = (
@@ -104,20 +104,20 @@ _XI = (
     (1, "as of a hyperboloid mirror"),
     (math.inf, "above 1, as calibrations of real mirrors and of fisheyes have it"),
 )
-"""What xi of the unified model says, up to a value."""
+"""Meanings of xi of the unified model, each up to a value."""
 
 
 def _model(sensor: Sensor) -> str:
-    """The parameters, with what xi says."""
+    """The model's parameters, with the meaning of xi."""
     keys = {name: value for name, value in sensor.model.model_dump().items() if name != "kind"}
-    given = [f"{name} = {_listed_numbers(value)}" for name, value in keys.items()]
-    given += [f"lens {name} = {value:.4g}" for name, value in sensor.lens.model_dump().items() if value]
+    parameters = [f"{name} = {_listed_numbers(value)}" for name, value in keys.items()]
+    parameters += [f"lens {name} = {value:.4g}" for name, value in sensor.lens.model_dump().items() if value]
     camera = sensor.camera
     if "focal_px" not in sensor.model.unused:
-        given.append(f"focal length {camera.focal_px:.5g} px")
-        given += [f"aspect {camera.aspect:.5g}"] if camera.aspect != 1 else []
-        given += [f"skew {camera.skew_px:.4g} px"] if camera.skew_px else []
-    text = ", ".join(given)
+        parameters.append(f"focal length {camera.focal_px:.5g} px")
+        parameters += [f"aspect {camera.aspect:.5g}"] if camera.aspect != 1 else []
+        parameters += [f"skew {camera.skew_px:.4g} px"] if camera.skew_px else []
+    text = ", ".join(parameters)
     if getattr(sensor.model, "kind", "") == "unified":
         xi = keys["xi"]
         why = "as of a paraboloid mirror" if xi == 1 else next(words for most, words in _XI if xi <= most)
@@ -141,7 +141,7 @@ def _mount(sensor: Sensor) -> str:
 
 
 def _hidden(sensor: Sensor) -> str:
-    """What a mask takes away."""
+    """The share of the pixels that a mask hides, as the end of a sentence."""
     pixels = used(sensor)
     return "" if pixels is None else f"; the mask hides {1 - pixels.mean():.1%} of them all"
 

@@ -1,4 +1,4 @@
-"""A page on a sequence of images: what came of each pair, and where the views are."""
+"""A page on a sequence of images: the results of each pair, and the positions of the views."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -15,7 +15,7 @@ _HEIGHT = 320
 
 
 class _Pair(Protocol):
-    """What is shown of a pair."""
+    """The figures of a pair that the page shows."""
 
     @property
     def density(self) -> float: ...

@@ -54,7 +54,7 @@ class MethodStyle:
     filled: bool
 
     def of(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Its rows of a table with the columns `matcher` and `subpixel`."""
+        """The method's rows of a table with the columns `matcher` and `subpixel`."""
         return table[(table["matcher"] == self.matcher) & (table["subpixel"] == self.subpixel)]
 
     @property
@@ -77,7 +77,7 @@ class Axis:
 
     @property
     def unit(self) -> str:
-        """Its unit as shown; empty if it has none, or none that is known here."""
+        """The unit as shown; empty if there is none, or none that is known here."""
         return _NAMES.get(self.key, (self.key, ""))[1]
 
     @property
@@ -87,12 +87,12 @@ class Axis:
 
     @property
     def slug(self) -> str:
-        """What its figure and data are called."""
+        """The name of its figure and data in links and files."""
         return f"sweep-{self.key.replace('.', '-').replace('_', '-')}"
 
     @cached_property
     def texts(self) -> list[str]:
-        """Its values in words, each different from all others."""
+        """The values in words, each different from all others."""
         return texts_of(self.values)
 
     @property
@@ -107,7 +107,7 @@ class Axis:
 
     @property
     def positions(self) -> list[float]:
-        """Where its values are drawn."""
+        """The abscissas at which its values are drawn."""
         return [float(value) for value in self.values] if self.numeric else [float(i) for i in range(len(self.values))]
 
 
@@ -146,7 +146,7 @@ class Sweep:
 
     @property
     def surfaces(self) -> list[str]:
-        """Those that cells lie on: `wall`, `floor`."""
+        """The surfaces that cells lie on: `wall`, `floor`."""
         return [] if self.cells.empty else [s for s in ("wall", "floor") if (self.cells["surface"] == s).any()]
 
 
@@ -198,7 +198,7 @@ def values_of(rows: Iterable[Row]) -> dict[str, list[Any]]:
 def texts_of(values: Sequence[Any]) -> list[str]:
     """Different values in words, each different from all others."""
     texts = [value_text(value) for value in values]
-    if len(set(texts)) < len(texts):  # a rounded number is exact where that tells it apart
+    if len(set(texts)) < len(texts):  # numbers that look alike when rounded are given exactly
         texts = [text_of(value) if texts.count(text) > 1 else text for value, text in zip(values, texts, strict=True)]
     return shortened_labels(texts)
 

@@ -1,4 +1,4 @@
-"""How figures look, and how they become parts of a page.
+"""The style of figures, and their conversion to parts of a page.
 
 Everything is drawn on `Figure` objects, never through pyplot, and in sizes of CSS pixels: one is 1/96 inch.
 """
@@ -77,7 +77,7 @@ _STYLE: dict[str, Any] = {
     "image.interpolation": "none",
     "image.composite_image": False,
     "svg.fonttype": "path",
-    "svg.hashsalt": "omnirange",  # names what is inside a file; a random one would make no two reports alike
+    "svg.hashsalt": "omnirange",  # for the ids inside an SVG; a random salt would make every report different
     "svg.image_inline": True,
     "path.simplify": True,
     "path.simplify_threshold": 0.1,
@@ -101,7 +101,7 @@ class Picture:
     title: str = ""
     """The panel's own line under it, such as `(a) environment`."""
     failure: str = ""
-    """Why it could not be drawn; the page says so in its place."""
+    """The error with which drawing failed; the page shows it in place of the picture."""
     pdf: bytes = b""
     """The same as a PDF file; only under `with_pdf`."""
 
@@ -128,7 +128,7 @@ def style() -> Iterator[list[str]]:
     token = _failures.set(failures)
     try:
         with mpl.rc_context():
-            # Not rcdefaults(), which warns of what it resets.
+            # Not rcdefaults(), which warns about some of the settings that it resets.
             settings: Any = mpl.rcParams
             settings.update({key: mpl.rcParamsDefault[key] for key in _RESET})
             settings.update(_STYLE)
@@ -209,7 +209,7 @@ def picture(fig: Figure, alt: str, title: str = "") -> Picture:
     text = _shorter(text)
     text = re.sub(r"(?<=data:image/png;base64,)[^']*", lambda png: _few_colours(png[0]), text)
     width, height = (round(side * _DPI) for side in fig.get_size_inches())
-    # Safe in an attribute: _escaped leaves nothing that could end it or stand for something else.
+    # Safe in an attribute: _escaped leaves no character that could end it or begin an entity.
     source = Markup(f"{_SVG}{_escaped(text)}")  # noqa: S704
     return Picture(source, width, height, " ".join(alt.split()), title, pdf=_pdf(fig) if _with_pdf.get() else b"")
 
@@ -381,7 +381,7 @@ def legend_above(
 
 
 def dot_key(colour: str) -> Line2D:
-    """What stands for `dots` in a legend."""
+    """The legend entry of `dots`."""
     return Line2D([], [], color=colour, marker="o", markersize=4, markeredgewidth=0, linestyle="none")
 
 

@@ -48,12 +48,12 @@ def abstract(result: Result, trial: Trial, methods: Sequence[Named]) -> Iterator
 
 
 def kind_of_image(sensors: tuple[Sensor, Sensor]) -> str:
-    """What to call the images: `mirror image` where both sensors have a mirror, else `image`."""
+    """The term for the images: `mirror image` if both sensors have a mirror, else `image`."""
     return "mirror image" if all(isinstance(each.model, Mirror) for each in sensors) else "image"
 
 
 def camera_effects(trial: Trial) -> list[str]:
-    """What lens and chip add to an ideal image, in words."""
+    """The effects of lens and chip on an ideal image, in words."""
     chip, effects = trial.chip, []
     if any(not each.is_ideal for each in trial.lenses):
         effects.append("through a lens that is not ideal")
@@ -79,7 +79,7 @@ def images_of(sensors: tuple[Sensor, Sensor]) -> str:
 
 
 def what_differs(sensors: tuple[Sensor, Sensor]) -> str:
-    """What each view has of its own: a sensor, or a mask alone; empty where both have the same."""
+    """The part that differs between the views, in words: the sensor, or a mask alone; empty if both are the same."""
     first, second = (each.model_copy(update={"mask": None}) for each in sensors)
     if first != second:
         return "a sensor of its own"
@@ -94,7 +94,7 @@ def _by(matcher: MatcherSettings) -> str:
 
 
 def overview(result: Result, sweep: Sweep) -> Iterator[str]:
-    """What was varied, and how much of it is done."""
+    """Sentences on the axes of a sweep, and on how many of its trials are done."""
     counts = result.summary["trials"]
     axes = [_varied(axis) for axis in sweep.axes]
     labels = [method.label for method in sweep.methods]
@@ -156,14 +156,14 @@ def _errors_of(known: dict[str, dict[str, Any]], methods: Sequence[Named]) -> st
     shown = [each for each in methods if each.key in known]
     if len(shown) > 3:
         shown = list(_ends(known, methods, "range_median_abs_m"))
-    said = [
+    errors = [
         f"{_figure(1000 * known[each.key]['range_median_abs_m'], 10, '.0f')}\u00a0mm of range and "
         f"{_figure(known[each.key]['disparity_median_abs_px'], 0.1, '.2f')}\u00a0px of disparity ({each.label})"
         for each in shown
     ]
     if len(known) > 3:
-        return f"between {said[0]} and {said[1]}"
-    return f"{', '.join(said[:-1])} and {said[-1]}" if len(said) > 1 else said[0]
+        return f"between {errors[0]} and {errors[1]}"
+    return f"{', '.join(errors[:-1])} and {errors[-1]}" if len(errors) > 1 else errors[0]
 
 
 def _ends(known: dict[str, dict[str, Any]], methods: Sequence[Named], key: str) -> tuple[Named, Named]:

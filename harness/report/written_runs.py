@@ -18,9 +18,9 @@ from harness.runs.values import identity_of, value_of
 from harness.runs.written import read_written
 
 READ = ("experiment.toml", "trials.csv")
-"""Written by every run. They are read rather than the rows, so that runs of other code can be compared."""
+"""The files that are read: every run writes them, so that runs of other code can be compared."""
 _FACTS = "environment.json"
-"""Written with the summary."""
+"""The files of facts, written with the summary."""
 
 COMPARED = (
     "wall_disparity_median_abs_px",
@@ -130,7 +130,7 @@ def _run(
         if by_name:
             case = by_name[_case_of(row)]
             changed |= {key: identity_of(key, value) for key, value in case.items()}
-        # A setting that is a table or a list replaces all that was under it.
+        # A setting that is a table or a list replaces all settings below it.
         unchanged = {
             key: value for key, value in base.items() if not any(key.startswith(f"{each}.") for each in changed)
         }

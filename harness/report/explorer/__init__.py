@@ -1,1 +1,1 @@
-"""The explorer of the base trial: what the page is given, and the scripts that show it."""
+"""The explorer of the base trial: its data, and the scripts that show them."""

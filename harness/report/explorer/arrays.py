@@ -48,8 +48,8 @@ def in_steps(values: NDArray[np.floating], step: float) -> NDArray[np.floating]:
     """Values as whole numbers of steps; what is missing repeats what is before it in its row, which takes no space."""
     known = np.isfinite(values)
     before = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), axis=1)
-    held = np.take_along_axis(values, before, axis=1)
-    return np.rint(np.nan_to_num(held, posinf=0.0, neginf=0.0) / step)
+    filled = np.take_along_axis(values, before, axis=1)
+    return np.rint(np.nan_to_num(filled, posinf=0.0, neginf=0.0) / step)
 
 
 def on_scale(values: NDArray[np.floating], unit: float, octave: int) -> NDArray[np.floating]:

@@ -1,4 +1,4 @@
-"""All that the explorer is given: the maps of the base trial by each method, the views, the cost, the scene."""
+"""The explorer's data: the maps of the base trial by each method, the views, the cost, the scene."""
 
 import math
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from harness.report.method_styles import Method
 from harness.simulation.scene_geometry import geometry_near
 
 _MOST_PIXELS = 640_000
-"""What a panorama may have: a larger one cannot fit, and is not tried."""
+"""Most pixels of a panorama: a larger one cannot fit, and is not tried."""
 _QUALITIES = ((1, 400_000, 0.001), (1, 400_000, 0.01), (2, 90_000, 0.01))
 """How many pixels of the panorama's rows and columns are one; how many pixels a mirror image has, which is shown
 smaller if it has more; and the step of a method's ranges in parts of its usual error: the first with which all methods
@@ -33,7 +33,7 @@ _OCTAVE = 16
 """Steps of a standard deviation in a factor of two: it is known to 2.2 %."""
 _LEAST_SIGMA_M = 1e-7
 _ABSENT = -(2**15)
-"""Stands for a pixel that is not there in what is compared; `scripts/costs.js` knows it."""
+"""The value of a missing pixel in the images that are compared; the same as in `scripts/costs.js`."""
 _LARGEST = 2047
 """The largest whole number of a pixel, as in `matching/window/column.py`."""
 _SHADES_OF_GREY = 64
@@ -41,7 +41,7 @@ _SHADES_OF_GREY = 64
 _MOST_EDGES = 1500
 """What is shown of the scene, the longest ones: a mesh has one for each of its small triangles."""
 _COSTS = {"sad": "grey levels", "ssd": "grey levels²", "zncc": "1 − correlation"}
-"""The costs that the page works out, with their units."""
+"""The costs that the page computes, with their units."""
 _SHADES = 41
 
 KNOWN, UNOCCLUDED, IN_FIELD_2, SIDEWAYS, WALL = 1, 2, 4, 8, 16
@@ -51,7 +51,7 @@ KNOWN, UNOCCLUDED, IN_FIELD_2, SIDEWAYS, WALL = 1, 2, 4, 8, 16
 
 @dataclass(frozen=True)
 class Contents:
-    """What the page is given."""
+    """The data of the explorer's page."""
 
     facts: dict[str, Any]
     """Plain numbers and words, ready for JSON."""
@@ -62,7 +62,7 @@ class Contents:
 
 
 def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] | None, room: int) -> Contents | None:
-    """What the explorer of these methods is made of; None where not even one of them fits the page.
+    """The data of the explorer for these methods; None if not even one of them fits the page.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] |
         for view in (0, 1):
             arrays[f"image{view}"], views[view]["smaller"] = _image(outcome.images[view], image_pixels)
         fitting = [
-            _packed(method, its, step_of_method(its, step_m, part), every)
-            for method, its in zip(methods, maps, strict=True)
+            _packed(method, method_maps, step_of_method(method_maps, step_m, part), every)
+            for method, method_maps in zip(methods, maps, strict=True)
         ]
         shown = _that_fit(fitting, room - sum(len(each.text) for each in arrays.values()))
         if len(shown) == len(methods):
@@ -173,7 +173,7 @@ def cost_matcher(methods: list[Method]) -> WindowMatcher:
 
 
 def own_cost(shown: WindowMatcher, methods: list[Method]) -> list[int]:
-    """Which of some methods choose by that very cost, but for how finely they sample it."""
+    """The indices of the methods that minimise this cost, however finely they sample it."""
     matchers = [method.outcome.trial.matching for method in methods]
     alike = {"pitch_px": shown.pitch_px} if shown.kind == "column" else {}
     return [
@@ -197,7 +197,7 @@ def _cost(matcher: WindowMatcher, grid: Grid) -> dict[str, Any]:
 
 
 def _compared(panorama: Panorama) -> Array:
-    """What windows are made of, whole numbers of 1/PER_GREY: those of `column` itself, and fine enough for squares."""
+    """The panorama in integers of 1/PER_GREY: those that `column` compares, and fine enough for squares."""
     numbers = np.rint(np.clip(panorama.values * PER_GREY, -_LARGEST, _LARGEST))
     return np.where(panorama.valid, numbers, _ABSENT)
 
@@ -206,20 +206,20 @@ def _compared(panorama: Panorama) -> Array:
 
 
 def _truth(outcome: Outcome, step_m: float, every: int) -> dict[str, Packed]:
-    """What is true, of every so many pixels."""
+    """Maps of the truth, at every `every`-th row and column."""
     truth, expected = outcome.truth, outcome.reference
-    seen = np.isfinite(truth.range_m) * KNOWN
+    flags = np.isfinite(truth.range_m) * KNOWN
     for bit, where in (
         (UNOCCLUDED, truth.unoccluded),
         (IN_FIELD_2, truth.in_field_2),
         (SIDEWAYS, expected.sideways),
         (WALL, expected.wall),
     ):
-        seen = seen + bit * where
-    # Towards viewpoint 1: the cloud leaves out what is seen from behind.
+        flags = flags + bit * where
+    # Towards viewpoint 1: the cloud leaves out surfaces that are seen from behind.
     normal = np.rint(100 * np.nan_to_num(truth.normal[::every, ::every]))
     return {
-        "seen": pack(seen[::every, ::every]),
+        "seen": pack(flags[::every, ::every]),
         "trueRange": pack(in_steps(truth.range_m[::every, ::every], step_m)),
         "normal": pack(np.concatenate(np.moveaxis(normal, -1, 0))),
     }
@@ -247,13 +247,13 @@ def _packed(method: Method, maps: TrialMaps, step_m: float, every: int) -> _Fitt
 
 def _that_fit(methods: list[_Fitting], room: int) -> list[_Fitting]:
     """As many methods as there is room for, those with the smallest errors first; in their order."""
-    kept = []
+    fitting = []
     for each in sorted(methods, key=lambda each: usual_error_m(each.maps)):
         size = sum(len(packed.text) for packed in each.arrays.values())
         if size <= room:
             room -= size
-            kept.append(each)
-    return [each for each in methods if each in kept]
+            fitting.append(each)
+    return [each for each in methods if each in fitting]
 
 
 def _scales(maps: list[TrialMaps], limit_mm: float) -> dict[str, Any]:
@@ -316,7 +316,7 @@ def _image(image: NDArray[np.float32], most_pixels: int) -> tuple[Packed, int]:
 
 
 def _lens_of(sensor: Sensor) -> dict[str, Any]:
-    """What tells the kind of conic that planes are seen as; nothing where they are seen as none."""
+    """The parameters of the conics that are the images of planes; empty if the images are no conics."""
     conic = plane_conic(sensor, (0.0, 0.0, 1.0))
     return {} if conic is None else {"xi": conic.xi, "lens": lens_from_sensor(sensor).ravel().tolist()}
 

@@ -15,13 +15,13 @@ from harness.geometry.angles import Array
 STEP_PX = 1 / 1024
 """Pixels are rounded to this."""
 _GOOD_PX = 0.05
-"""A table that is this good is taken: a mark on the page is a hundred times as large."""
+"""Error below which a table is accepted, pixels: a mark on the page is a hundred times as large."""
 _SIZES = ((32, 48), (64, 96), (128, 192))
 """Intervals of the angle off the axis and of the azimuth, tried in turn."""
 _HAIR = 1e-6
 """The axis itself has no azimuth, and a seam has two sides: nodes are so far off them, radians."""
 _LOOK_DEG = 2
-"""Directions in which a sensor's field is looked for are so far apart."""
+"""Distance of the directions that are sampled to find the extent of a sensor's field."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ProjectionTable:
     """The largest error of interpolated pixels, between nodes, in the sensor's field."""
 
     def project(self, directions: Array) -> Array:
-        """Pixels `[..., 2]` of directions `[..., 3]`, as the page works them out."""
+        """Pixels `[..., 2]` of directions `[..., 3]`, interpolated as on the page."""
         x, y, z = np.moveaxis(directions @ self.frame.T, -1, 0)
         rows, columns, _ = self.pixels.shape
         i, down = _taps(np.arctan2(np.hypot(x, y), z) / self.theta_max * (rows - 1), rows)
@@ -78,8 +78,8 @@ def _table(sensor: Sensor, frame: Array, rows: int, columns: int) -> ProjectionT
         return ProjectionTable(frame, theta_max, np.nan_to_num(pixels), np.inf)
     table = ProjectionTable(frame, theta_max, np.rint(pixels / STEP_PX) * STEP_PX, 0.0)
     between = _directions((theta[1:] + theta[:-1]) / 2, (phi[1:] + phi[:-1]) / 2) @ frame
-    expected, seen = project(sensor, between)
-    error = np.linalg.norm(table.project(between) - expected, axis=-1)[seen]
+    expected, visible = project(sensor, between)
+    error = np.linalg.norm(table.project(between) - expected, axis=-1)[visible]
     return ProjectionTable(frame, theta_max, table.pixels, float(error.max(initial=0.0)))
 
 
@@ -87,11 +87,11 @@ def _edge(sensor: Sensor, frame: Array) -> float:
     """The largest angle off the axis at which the sensor sees something, radians; a little more where that is known."""
     coarse, step = np.radians(np.arange(0, 180 + _LOOK_DEG, _LOOK_DEG)), np.radians(_LOOK_DEG)
     phi = np.radians(np.arange(-180, 180, 2 * _LOOK_DEG))
-    seen = project(sensor, _directions(coarse, phi) @ frame)[1].any(axis=1)
-    if not seen.any():
+    visible = project(sensor, _directions(coarse, phi) @ frame)[1].any(axis=1)
+    if not visible.any():
         return float(np.pi)
     for more in (1.0, 0.0):
-        theta = min(np.pi, coarse[seen].max() + more * step)
+        theta = min(np.pi, coarse[visible].max() + more * step)
         if np.isfinite(project(sensor, _directions(np.array([theta]), phi) @ frame)[0]).all():
             break
     return float(theta)

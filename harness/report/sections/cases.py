@@ -117,7 +117,7 @@ def _picture(sweep: Sweep, entries: list[Entry]) -> Picture:
 
 
 def _known(entry: Entry) -> bool:
-    return bool(entry["range_median_abs_m"])  # none, or zero, which has no place on a logarithmic axis
+    return bool(entry["range_median_abs_m"])  # no error, or zero, which a logarithmic axis cannot show
 
 
 def _table(sweep: Sweep, entries: list[Entry]) -> Table:

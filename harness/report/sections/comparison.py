@@ -59,13 +59,13 @@ def _title(context: Context) -> str:
 
 @section_of(About.BASE_TRIAL, "comparison", _title)
 def section(context: Context) -> Iterator[Block]:
-    """What is left out of the page, and the figures of the base trial by each method."""
+    """The methods that the page leaves out, and the figures of the base trial by each method."""
     methods, left_out, summary = context.methods, context.result.details.left_out, context.summary
     if left_out:
         yield Paragraph(html(_LEFT_OUT, left_out=left_out))
     if context.sweep.several:  # elsewhere the page opens with it
-        said = " ".join(words.abstract(context.result, context.trial, context.compared))
-        yield Paragraph(html("<p>{{ said }}</p>", said=said))
+        abstract = " ".join(words.abstract(context.result, context.trial, context.compared))
+        yield Paragraph(html("<p>{{ said }}</p>", said=abstract))
     if context.compared:
         table = html(
             _TABLE,
@@ -92,7 +92,7 @@ def section(context: Context) -> Iterator[Block]:
 
 
 def _domain(reference: Reference) -> dict[str, float]:
-    """How large the domain is."""
+    """The size of the domain, as the template takes it."""
     return {
         "pixels": int(reference.domain.sum()),
         "share": float(reference.domain.mean()),

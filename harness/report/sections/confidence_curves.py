@@ -1,4 +1,4 @@
-"""How well confidences and predicted standard deviations predict the errors, on the base trial."""
+"""The quality of confidences and predicted standard deviations on the base trial."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class Confidences:
 
 
 def confidences(methods: list[Method]) -> Confidences:
-    """Draw and tabulate."""
+    """The figures and the table of the methods' confidences."""
     with_confidence = [
         (method, confidence) for method in methods if (confidence := confidence_map(method.outcome)) is not None
     ]
@@ -145,7 +145,7 @@ def _calibration(predicting: list[Method], rows: list[list[Any]]) -> Picture:
 
 
 def _blank_walls(with_confidence: list[tuple[Method, Array]]) -> list[tuple[Method, Roc]]:
-    """How well confidence detects pixels without texture; a pixel without a match has the least of all."""
+    """ROC curves of confidence as a detector of untextured pixels; a pixel without a match has the least confidence."""
     rocs = []
     for method, confidence in with_confidence:
         outcome = method.outcome
@@ -162,10 +162,12 @@ def _roc(blank_rocs: list[tuple[Method, Roc]], rows: list[list[Any]], title: str
     ax.plot([0, 100], [0, 100], color=theme.FAINT, linewidth=0.8, linestyle=(0, (3, 2)), label="chance")
     described = []
     for method, curve in blank_rocs:
-        some = np.unique(np.linspace(0, curve.lost.size - 1, 300).astype(int))
-        ax.plot(100 * curve.lost[some], 100 * curve.caught[some], color=method.colour, label=theme.plain(method.label))
-        few = some[::10]
-        rows += [[method.label, "roc", *each] for each in zip(curve.lost[few], curve.caught[few], strict=True)]
+        drawn = np.unique(np.linspace(0, curve.lost.size - 1, 300).astype(int))
+        ax.plot(
+            100 * curve.lost[drawn], 100 * curve.caught[drawn], color=method.colour, label=theme.plain(method.label)
+        )
+        thinned = drawn[::10]
+        rows += [[method.label, "roc", *each] for each in zip(curve.lost[thinned], curve.caught[thinned], strict=True)]
         described.append(f"{method.label} area {curve.auc:.3f}")
     ax.set_xlim(0, 100)
     ax.set_ylim(0, 100)

@@ -1,4 +1,4 @@
-"""How errors are distributed."""
+"""The distributions of errors."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,4 +1,4 @@
-"""What limits the range: the error of each cause, predicted and measured, alone and together."""
+"""The causes of range errors: the error of each, predicted and measured, alone and together."""
 
 import itertools
 import math
@@ -55,7 +55,7 @@ _MARKS = {
 
 
 class Over(NamedTuple):
-    """What errors are drawn against."""
+    """The abscissa of an error plot."""
 
     key: str
     """The field of an entry that holds it."""
@@ -96,15 +96,15 @@ def _pictures(entries: list[Entry], over: "Over") -> list[Picture]:
 
 
 def _worst(entries: list[Entry]) -> str:
-    """Where errors are more than 10 % off what follows from the draws, beyond doubt, with the ratio."""
-    said: dict[str, dict[float, list[float]]] = {}
+    """The cases and ranges whose errors differ from those of the draws by over 10 %, beyond doubt, with the ratio."""
+    ratios_by_name: dict[str, dict[float, list[float]]] = {}
     for each in entries:
         ratio, ends = each["over_drawn"], each["over_drawn_ci95"]
         if ends and abs(ratio - 1) > 0.1 and not ends[0] <= 1 <= ends[1]:
-            said.setdefault(_named(each), {}).setdefault(each["range_m"], []).append(ratio)
+            ratios_by_name.setdefault(_named(each), {}).setdefault(each["range_m"], []).append(ratio)
     return "; ".join(
         f"{name} {', '.join(f'{_between(ratios)} at {range_m:.2g} m' for range_m, ratios in at.items())}"
-        for name, at in said.items()
+        for name, at in ratios_by_name.items()
     )
 
 
@@ -141,7 +141,7 @@ def _looks(entries: list[Entry]) -> dict[str, tuple[str, str]]:
 
 
 def _columns(names: Iterable[str]) -> int:
-    """How many names fit beside each other above a panel; they are shown whole."""
+    """The number of names that fit beside each other above a panel without being shortened."""
     longest = max(map(len, names))
     return 3 if longest <= 22 else 2 if longest <= 36 else 1
 

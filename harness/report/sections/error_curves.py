@@ -198,7 +198,7 @@ def _shape(table: pd.DataFrame, x: list[float]) -> tuple[Array, Array]:
 
 
 def _law_over_baselines(sweep: Sweep) -> dict[str, dict[str, tuple[Array, Array]]]:
-    """How the laws grow and shrink with the baseline, over the groups of cells that every baseline has."""
+    """The dependence of the laws on the baseline, over the groups of cells that every baseline has."""
     shapes = {}
     for surface in sweep.surfaces:
         cells = max((sweep.cells_of(method, surface) for method in sweep.methods), key=len)
@@ -293,7 +293,7 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
 
 
 def _room(text: str) -> float:
-    """What a label in the middle of its tick needs beyond the last one, as a share of what lies between the ticks.
+    """The margin that a centred label needs beyond the last tick, as a share of the span of the ticks.
 
     A panel is some 210 px wide, a letter 6 px.
     """

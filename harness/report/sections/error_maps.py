@@ -33,7 +33,7 @@ REASONS = {
 }
 """In words, and the colour on the map."""
 _A_LINE = 4
-"""As many fit side by side in a legend."""
+"""Entries that fit side by side in a legend."""
 
 
 _ERRORS = """
@@ -49,7 +49,7 @@ all along it are whole in the second panorama.
 
 @section_of(About.BASE_TRIAL, "maps", "Range-error maps", needs_pixels=True)
 def section(context: Context) -> Iterator[Block]:
-    """Where errors lie, and where there is no range."""
+    """Maps of the range errors, and of the reasons for missing ranges."""
     methods = context.methods
     first = methods[0].outcome
     limit_mm = common_limit_mm(methods)
@@ -69,10 +69,10 @@ def section(context: Context) -> Iterator[Block]:
         in_blocks("range-error-blocks", context.trial.panorama, fields),
     )
     shares = [
-        [reason.name.lower(), int(there.sum()), float(there.mean())]
+        [reason.name.lower(), int(pixels.sum()), float(pixels.mean())]
         for reason in Reason
-        for there in [first.reason == reason]
-        if there.any()
+        for pixels in [first.reason == reason]
+        if pixels.any()
     ]
     yield Figure(
         "figure-reasons",
@@ -122,7 +122,7 @@ def error_map(method: Method, limit_mm: float, letter: str) -> Picture:
 
 @theme.panel
 def reason_map(method: Method) -> Picture:
-    """Why a pixel has no range, with the domain's outline."""
+    """A map of the reasons for missing ranges, with the domain's outline."""
     return reasons_picture(method.outcome.reason, method.outcome.trial.panorama, method)
 
 

@@ -60,14 +60,14 @@ _TOO_LARGE = """
 
 @section_of(About.BASE_TRIAL, "explorer", "Explorer", needs_pixels=True, takes_the_rest=True)
 def section(context: Context) -> Iterator[Block]:
-    """Every pixel, to be pointed at."""
+    """The explorer, or a sentence if the maps are too large for the page."""
     methods = context.methods
-    made = contents_of(methods, common_limit_mm(methods), _start(methods), context.room - _OWN_BYTES)
-    if made is None:
+    contents = contents_of(methods, common_limit_mm(methods), _start(methods), context.room - _OWN_BYTES)
+    if contents is None:
         grid = context.trial.panorama
         yield Paragraph(html(_TOO_LARGE, columns=grid.width_px, rows=grid.height_px))
     else:
-        yield Interactive(_body(made), scripts())
+        yield Interactive(_body(contents), scripts())
 
 
 def _start(methods: list[Method]) -> tuple[int, int] | None:

@@ -16,14 +16,14 @@ Trials that failed, by message. They count in no other figure or table. <code>fa
 
 @section_of(About.THE_RUN, "failures", "Failures")
 def section(context: Context) -> Iterator[Block]:
-    """What went wrong; nothing where nothing did."""
+    """The messages of failed trials; nothing if no trial failed."""
     table = failures(context.result)
     if table.rows:
         yield TableBlock("table-failures", table, html(_TABLE))
 
 
 def failures(result: Result) -> Table:
-    """What went wrong: one row for each message."""
+    """A table of the failed trials, one row for each message."""
     failed: dict[str, list[Any]] = {}
     for row in result.rows:
         if row.state == "failed":

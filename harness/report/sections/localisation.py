@@ -91,8 +91,8 @@ def _curves(entry: Entry) -> Picture:
     theme.legend_above(ax, handles, names, gap=0.3, most=2)
     title = APPEARANCES[entry["appearance"]]
     rows = [each for each in entry["errors"] if each["images"] == ticks[-2]]
-    said = ", ".join(f"{WAYS_IN_WORDS[each['way']]} {each['mean_m']:.2f} m" for each in rows)
-    return theme.picture(fig, f"Localisation error with {title}; from {ticks[-2]} real images: {said}.", title)
+    means = ", ".join(f"{WAYS_IN_WORDS[each['way']]} {each['mean_m']:.2f} m" for each in rows)
+    return theme.picture(fig, f"Localisation error with {title}; from {ticks[-2]} real images: {means}.", title)
 
 
 def _table(entries: list[Entry], labels: Labels) -> Table:

@@ -38,7 +38,7 @@ Where estimates lie between the samples of their epipolar curves.
 
 @section_of(About.ALL_TRIALS, "locking", "Pixel locking")
 def section(context: Context) -> Iterator[Block]:
-    """Where estimates lie between whole samples."""
+    """Histograms of the estimates' positions between whole samples."""
     pictures, data, near = histograms(context.sweep)
     caption = html(_LOCKING, near=near, seeds=len(context.sweep.seeds))
     missing = "Not drawn: there is no estimate between samples."
@@ -68,7 +68,7 @@ def histograms(sweep: Sweep) -> tuple[list[Picture], Data, dict[str, dict[str, f
         rows += [[method.matcher, method.subpixel, surface, *each] for each in zip(*columns, strict=True)]
     top = 100 * max((float(np.nanmax([curve.mean, curve.high])) for curve in curves.values()), default=0.0)
     pictures = [
-        _histogram({method: curve for (method, there), curve in curves.items() if there == surface}, top, words, letter)
+        _histogram({method: curve for (method, on), curve in curves.items() if on == surface}, top, words, letter)
         for (surface, words), letter in zip(SURFACES.items(), "ab", strict=True)
         if curves
     ]

@@ -105,7 +105,7 @@ class Curve:
 
     @property
     def gap(self) -> float:
-        """How far the parabola passes above the best sample."""
+        """The parabola's value at the best sample less the cost of that sample."""
         return float(self.fit[-1]) - self.least
 
     def parabola(self, count: int = 61) -> tuple[Array, Array]:
@@ -144,7 +144,7 @@ def typical_pixel(methods: list[Method]) -> tuple[int, int] | None:
 
 
 def curve_at(outcome: Outcome, row: int, column: int) -> Curve:
-    """What the matcher saw along one pixel's curve."""
+    """The costs along one pixel's curve, and the parabola through their minimum."""
     matcher, whole = _window_matcher(outcome), _search(outcome)
     curves = whole.curves
     inside, costs_inside = costs_along_curve(outcome.filtered[0], outcome.filtered[1], whole, matcher, row, column)

@@ -1,4 +1,4 @@
-"""What it costs to estimate the motion: its errors, and the range's with it and with the true motion."""
+"""The cost of estimating the motion: its errors, and the range errors with it and with the true motion."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -63,7 +63,7 @@ class Limit:
 def limit(sweep: Sweep, entries: list[Entry]) -> Limit:
     """Draw and tabulate the `limit` of a summary."""
     conditions = list(dict.fromkeys(entry["condition"] for entry in entries))
-    # Where chips differ, and no white noise is varied beside them, each setting is a noise of its own.
+    # Where chips differ, and white noise does not vary, each setting of the chip is a noise level.
     is_of_chips = len({entry["sigma_grey"] for entry in entries}) == 1 < len({entry["noise_grey"] for entry in entries})
     drawn = [entry for entry in entries if is_of_chips or entry["condition"] == conditions[0]]
     of_method = [(method, [each for each in drawn if _is_of(each, method)]) for method in sweep.methods]

@@ -106,10 +106,10 @@ def _curves(entries: list[Entry], labels: Labels) -> Picture:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
     theme.legend_above(ax, handles, names, gap=0.3)
-    said = ", ".join(
+    values = ", ".join(
         f"{each['matcher']} {each['psnr_db']['warped']:.1f} dB" for each in entries if each["distance_m"] == x[-1]
     )
-    return theme.picture(fig, f"PSNR of warped views against their distance; at {x[-1]:g} m {said}.")
+    return theme.picture(fig, f"PSNR of warped views against their distance; at {x[-1]:g} m {values}.")
 
 
 def _table(entries: list[Entry], labels: Labels) -> Table:
@@ -177,13 +177,13 @@ def _picture(grid: Grid, grey: NDArray[np.floating], title: str) -> Picture:
 def _difference(grid: Grid, view: NovelView) -> Picture:
     fig, ax, colours = panorama_axes(grid)
     known = view.compared & ~view.warped.holes
-    apart = np.where(known, view.warped.grey - view.expected, np.nan)
+    difference = np.where(known, view.warped.grey - view.expected, np.nan)
     drawn = ax.imshow(
-        unmirrored(apart), cmap="RdBu", vmin=-_LIMIT_GREY, vmax=_LIMIT_GREY, extent=extent_of(grid), aspect="auto"
+        unmirrored(difference), cmap="RdBu", vmin=-_LIMIT_GREY, vmax=_LIMIT_GREY, extent=extent_of(grid), aspect="auto"
     )
     ax.set_facecolor("#D0D0D0")
     fig.colorbar(drawn, cax=colours, extend="both").set_label("warped − rendered (grey levels)")
-    rms = float(np.sqrt(np.nanmean(apart**2)))
+    rms = float(np.sqrt(np.nanmean(difference**2)))
     return theme.picture(
         fig, f"Difference of the warped and the rendered view, {rms:.1f} grey levels RMS.", "(c) difference"
     )

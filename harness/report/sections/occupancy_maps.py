@@ -49,16 +49,16 @@ def section(context: Context) -> Iterator[Block]:
         return
     labels = context.result.experiment.method_labels
     shown = _first_of_each(context, entries)
-    some = next(iter(shown.values()))
+    first = next(iter(shown.values()))
     sentence = " ".join(path_maps_conclusions(entries, labels))
     yield Paragraph(
-        html(_WORDS, pairs=len(some["stations_m"]), cell_m=some["cell_m"], sentence=sentence, folder=FOLDER)
+        html(_WORDS, pairs=len(first["stations_m"]), cell_m=first["cell_m"], sentence=sentence, folder=FOLDER)
     )
     intervals = any(each["seeds"] > 1 for each in entries)
     yield TableBlock("table-maps", _table(entries, labels), html(_TABLE, intervals=intervals))
     names = looks(list(shown), labels)
-    panels = [_map(some, "true", "floor plan"), _map(some, "ceiling_state", "map of the true ranges")]
-    panels += [_map(made, "state", names[method].label) for method, made in shown.items()]
+    panels = [_map(first, "true", "floor plan"), _map(first, "ceiling_state", "map of the true ranges")]
+    panels += [_map(entry, "state", names[method].label) for method, entry in shown.items()]
     yield Figure("figure-maps", panels, html(_MAPS))
 
 
@@ -102,7 +102,7 @@ def _table(entries: list[Entry], labels: Labels) -> Table:
 @theme.panel
 def _map(made: dict[str, Any], which: str, title: str) -> Picture:
     frame = frame_of(made)
-    state = unpacked(made[which], frame.shape)
+    cells = unpacked(made[which], frame.shape)
     rows, columns = frame.shape
     side = HALF - 72
     height = side * rows / columns
@@ -110,12 +110,12 @@ def _map(made: dict[str, Any], which: str, title: str) -> Picture:
     ax = theme.axes(fig, 52, 10, side, height)
     x, y = frame.origin_m
     extent = (x, x + columns * frame.cell_m, y, y + rows * frame.cell_m)
-    ax.imshow(state, cmap=_COLOURS, vmin=0, vmax=2, extent=extent, origin="lower", interpolation="nearest")
+    ax.imshow(cells, cmap=_COLOURS, vmin=0, vmax=2, extent=extent, origin="lower", interpolation="nearest")
     stations = np.array(made["stations_m"])
     ax.plot(*stations.T, "o", color=theme.PIXEL, markersize=3)
     ax.set_xlabel("$x$ (m)")
     ax.set_ylabel("$y$ (m)")
-    shares = _shares(state)
+    shares = _shares(cells)
     return theme.picture(fig, f"Map, {title}: {shares}.", title)
 
 

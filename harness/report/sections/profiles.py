@@ -73,7 +73,7 @@ def section(context: Context) -> Iterator[Block]:
 
 
 def _azimuth_of_t(outcome: Outcome) -> float | None:
-    """Where on view 1's panorama the second viewpoint lies, degrees; None straight above or below."""
+    """The azimuth of the second viewpoint on view 1's panorama, degrees; None straight above or below."""
     x, y, _ = outcome.curves.t
     level = np.hypot(x, y) > 1e-9 * np.linalg.norm(outcome.curves.t)
     return float(np.degrees(np.arctan2(y, x))) if level else None

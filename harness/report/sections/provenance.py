@@ -1,4 +1,4 @@
-"""What a run was made with, and how long it took."""
+"""The software and the machine of a run, and its wall times."""
 
 import json
 from collections.abc import Iterator
@@ -46,8 +46,8 @@ def section(context: Context) -> Iterator[Block]:
     """Versions, machine, and wall time by stage."""
     result = context.result
     yield Paragraph(html(_ENVIRONMENT, environment=result.environment))
-    if said := remarks(result.rows):
-        yield Paragraph(html(_REMARKS, remarks=said))
+    if lines := remarks(result.rows):
+        yield Paragraph(html(_REMARKS, remarks=lines))
     caption = html(_DURATIONS, rows=len(result.rows), done=context.summary["trials"]["done"])
     yield TableBlock("durations", durations(result), caption, full=False)
 

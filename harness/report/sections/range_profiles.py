@@ -134,12 +134,12 @@ def _plan(method: Method, scored: ScoredScan) -> Picture:
     ax.set_xlabel("$x$ (m)")
     ax.set_ylabel("$y$ (m)")
     score = scored.score
-    found = f"{score.obstacles_found} of {score.obstacles} obstacles found"
+    text = f"{score.obstacles_found} of {score.obstacles} obstacles found"
     alt = (
-        f"Plan of the range profile of {method.label} and of the true one; {found}, {score.missed:.1%} of the bearings "
+        f"Plan of the range profile of {method.label} and of the true one; {text}, {score.missed:.1%} of the bearings "
         f"missed, {score.false:.1%} false."
     )
-    return theme.picture(fig, alt, f"{method.label}: {found}")
+    return theme.picture(fig, alt, f"{method.label}: {text}")
 
 
 def _bars(ax: Axes, scored: ScoredScan, colour: str) -> None:

@@ -262,8 +262,8 @@ def _shaded(geometry: Geometry, origin: Array, rays: Array, face: NDArray[np.int
     grey = np.empty(len(rays))
     texture = geometry.texture_of_face[face]
     for index in np.unique(texture):
-        there = texture == index
-        grey[there] = lookup(geometry.textures[index], uv[there])
+        with_texture = texture == index
+        grey[with_texture] = lookup(geometry.textures[index], uv[with_texture])
     light = np.minimum(0.72 + 0.28 * np.abs(geometry.normals) @ np.array([0.1, 0.55, 1.0]), 1.0)
     return 40 + 0.84 * grey * light[face]
 

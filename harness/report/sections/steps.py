@@ -36,7 +36,7 @@ Median absolute disparity error by setting, geometric means over seeds; ◂ mark
 
 @section_of(About.ALL_TRIALS, "steps", "Whole pixels and sub-pixel steps")
 def section(context: Context) -> Iterator[Block]:
-    """Where each step helps; nothing where steps were not compared over several settings."""
+    """The settings in which each sub-pixel step helps; nothing if steps were not compared over several settings."""
     compared = steps(context.sweep)
     if compared is not None:
         yield Paragraph(html(_WORDS, findings=compared.findings))
@@ -45,14 +45,14 @@ def section(context: Context) -> Iterator[Block]:
 
 @dataclass(frozen=True)
 class Steps:
-    """A table of errors by setting and step, and what it says."""
+    """A table of errors by setting and step, and the findings from it."""
 
     table: Table
     findings: list[str]
 
 
 def steps(sweep: Sweep) -> Steps | None:
-    """Compare; None unless a matcher was run at whole pixels and with a sub-pixel step over several settings."""
+    """The comparison; None unless a matcher was run at whole pixels and with a sub-pixel step over several settings."""
     matchers = {method.matcher for method in sweep.methods if method.subpixel == _WHOLE}
     refined = [method for method in sweep.methods if method.matcher in matchers and method.subpixel != _WHOLE]
     if not refined or not sweep.axes:
@@ -132,6 +132,6 @@ def _named(sweep: Sweep, indices: Any) -> str:
 
 
 def _texts(sweep: Sweep, indices: Any) -> list[str]:
-    """Where on the axes, in words, given as an index into the values of each."""
+    """The values on the axes as text, from their indices."""
     indices = indices if isinstance(indices, tuple) else (indices,)
     return [axis.texts[i] for axis, i in zip(sweep.axes, indices, strict=True)]

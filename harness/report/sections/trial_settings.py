@@ -35,7 +35,7 @@ _SETTINGS = """
 
 @section_of(About.THE_RUN, "settings", "Settings")
 def section(context: Context) -> Iterator[Block]:
-    """Those of the base trial, with what varies between trials marked."""
+    """The settings of the base trial, those that vary between trials marked."""
     varied = {key: texts_of(values) for key, values in values_of(context.result.rows).items()}
     toml = dump_toml(context.result.experiment, given=True)
     yield Paragraph(html(_SETTINGS, varied=varied, settings=words.settings(context.trial), toml=toml))

@@ -42,7 +42,7 @@ grows with |<b>t</b>|/<i>d</i>, the error of the range cannot fall as the law sa
 
 @section_of(About.ALL_TRIALS, "law-decomposition", "The law: decomposition")
 def section(context: Context) -> Iterator[Block]:
-    """What σ(alpha_2) depends on, and the baseline that is best because of it."""
+    """The dependence of σ(alpha_2) on |t|/d and direction, and the best baseline that follows from it."""
     sweep, law = context.sweep, context.law
     if not law:
         return
@@ -54,7 +54,7 @@ def section(context: Context) -> Iterator[Block]:
 
 
 def _angle_spread(sweep: Sweep, column_deg: float) -> Figure:
-    """How the angle's own error, mismatches and losses grow with |t|/d and by direction."""
+    """The angle's own error, mismatches and losses against |t|/d and direction."""
     rows: list[list[Any]] = []
     cells = sweep.cells
     step = math.log(RANGE_RATIO)

@@ -1,4 +1,4 @@
-"""The law of the range error: the paper's worked example, and what was measured."""
+"""The law of the range error: the paper's worked example, and measured errors."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -124,7 +124,7 @@ def worked_example() -> list[Example]:
 
 @dataclass(frozen=True)
 class Within:
-    """How much of one outcome lies within what its whole samples allow."""
+    """The shares of one outcome's range errors within the errors that whole samples cause."""
 
     label: str
     pixels: int
@@ -138,11 +138,11 @@ STEPS = (0.5, 1.0, 1.5)
 
 def within_steps(outcome: Outcome, label: str) -> Within:
     """Measured range errors beside the law times half a step, on wall pixels of the domain."""
-    there = _walls(outcome)
-    predicted = 2 * outcome.reference.law[there] * outcome.reference.half_step[there]
-    error = np.abs(outcome.errors.range_m[there])
+    walls = _walls(outcome)
+    predicted = 2 * outcome.reference.law[walls] * outcome.reference.half_step[walls]
+    error = np.abs(outcome.errors.range_m[walls])
     shares = tuple(float(np.mean(error <= steps * predicted)) for steps in STEPS) if error.size else ()
-    return Within(label, int(there.sum()), shares)
+    return Within(label, int(walls.sum()), shares)
 
 
 @theme.panel
@@ -213,7 +213,7 @@ def measured_chart(methods: list[Method]) -> Picture:
 
 
 def numbers(methods: list[Method]) -> Iterator[list[object]]:
-    """What both charts draw: what it is, alpha_1 in degrees, metres."""
+    """The numbers of both charts: name of the curve, alpha_1 in degrees, metres."""
     angle = np.arange(10.0, 171.0, 2.0)
     short = float(paper_law(RANGE_M, BASELINE_M) * np.radians(ERROR_DEG))
     yield from (["example_exact", *each] for each in zip(angle, _exact(angle), strict=True))
@@ -226,26 +226,26 @@ def numbers(methods: list[Method]) -> Iterator[list[object]]:
 
 def _measured(method: Method) -> Array:
     """Median absolute range error on walls in each bin of alpha_1, millimetres."""
-    there = _walls(method.outcome)
-    angle = np.degrees(method.outcome.reference.alpha_1[there])
-    return _binned(angle, 1000 * np.abs(method.outcome.errors.range_m[there]), EDGES_DEG)
+    walls = _walls(method.outcome)
+    angle = np.degrees(method.outcome.reference.alpha_1[walls])
+    return _binned(angle, 1000 * np.abs(method.outcome.errors.range_m[walls]), EDGES_DEG)
 
 
 def _left_out(ax: Axes, method: Method) -> None:
     """Draw the median errors on walls near the baseline's directions, as far as the axes reach."""
     outcome = method.outcome
-    there = outcome.valid & outcome.truth.visible & ~outcome.reference.sideways & outcome.reference.wall
-    angle = np.degrees(outcome.reference.alpha_1[there])
+    near_baseline = outcome.valid & outcome.truth.visible & ~outcome.reference.sideways & outcome.reference.wall
+    angle = np.degrees(outcome.reference.alpha_1[near_baseline])
     for edges in _BESIDE_DEG:
-        median = _binned(angle, 1000 * np.abs(outcome.errors.range_m[there]), edges)
+        median = _binned(angle, 1000 * np.abs(outcome.errors.range_m[near_baseline]), edges)
         ax.plot((edges[:-1] + edges[1:]) / 2, median, "o-", color=method.colour, markersize=4, alpha=0.4)
 
 
 def _expected(method: Method) -> Array:
     """The law times a quarter of a step on walls in each bin of alpha_1, millimetres."""
-    there, reference = _walls(method.outcome), method.outcome.reference
-    expected = 500 * reference.law[there] * reference.half_step[there]
-    return _binned(np.degrees(reference.alpha_1[there]), expected, EDGES_DEG)
+    walls, reference = _walls(method.outcome), method.outcome.reference
+    expected = 500 * reference.law[walls] * reference.half_step[walls]
+    return _binned(np.degrees(reference.alpha_1[walls]), expected, EDGES_DEG)
 
 
 def _exact(alpha_1_deg: Array) -> Array:

@@ -149,11 +149,11 @@ def _adjusted(cells: pd.DataFrame) -> "pd.Series[float]":
 def _regression(
     sweep: Sweep, method: MethodStyle, surface: str, fits: dict[str, Fit], binned: list[list[Any]]
 ) -> Picture:
-    there = [in_cells for each in sweep.methods if len(in_cells := sweep.cells_of(each, surface))]
+    tables = [in_cells for each in sweep.methods if len(in_cells := sweep.cells_of(each, surface))]
     cells = sweep.cells_of(method, surface)
     y = np.exp(_adjusted(cells))
-    limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in there])), 0.003)
-    limits_x = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
+    limits_y = _around(np.exp(pd.concat([_adjusted(each) for each in tables])), 0.003)
+    limits_x = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in tables]), 0.001)
     fig, panels = theme.pair(height=330, top=46, left=70)
     described = []
     for ax, law in zip(panels, LAWS, strict=True):
@@ -210,7 +210,7 @@ def _around(values: "pd.Series[float]", cut: float) -> tuple[float, float]:
 def _density(
     ax: Axes, x: "pd.Series[float]", y: "pd.Series[float]", limits_x: tuple[float, float], limits_y: tuple[float, float]
 ) -> None:
-    """How many cells lie where, as a picture of few pixels."""
+    """Draw the density of cells, as an image of few pixels."""
     counts, _, _ = np.histogram2d(np.log(x), np.log(y), bins=(40, 44), range=(np.log(limits_x), np.log(limits_y)))
     shown = np.sqrt(counts.T / max(counts.max(), 1))
     # On axes of their own: a picture is linear, the axes are logarithmic.
@@ -225,8 +225,8 @@ def _density(
 @theme.panel
 def _residuals(sweep: Sweep, fits: list[Fit], surface: str, letter: str, rows: list[list[Any]]) -> Picture:
     fig, panels = theme.pair()
-    there = [sweep.cells_of(each, surface) for each in sweep.methods]
-    limits = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in there]), 0.001)
+    tables = [sweep.cells_of(each, surface) for each in sweep.methods]
+    limits = _around(pd.concat([each[f"law_{law}"] / each["range_m"] for law in LAWS for each in tables]), 0.001)
     described, reach = [], [0.5]
     for ax, law in zip(panels, LAWS, strict=True):
         theme.logarithmic(ax, "x", *limits, most=4)

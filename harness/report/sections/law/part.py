@@ -1,4 +1,4 @@
-"""What the sections on the law have in common."""
+"""Shared by the sections on the law: names, symbols and the law itself."""
 
 from typing import Any
 

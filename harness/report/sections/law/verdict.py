@@ -53,7 +53,7 @@ _IN_ABSTRACT = '<p>The law method by method, and where it fails: <a href="#verdi
 
 @section_of(About.ALL_TRIALS, "verdict", "The law of the range error, tested")
 def section(context: Context) -> Iterator[Block]:
-    """What the law says, how it is tested, and the result."""
+    """The law, its test, and the result."""
     if not context.law:
         return
     judged = findings(context.sweep, context.law)
@@ -73,7 +73,7 @@ class Finding:
     words: str
     """The verdict of the evaluation."""
     reasons: list[str]
-    """Where and why, as far as the numbers show it."""
+    """Sentences on where and why the law fails, as far as the numbers show it."""
 
 
 def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
@@ -92,7 +92,7 @@ def findings(sweep: Sweep, law: dict[str, Any]) -> list[Finding]:
 
 
 def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: dict[str, Any]) -> Iterator[str]:
-    """Where 1 lies outside the slope's interval, and how the angle's own error grows."""
+    """Sentences on directions in which 1 lies outside the slope's interval, and on the growth of the angle's error."""
     known = [each for each in exact["by_alpha_1"] if each["slope_ci95"] is not None]
     off = [each for each in known if not each["slope_ci95"][0] <= 1 <= each["slope_ci95"][1]]
     if known and off:
@@ -128,7 +128,7 @@ def _reasons(sweep: Sweep, method: MethodStyle, surface: str, exact: Fit, law: d
 
 
 def _long_baselines(off: list[Fit]) -> Iterator[str]:
-    """Where the direction whose slope is farthest below 1 comes near it once baselines are short for their range."""
+    """A sentence on the direction with the lowest slope, if short baselines alone bring it near 1."""
     lowest = min(off, key=lambda each: float(each["slope"]))
     short = lowest.get("short")  # rows of earlier versions have none
     if not short or short["slope"] is None or short["slope_ci95"] is None:
