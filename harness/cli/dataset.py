@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from harness.datasets.specification import DatasetSpec
 
 _CHECK = "check"
-"""In the place of a specification."""
+"""The word in place of a specification that stands for a check."""
 _START_S = 2.0
 """Seconds until the first pair is made: libraries and compiled code are loaded."""
 
@@ -32,7 +32,7 @@ def add(commands: Commands) -> None:
         "check DIR: look for what is wrong with a data set, made here or by anybody else.",
         epilog=f"shipped data sets: {', '.join(shipped.names('datasets'))}",
     )
-    what = command.add_argument(
+    argument = command.add_argument(
         "spec",
         nargs="?",
         default="rooms",
@@ -41,7 +41,7 @@ def add(commands: Commands) -> None:
     )
     checked = command.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="after check: the set's folder")
     completers.offer(checked, completers.folders)
-    completers.offer(what, completers.datasets, completers.files(".toml"))
+    completers.offer(argument, completers.datasets, completers.files(".toml"))
     add_out(command)
     add_changes(command, axes=False)
     command.add_argument(

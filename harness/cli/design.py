@@ -93,7 +93,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Describe a rig, or find some."""
+    """Describe a rig, or search for rigs that meet a requirement."""
     if options.out is not None and options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError("must end in .html", file=options.out)
     return _describe(options) if options.accuracy is None else _find(options)
@@ -139,7 +139,7 @@ def _print_table(described: "RigDescription") -> None:
 
 
 def _points(options: Namespace) -> "list[list[float]] | None":
-    """The points that are asked for, if any are."""
+    """The points of `--point`, if any are given."""
     for point in options.point or ():
         if not (all(map(math.isfinite, point)) and any(point)):
             text = " ".join(f"{each:g}" for each in point)
@@ -156,12 +156,12 @@ def _print_ellipsoids(described: "RigDescription") -> None:
     print("one standard deviation of the position of points: range, and semi-axes with their directions")
     rows = []
     for each in described.ellipsoids:
-        place = [f"{value:.4g}" for value in each.point_m + 0.0]
+        coordinates = [f"{value:.4g}" for value in each.point_m + 0.0]
         if not each.is_seen:
-            rows.append([*place, "unseen", "", ""])
+            rows.append([*coordinates, "unseen", "", ""])
             continue
         for number, (size, direction) in enumerate(zip(each.semi_axes_m, each.directions, strict=True)):
-            first = [*place, _mm(each.sigma_range_m)] if number == 0 else [""] * 4
+            first = [*coordinates, _mm(each.sigma_range_m)] if number == 0 else [""] * 4
             rows.append([*first, _mm(float(size)), _direction(direction)])
     headings = ["x\nm", "y\nm", "z\nm", "range\nmm", "semi-axis\nmm", "direction\nx      y      z"]
     Console().print(plain_table(headings, rows))

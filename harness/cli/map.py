@@ -71,9 +71,9 @@ def run(options: Namespace) -> int:
         print(
             f"{left.name}, {right.name}: {scan.profile.known.mean():.1%} of the bearings have an obstacle", flush=True
         )
-    made = harness.range_map(scans, places, cell_m=options.cell)
-    made.write(options.out)
-    free, occupied = (int((made.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
+    grid = harness.range_map(scans, places, cell_m=options.cell)
+    grid.write(options.out)
+    free, occupied = (int((grid.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
     print(f"{free:.2f} m2 free, {occupied:.2f} m2 occupied; {options.out / 'map.yaml'}")
     return OK
 

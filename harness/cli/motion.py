@@ -22,9 +22,9 @@ def add(commands: Commands) -> None:
     )
     add_images(command)
     add_sensor(command, "sensor TOML or calibration file of both views", required=True, second=True)
-    held = command.add_mutually_exclusive_group()
-    held.add_argument("--upright", action="store_true", help="the sensor's z is vertical in both views")
-    held.add_argument("--planar", action="store_true", help="and the sensor has moved horizontally")
+    group = command.add_mutually_exclusive_group()
+    group.add_argument("--upright", action="store_true", help="the sensor's z is vertical in both views")
+    group.add_argument("--planar", action="store_true", help="and the sensor has moved horizontally")
     add_length(command)
     command.add_argument(
         "--sparse", action="store_true", help="use keypoints only: faster, and several times less accurate"

@@ -19,7 +19,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
-        # argparse's test for words that begin with a dash and are values. Its own does not recognise 1e-3 and inf.
+        # argparse's pattern of values that begin with a dash. Its default does not recognise 1e-3 and inf.
         self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -69,8 +69,10 @@ class Commands:
 
 def add_experiment(command: Parser) -> None:
     """Add `experiment`: a name or a path."""
-    what = command.add_argument("experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file")
-    completers.offer(what, completers.experiments, completers.files(".toml"))
+    argument = command.add_argument(
+        "experiment", metavar="EXPERIMENT", help="a shipped experiment's name, or a TOML file"
+    )
+    completers.offer(argument, completers.experiments, completers.files(".toml"))
 
 
 def add_images(command: Parser) -> None:

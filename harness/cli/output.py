@@ -43,9 +43,7 @@ class Output:
     def _lose(self, error: OSError) -> None:
         self._is_gone = True
         self.error = None if isinstance(error, BrokenPipeError) else error
-        with suppress(
-            OSError, ValueError
-        ):  # what is still held back goes nowhere, or Python would try again at its end
+        with suppress(OSError, ValueError):  # discard what is still buffered, or Python would try again at its end
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, self._stream.fileno())
             os.close(null)

@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 on success, 1 when a trial failed, 2 for invalid input (with one line on stderr), 70 for a bug in this program
         (likewise), 130 after Ctrl-C.
     """
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may follow; answered, and the program ends
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions: answer, and end the program
         import argcomplete
 
         argcomplete.autocomplete(_parser())
@@ -86,11 +86,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = _parser().parse_args(arguments)
             try:
                 return options.run(options) or OK
-            except SystemExit as error:  # the parser's alone may end the program
+            except SystemExit as error:  # only the parser may end the program
                 raise RuntimeError(f"a library tried to end the program ({error.code})") from error
     except KeyboardInterrupt as error:
-        what = error.args[0] if error.args else "files that were being written are unchanged"
-        print(f"\nomnirange: interrupted; {what}", file=sys.stderr)
+        detail = error.args[0] if error.args else "files that were being written are unchanged"
+        print(f"\nomnirange: interrupted; {detail}", file=sys.stderr)
         return INTERRUPTED
     except SystemExit:
         raise
@@ -144,7 +144,7 @@ class _Notices:
     ) -> None:
         """Replaces `warnings.showwarning`."""
         if not issubclass(category, Notice):
-            # A library that swallowed the interrupt may warn of what it broke: pydantic does.
+            # A library that swallowed the interrupt may warn about the consequences: pydantic does.
             if not interrupts.asked():
                 print(
                     warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr, end=""
@@ -156,7 +156,7 @@ class _Notices:
 
 def _parser() -> Parser:
     parser = Parser(prog="omnirange", description="Simulation-driven evaluation of omnidirectional stereo.")
-    parser.set_defaults(run=list_command.run)  # of the program by itself
+    parser.set_defaults(run=list_command.run)  # for the program without a sub-command
     parser.add_argument("--version", action="version", version=f"omnirange {__version__}")
     commands = Commands(parser)
     for command in _COMMANDS:

@@ -89,7 +89,7 @@ def add_matching(command: Parser) -> None:
 
 
 def _add_motion(command: Parser) -> None:
-    """Declare where view 2 is."""
+    """Declare the options for the motion to view 2."""
     where = command.add_mutually_exclusive_group()
     pose = where.add_argument(
         "--pose",
@@ -188,7 +188,7 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
 
 
 def _tell(estimate: "RangeEstimate", folder: Path) -> None:
-    """Say how the images were matched, and what came of it."""
+    """Print how the images were matched, and the results."""
     grid = estimate.pair.grid
     low, high = (math.degrees(math.atan(z)) for z in (grid.z_min, grid.z_max))
     print(f"panorama: {grid.width_px} x {grid.height_px} pixels, elevation {low:.1f} to {high:.1f} deg")
@@ -205,7 +205,7 @@ def _tell(estimate: "RangeEstimate", folder: Path) -> None:
 
 
 def ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
-    """What `estimate_range` is told of panorama, limits and images."""
+    """The arguments of `estimate_range` for panorama, limits and images."""
     own_panorama = "panorama" in settings.model_fields_set
     return {
         "grid": settings.panorama if own_panorama else "auto",
@@ -216,7 +216,7 @@ def ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
 
 
 def _check_scale(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> None:
-    """Refuse a scale before anything is worked out."""
+    """Refuse an invalid scale before any computation."""
     from harness.api.photographs import side_of
     from harness.errors import InputError
 
@@ -227,7 +227,7 @@ def _check_scale(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> None:
 
 
 def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") -> None:
-    """Say what large images cost, before they do."""
+    """Print the expected time and memory of large images before they are matched."""
     from harness.machine import give_back_memory
 
     megapixels = sensor.camera.width_px * sensor.camera.height_px / 1e6
@@ -350,9 +350,9 @@ def _given(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
 
     for option in ("baseline_length", "camera_height"):
         if getattr(options, option) is not None:
-            said = "--baseline" if options.pose is None else "--pose"
+            option_used = "--baseline" if options.pose is None else "--pose"
             raise InputError(
-                f"{said} says where view 2 is; leave one of them out", file=f"--{option.replace('_', '-')}"
+                f"{option_used} says where view 2 is; leave one of them out", file=f"--{option.replace('_', '-')}"
             )
     if options.pose is not None:
         if options.rotation_deg is not None:

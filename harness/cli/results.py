@@ -91,26 +91,26 @@ def write(
 
 
 def show(summary: dict[str, Any]) -> None:
-    """Print what came out: of a sweep its conclusions, else the figures of its one trial by each method."""
+    """Print the results: the conclusions of a sweep, or else the figures of the one trial by each method."""
     from rich.console import Console
 
     console = Console()
-    claims, headline, said = (summary.get(name) for name in ("claims", "headline", "conclusions"))
+    claims, headline, sentences = (summary.get(name) for name in ("claims", "headline", "conclusions"))
     if claims:
         console.print(claims_table(summary))
         console.print()
     if headline:
         console.print(f"{summary['experiment']}: {headline}", highlight=False, markup=False, style="bold")
-    of_one_trial = bool(summary["comparison"]) and not (headline and said)  # of a sweep, one trial is no answer
+    of_one_trial = bool(summary["comparison"]) and not (headline and sentences)  # a sweep is not summed up by one trial
     if of_one_trial:
         console.print(methods_table(summary))
     if summary.get("cases") and not (of_one_trial and summary.get("labels")):  # cases that name methods are in it
         console.print()
         console.print(cases_table(summary))
-    if said:
+    if sentences:
         console.print()
     tested = bool(summary.get("law"))  # its slopes are a table of their own
-    for each in (line for line in said or () if not (tested and line.startswith("The law, "))):
+    for each in (line for line in sentences or () if not (tested and line.startswith("The law, "))):
         console.print(f"- {each}", soft_wrap=False, highlight=False, markup=False)
     for table in law_tables(summary):
         console.print()

@@ -107,7 +107,7 @@ def _dry_run(experiment: "Experiment", given: str) -> int:
     from harness.runs.preflight import preflight
 
     preflight(experiment.planned, len(experiment.planned), given)
-    # The first trial of each pair of sensors: what would be refused, or noticed, when it is run.
+    # The first trial of each pair of sensors: give the errors and notices that it would give when run.
     by_sensors = {each.trial.sensors: each.trial for each in reversed(experiment.planned)}
     for trial in list(by_sensors.values())[:_MOST_CHECKED]:
         try:

@@ -41,7 +41,7 @@ def add(commands: Commands) -> None:
 
 
 def add_band(command: Parser) -> None:
-    """Declare what is an obstacle, and where view 1 is above the floor."""
+    """Declare the options for the obstacles' band of heights, and for the height of view 1 above the floor."""
     command.add_argument("--height", type=float, required=True, metavar="M", help="viewpoint 1 above the floor, metres")
     command.add_argument(
         "--band",

@@ -103,8 +103,8 @@ def _show(score: "DatasetScore", out: Path | None) -> None:
         rows.append([*cells, f"{metric.heading}{f', {metric.unit}' if metric.unit else ''}".replace("\u00a0", " ")])
     console = Console()
     console.print(plain_table(["pixels", "by solid angle", "figure"], rows))
-    said = f"means over {len(score.pairs)} pairs, over pixels that both views see 30 degrees or more off the baseline"
-    console.print(said, highlight=False, markup=False, soft_wrap=True)
+    note = f"means over {len(score.pairs)} pairs, over pixels that both views see 30 degrees or more off the baseline"
+    console.print(note, highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"page: {out / 'score.html'}", soft_wrap=True, highlight=False, markup=False)
 

@@ -138,16 +138,16 @@ def _convert(read: "SensorFile", options: Namespace) -> None:
 
 def _said_of(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> list[str]:
     """The residuals of the written camera, and what its file does not contain."""
-    apart = written.conversion
-    low, high = (math.degrees(each) for each in apart.angles_rad)
-    where = f"over {apart.pixels} pixels, {low:.4g} to {high:.4g} deg off the optical axis"
-    title = apart.optics.model.title
-    if apart.is_exact:
-        nearness = f"exact; rays differ by {math.degrees(apart.largest_rad):.1e} deg at most {where}"
+    conversion = written.conversion
+    low, high = (math.degrees(each) for each in conversion.angles_rad)
+    where = f"over {conversion.pixels} pixels, {low:.4g} to {high:.4g} deg off the optical axis"
+    title = conversion.optics.model.title
+    if conversion.is_exact:
+        nearness = f"exact; rays differ by {math.degrees(conversion.largest_rad):.1e} deg at most {where}"
     else:
         nearness = (
-            f"the nearest: RMS {math.degrees(apart.rms_rad):.2g} deg ({apart.rms_px:.2g} px), at most "
-            f"{math.degrees(apart.largest_rad):.2g} deg ({apart.largest_px:.2g} px), {where}"
+            f"the nearest: RMS {math.degrees(conversion.rms_rad):.2g} deg ({conversion.rms_px:.2g} px), at most "
+            f"{math.degrees(conversion.largest_rad):.2g} deg ({conversion.largest_px:.2g} px), {where}"
         )
     lines = [f"{out or written.format}: {title}, {nearness}"]
     if written.format != "toml":
@@ -160,8 +160,8 @@ def _said_of(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> 
 def _reading(read: "SensorFile") -> str:
     """The options with which the file has the sensor's mount and field when it is read back."""
     sensor = read.sensor
-    words = [f"--looks {sensor.looks}", *(["--mirrored"] if sensor.mirrored else [])]
+    options = [f"--looks {sensor.looks}", *(["--mirrored"] if sensor.mirrored else [])]
     if sensor.field.angle_max_deg < 180:
-        words.append(f"--angle-max {sensor.field.angle_max_deg:g}")
-    words.append(f"--elevation {sensor.field.elevation_min_deg:g} {sensor.field.elevation_max_deg:g}")
-    return " ".join(words)
+        options.append(f"--angle-max {sensor.field.angle_max_deg:g}")
+    options.append(f"--elevation {sensor.field.elevation_min_deg:g} {sensor.field.elevation_max_deg:g}")
+    return " ".join(options)
