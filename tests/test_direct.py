@@ -152,7 +152,7 @@ def test_noise_through_the_spline(blur_px):
 
 
 def test_noise_of_white_is_that_of_the_slanted_windows():
-    from harness.matching.slanted import _slanted_kernels as theirs
+    from harness.matching.slanted import _fit_kernels as theirs
 
     # They are written with six digits.
     assert noise_through_spline(0.0) == pytest.approx((theirs.VALUE_NOISE, theirs.SLOPE_NOISE), abs=1e-5)

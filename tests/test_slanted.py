@@ -15,6 +15,7 @@ from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
+from harness.matching.slanted import _fit_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Part, warp_between
 from harness.matching.slanted.refine import Slanted, refine_slanted
@@ -207,7 +208,7 @@ def test_a_window_is_the_least_squares_solution(far):
     moved = draws.uniform(1, 2, shape).astype(np.float32)
     plane, covariance = np.zeros((*shape, 3)), np.zeros((*shape, 6))
     residual, gain, offset, share = np.zeros((4, *shape))
-    _kernels.fit_rows(
+    _fit_kernels.fit_rows(
         30, 190, half, 20.0, 0.0, far, warp.valid, warp.x, w, first, known, value, slope, moved,
         plane, covariance, residual, gain, offset, share,
     )  # fmt: skip
@@ -424,8 +425,8 @@ def test_noise_of_interpolation():
         ndimage.map_coordinates(spline, [at + d], order=3, prefilter=False, mode="mirror") for d in (0, h, -h)
     )
     # Variances from 2e5 samples of correlated noise: 0.5 %.
-    assert np.var(value) == pytest.approx(_kernels.VALUE_NOISE, rel=0.02)
-    assert np.var((ahead - behind) / (2 * h)) == pytest.approx(_kernels.SLOPE_NOISE, rel=0.02)
+    assert np.var(value) == pytest.approx(_fit_kernels.VALUE_NOISE, rel=0.02)
+    assert np.var((ahead - behind) / (2 * h)) == pytest.approx(_fit_kernels.SLOPE_NOISE, rel=0.02)
 
 
 @pytest.mark.parametrize("key", ["window_px", "patch_px"])

@@ -1,7 +1,6 @@
 """Compiled loops over mirror pixels. `refine` prepares their arguments.
 
-Every loop works on rows of view 1's mirror image and writes to these rows alone. Bands of rows may run side by side, as
-long as their borders stay the same: running sums begin anew at each.
+Every loop works on rows of view 1's mirror image and writes to these rows alone, so bands of rows may run side by side.
 """
 
 import math
@@ -12,15 +11,6 @@ from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
 from harness.camera._spline_kernels import cubic_spline
 from harness.compiled import kernel
-
-SUMS = 27
-"""How many sums the normal equations of a window are made of."""
-
-VALUE_NOISE = 0.87423
-SLOPE_NOISE = 2.47461
-"""Mean variance along one axis of white noise of variance 1 after interpolation by the cubic B-spline, and of its
-derivative: the integrals over w of H² and of (w H)², over 2 pi, with H = 3 sinc(w/2)^4/(2 + cos w)."""
-
 
 # -- A point of view 1, in view 2 --------------------------------------------------------------------------------------
 
@@ -94,171 +84,6 @@ def median_rows(first, end, reach, valid, w, smooth):
                         n += 1
             if 3 * n >= size:
                 smooth[i, j] = values[n // 2]
-
-
-# -- Planes ------------------------------------------------------------------------------------------------------------
-
-
-@kernel(inline=True)
-def _add_row(sums, half, i, sign, known, x, w, first_image, value, slope, motion):
-    """Add a row of pixels to the sums of their columns, or take it off; column j is `sums[half + j]`.
-
-    With h = I_2 - g w, the warped image is h + g (m·x) for any plane m.
-    """
-    for j in range(known.shape[1]):
-        if not known[i, j]:
-            continue
-        g, I_1, I_2 = float(slope[i, j]), float(first_image[i, j]), float(value[i, j])
-        h = I_2 - g * w[i, j]
-        gx, gy, gz = g * x[i, j, 0], g * x[i, j, 1], g * x[i, j, 2]
-        column = sums[half + j]
-        column[0] += sign * gx * gx
-        column[1] += sign * gx * gy
-        column[2] += sign * gx * gz
-        column[3] += sign * gy * gy
-        column[4] += sign * gy * gz
-        column[5] += sign * gz * gz
-        column[6] += sign * gx
-        column[7] += sign * gy
-        column[8] += sign * gz
-        column[9] += sign * gx * I_1
-        column[10] += sign * gy * I_1
-        column[11] += sign * gz * I_1
-        column[12] += sign * gx * h
-        column[13] += sign * gy * h
-        column[14] += sign * gz * h
-        column[15] += sign * I_1
-        column[16] += sign * I_1 * I_1
-        column[17] += sign * h
-        column[18] += sign * h * h
-        column[19] += sign * I_1 * h
-        column[20] += sign
-        column[21] += sign * I_2
-        column[22] += sign * I_2 * I_2
-        column[23] += sign * motion[i, j]
-        column[24] += sign * gx * I_2
-        column[25] += sign * gy * I_2
-        column[26] += sign * gz * I_2
-
-
-@kernel
-def _fit(sums, x, least, slope_weight, far, plane, covariance):
-    """The plane of a window about direction x, by least squares in the value at x and the slopes along two tangents.
-
-    I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
-    deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
-
-    With `far` the plane lies 1 + f times as far from the field as the solution does, f being the noise's share.
-
-    plane, covariance : written; m, and the inverse normal matrix in x's tangent coordinates, upper triangle by rows.
-    Returns the variance of the residual (infinite where there is no plane), a, b, and the noise's share in the sum
-    of g².
-    """
-    n = sums[20]
-    variance_1 = sums[16] - sums[15] * sums[15] / n
-    variance_2 = sums[22] - sums[21] * sums[21] / n
-    if n < least or not (variance_1 > 1e-3 * n and variance_2 > 1e-3 * n):
-        return math.inf, 1.0, 0.0, 1.0
-    a = math.sqrt(variance_1 / variance_2)
-    mean = sums[15] - a * sums[17]
-    xx, xy, xz = sums[0] - sums[6] * sums[6] / n, sums[1] - sums[6] * sums[7] / n, sums[2] - sums[6] * sums[8] / n
-    yy, yz, zz = sums[3] - sums[7] * sums[7] / n, sums[4] - sums[7] * sums[8] / n, sums[5] - sums[8] * sums[8] / n
-    right_x = a * (sums[9] - a * sums[12] - sums[6] * mean / n)
-    right_y = a * (sums[10] - a * sums[13] - sums[7] * mean / n)
-    right_z = a * (sums[11] - a * sums[14] - sums[8] * mean / n)
-    total = sums[16] - 2.0 * a * sums[19] + a * a * sums[18] - mean * mean / n
-
-    # Tangents at x: along the parallel, e = (-sin phi, cos phi, 0), and along the meridian, f = x × e.
-    cosine = math.sqrt(x[0] * x[0] + x[1] * x[1])
-    if cosine > 1e-9:
-        e_x, e_y = -x[1] / cosine, x[0] / cosine
-    else:
-        e_x, e_y = 0.0, 1.0
-    f_x, f_y, f_z = -x[2] * e_y, x[2] * e_x, x[0] * e_y - x[1] * e_x
-    # Rows of the normal matrix times each of the three vectors.
-    px, py, pz = xx * x[0] + xy * x[1] + xz * x[2], xy * x[0] + yy * x[1] + yz * x[2], xz * x[0] + yz * x[1] + zz * x[2]
-    ex, ey, ez = xx * e_x + xy * e_y, xy * e_x + yy * e_y, xz * e_x + yz * e_y
-    fx, fy, fz = xx * f_x + xy * f_y + xz * f_z, xy * f_x + yy * f_y + yz * f_z, xz * f_x + yz * f_y + zz * f_z
-    scale = a * a
-    ridge = slope_weight * variance_1 / n
-    m00 = scale * (px * x[0] + py * x[1] + pz * x[2])
-    m01, m02 = scale * (px * e_x + py * e_y), scale * (px * f_x + py * f_y + pz * f_z)
-    m11, m12 = scale * (ex * e_x + ey * e_y) + ridge, scale * (ex * f_x + ey * f_y + ez * f_z)
-    m22 = scale * (fx * f_x + fy * f_y + fz * f_z) + ridge
-    y0 = right_x * x[0] + right_y * x[1] + right_z * x[2]
-    y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
-
-    c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
-    c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
-    determinant = m00 * c00 + m01 * c01 + m02 * c02
-    if not determinant > 1e-12 * m00 * m11 * m22:
-        return math.inf, 1.0, 0.0, 1.0
-    p0 = (c00 * y0 + c01 * y1 + c02 * y2) / determinant
-    p1 = (c01 * y0 + c11 * y1 + c12 * y2) / determinant
-    p2 = (c02 * y0 + c12 * y1 + c22 * y2) / determinant
-    covariance[0], covariance[1], covariance[2] = c00 / determinant, c01 / determinant, c02 / determinant
-    covariance[3], covariance[4], covariance[5] = c11 / determinant, c12 / determinant, c22 / determinant
-    residual = max(total - (p0 * y0 + p1 * y1 + p2 * y2), 0.0) / (n - 5.0)
-    noise = residual / (1.0 + scale * VALUE_NOISE * VALUE_NOISE)
-    share = min(noise * VALUE_NOISE * SLOPE_NOISE * sums[23] / (sums[0] + sums[3] + sums[5]), 1.0)
-    correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
-    if correlation < 3.0 / math.sqrt(n):
-        share = 1.0  # the two may well have nothing in common
-    elif far:
-        # The step from the field is least squares of I_1 - a I_2 - b alone.
-        left = (sums[15] - a * sums[21]) / n
-        right_x = share * a * (sums[9] - a * sums[24] - sums[6] * left)
-        right_y = share * a * (sums[10] - a * sums[25] - sums[7] * left)
-        right_z = share * a * (sums[11] - a * sums[26] - sums[8] * left)
-        y0 = right_x * x[0] + right_y * x[1] + right_z * x[2]
-        y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
-        p0 += (c00 * y0 + c01 * y1 + c02 * y2) / determinant
-        p1 += (c01 * y0 + c11 * y1 + c12 * y2) / determinant
-        p2 += (c02 * y0 + c12 * y1 + c22 * y2) / determinant
-    plane[0] = p0 * x[0] + p1 * e_x + p2 * f_x
-    plane[1] = p0 * x[1] + p1 * e_y + p2 * f_y
-    plane[2] = p0 * x[2] + p2 * f_z
-    b = (mean - a * (sums[6] * plane[0] + sums[7] * plane[1] + sums[8] * plane[2])) / n
-    return residual, a, b, share
-
-
-@kernel
-def fit_rows(
-    first, end, half, least, slope_weight, far, valid, x, w, first_image, known, value, slope, motion,
-    plane, covariance, residual, gain, offset, share,
-):  # fmt: skip
-    """Fit a plane to the window of (2 half + 1)² mirror pixels about every pixel.
-
-    least : samples that a window needs.
-    slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
-    far : whether to go beyond the solution; see `_fit`.
-    plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` and `[...]`: see
-    `_fit`.
-    """
-    height, width = valid.shape
-    sums = np.zeros((width + 2 * half, SUMS))
-    window = np.empty(SUMS)
-    for i in range(max(0, first - half), min(height, first + half)):
-        _add_row(sums, half, i, 1.0, known, x, w, first_image, value, slope, motion)
-    for i in range(first, end):
-        if i + half < height:
-            _add_row(sums, half, i + half, 1.0, known, x, w, first_image, value, slope, motion)
-        if i - half - 1 >= max(0, first - half):
-            _add_row(sums, half, i - half - 1, -1.0, known, x, w, first_image, value, slope, motion)
-        window[:] = 0.0
-        for j in range(2 * half):
-            for k in range(SUMS):
-                window[k] += sums[j, k]
-        for j in range(width):
-            for k in range(SUMS):
-                window[k] += sums[j + 2 * half, k]
-            residual[i, j] = math.inf
-            if valid[i, j]:
-                residual[i, j], gain[i, j], offset[i, j], share[i, j] = _fit(
-                    window, x[i, j], least, slope_weight, far, plane[i, j], covariance[i, j]
-                )
-            for k in range(SUMS):
-                window[k] -= sums[j, k]
 
 
 # -- Which plane a pixel lies on ---------------------------------------------------------------------------------------

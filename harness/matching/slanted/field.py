@@ -17,6 +17,7 @@ from harness.camera.fill import across_seam, nearest_known
 from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
+from harness.matching.slanted import _fit_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.settings import Slanted
 
@@ -211,9 +212,9 @@ def fit(
         sample(field.w, second, warp, samples, pool)
         sharp = iteration >= iterations - settings.sharp_iterations
         in_rows(
-            pool, len(start), _kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT, not sharp,
-            warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope, samples.motion,
-            field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
+            pool, len(start), _fit_kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT,
+            not sharp, warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope,
+            samples.motion, field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
         )  # fmt: skip
         in_rows(
             pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,

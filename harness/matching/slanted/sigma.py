@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.geometry.angles import Array
+from harness.matching.slanted import _fit_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Field, Samples, View, Warp, in_rows
 from harness.matching.slanted.settings import Slanted
@@ -86,7 +87,7 @@ def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: 
         pool, len(score), _kernels.judge_rows, warp.valid, warp.x, warp.R, warp.s, warp.camera, first.image,
         samples.known, samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
     )  # fmt: skip
-    visible = _kernels.VALUE_NOISE**2
+    visible = _fit_kernels.VALUE_NOISE**2
     shared = np.maximum(area, visible, out=area)  # in place: these are as large as the image
     shared += 1
     shared /= 1 + visible

@@ -1,0 +1,287 @@
+"""Compiled loops that fit planes to windows. `field` prepares their arguments.
+
+Sums over windows and what follows from them are loops over columns without branches, one quantity at a time, which
+compilers turn into vector instructions; a tile of the row at a time, so that all of it stays in the processor's cache.
+"""
+
+import math
+
+import numpy as np
+
+from harness.compiled import kernel
+
+VALUE_NOISE = 0.87423
+SLOPE_NOISE = 2.47461
+"""Mean variance along one axis of white noise of variance 1 after interpolation by the cubic B-spline, and of its
+derivative: the integrals over w of H² and of (w H)², over 2 pi, with H = 3 sinc(w/2)^4/(2 + cos w)."""
+
+TILE = 64
+"""Columns whose planes are fitted side by side."""
+
+# -- Sums over windows -------------------------------------------------------------------------------------------------
+
+ONE, I_1, I_2, H, GX, GY, GZ, MOTION, G = 0, 1, 2, 3, 4, 5, 6, 7, 8
+FACTORS = 9
+"""What a pixel adds to its windows' sums is a product of two of these: 1, I_1, I_2, h = I_2 - g w, g x, and
+(du/dw)² + (dv/dw)². With h, the warped image is h + g (m·x) for any plane m."""
+
+XX, XY, XZ, YY, YZ, ZZ, X, Y, Z, X_1, Y_1, Z_1, X_H, Y_H, Z_H = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14
+S_1, S_11, S_H, S_HH, S_1H, N, S_2, S_22, MOVED, X_2, Y_2, Z_2 = 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26
+SUMS = 27
+"""The sums that the normal equations of a window are made of, over products of the factors LEFT[k] and RIGHT[k]."""
+LEFT = (
+    *(GX, GX, GX, GY, GY, GZ, GX, GY, GZ, GX, GY, GZ, GX, GY, GZ),
+    *(I_1, I_1, H, H, I_1, ONE, I_2, I_2, MOTION, GX, GY, GZ),
+)
+RIGHT = (
+    *(GX, GY, GZ, GY, GZ, GZ, ONE, ONE, ONE, I_1, I_1, I_1, H, H, H),
+    *(ONE, I_1, ONE, H, H, ONE, ONE, I_2, ONE, I_2, I_2, I_2),
+)
+
+
+@kernel
+def _where(known, values, out):
+    """Write values, 0 where they are not known."""
+    for j in range(known.shape[0]):
+        out[j] = values[j] if known[j] else 0.0
+
+
+@kernel
+def _times(values, other, out):
+    for j in range(other.shape[0]):
+        out[j] = values[j] * other[j]
+
+
+@kernel
+def _warped_at_0(known, value, g, w, out):
+    """Write h = I_2 - g w."""
+    for j in range(known.shape[0]):
+        out[j] = value[j] - g[j] * w[j] if known[j] else 0.0
+
+
+@kernel
+def _factors_of(known, x, w, first_image, value, slope, motion, factors):
+    """Write the factors of a row of pixels, all 0 where there is no sample."""
+    _where(known, known, factors[ONE])
+    _where(known, first_image, factors[I_1])
+    _where(known, value, factors[I_2])
+    _where(known, motion, factors[MOTION])
+    _where(known, slope, factors[G])
+    _warped_at_0(known, value, factors[G], w, factors[H])
+    for axis in range(3):
+        _times(factors[G], x[:, axis], factors[GX + axis])
+
+
+@kernel
+def _replace(sums, left, right, old_left, old_right):
+    """Add the products of a row of pixels to the sums of their columns, and take those of another off."""
+    for j in range(left.shape[0]):
+        sums[j] += left[j] * right[j] - old_left[j] * old_right[j]
+
+
+@kernel
+def _copy(values, out):
+    for j in range(out.shape[0]):
+        out[j] = values[j]
+
+
+@kernel
+def _add(values, out):
+    for j in range(out.shape[0]):
+        out[j] += values[j]
+
+
+@kernel
+def _add_neighbours(values, n, out):
+    """Write values[j] + values[j + n]."""
+    other = values[n:]
+    for j in range(other.shape[0]):
+        out[j] = values[j] + other[j]
+
+
+@kernel
+def _sum_over_columns(sums, begin, size, parts, tile):
+    """Write the sums over `size` neighbouring columns, from each of a tile's columns on.
+
+    sums : `[SUMS, columns]`. parts : `[2, SUMS * (TILE + size - 1)]`, scratch: sums over 1, 2, 4 ... columns in turn,
+    of all quantities, one after the other. tile : `[ROWS * TILE]`, its first rows are written.
+    """
+    step, n, start, of = TILE + size - 1, 1, 0, 0
+    for k in range(SUMS):
+        _copy(sums[k, begin : begin + step], parts[of, k * step : (k + 1) * step])
+    tile[: SUMS * TILE] = 0.0
+    while True:
+        if size & n:
+            for k in range(SUMS):
+                _add(parts[of, k * step + start : (k + 1) * step], tile[k * TILE : (k + 1) * TILE])
+            start += n
+        if 2 * n > size:
+            break
+        _add_neighbours(parts[of], n, parts[1 - of])
+        n, of = 2 * n, 1 - of
+
+
+# -- Planes ------------------------------------------------------------------------------------------------------------
+
+DIRECTION = SUMS
+PLANE = DIRECTION + 3
+COVARIANCE = PLANE + 3
+RESIDUAL = COVARIANCE + 6
+GAIN, OFFSET, SHARE = RESIDUAL + 1, RESIDUAL + 2, RESIDUAL + 3
+ROWS = RESIDUAL + 4
+"""Rows of a tile: sums of windows, their directions, and what is fitted."""
+
+
+@kernel
+def _fit(tile, least, slope_weight, far):
+    """The planes of a tile's windows, by least squares in the value at x and the slopes along two tangents.
+
+    I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
+    deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
+
+    With `far` the plane lies 1 + f times as far from the field as the solution does, f being the noise's share.
+
+    tile : `[ROWS * TILE]`, row after row; distances known when this is compiled show that columns do not depend on one
+    another. Written: m; the inverse normal matrix in x's tangent coordinates, upper triangle by rows; the variance of
+    the residual, infinite where there is no plane; a; b; and the noise's share in the sum of g².
+    """
+    for j in range(TILE):
+        x, y, z = tile[DIRECTION * TILE + j], tile[(DIRECTION + 1) * TILE + j], tile[(DIRECTION + 2) * TILE + j]
+        gx, gy, gz = tile[X * TILE + j], tile[Y * TILE + j], tile[Z * TILE + j]
+        sum_1, sum_h, sum_2 = tile[S_1 * TILE + j], tile[S_H * TILE + j], tile[S_2 * TILE + j]
+        gx_1, gy_1, gz_1 = tile[X_1 * TILE + j], tile[Y_1 * TILE + j], tile[Z_1 * TILE + j]
+        n = tile[N * TILE + j]
+        variance_1 = tile[S_11 * TILE + j] - sum_1 * sum_1 / n
+        variance_2 = tile[S_22 * TILE + j] - sum_2 * sum_2 / n
+        a = math.sqrt(variance_1 / variance_2)
+        mean = sum_1 - a * sum_h
+        xx, xy = tile[XX * TILE + j] - gx * gx / n, tile[XY * TILE + j] - gx * gy / n
+        xz, yy = tile[XZ * TILE + j] - gx * gz / n, tile[YY * TILE + j] - gy * gy / n
+        yz, zz = tile[YZ * TILE + j] - gy * gz / n, tile[ZZ * TILE + j] - gz * gz / n
+        right_x = a * (gx_1 - a * tile[X_H * TILE + j] - gx * mean / n)
+        right_y = a * (gy_1 - a * tile[Y_H * TILE + j] - gy * mean / n)
+        right_z = a * (gz_1 - a * tile[Z_H * TILE + j] - gz * mean / n)
+        total = tile[S_11 * TILE + j] - 2.0 * a * tile[S_1H * TILE + j] + a * a * tile[S_HH * TILE + j]
+        total -= mean * mean / n
+
+        # Tangents at x: along the parallel, e = (-sin phi, cos phi, 0), and along the meridian, f = x × e.
+        cosine = math.sqrt(x * x + y * y)
+        off_axis = cosine > 1e-9
+        e_x, e_y = -y / cosine if off_axis else 0.0, x / cosine if off_axis else 1.0
+        f_x, f_y, f_z = -z * e_y, z * e_x, x * e_y - y * e_x
+        # Rows of the normal matrix times each of the three vectors.
+        px, py, pz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+        ex, ey, ez = xx * e_x + xy * e_y, xy * e_x + yy * e_y, xz * e_x + yz * e_y
+        fx, fy, fz = xx * f_x + xy * f_y + xz * f_z, xy * f_x + yy * f_y + yz * f_z, xz * f_x + yz * f_y + zz * f_z
+        scale = a * a
+        ridge = slope_weight * variance_1 / n
+        m00 = scale * (px * x + py * y + pz * z)
+        m01, m02 = scale * (px * e_x + py * e_y), scale * (px * f_x + py * f_y + pz * f_z)
+        m11, m12 = scale * (ex * e_x + ey * e_y) + ridge, scale * (ex * f_x + ey * f_y + ez * f_z)
+        m22 = scale * (fx * f_x + fy * f_y + fz * f_z) + ridge
+        c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
+        c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
+        determinant = m00 * c00 + m01 * c01 + m02 * c02
+        ok = (n >= least) & (variance_1 > 1e-3 * n) & (variance_2 > 1e-3 * n)
+        ok &= determinant > 1e-12 * m00 * m11 * m22
+
+        y0 = right_x * x + right_y * y + right_z * z
+        y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
+        p0 = (c00 * y0 + c01 * y1 + c02 * y2) / determinant
+        p1 = (c01 * y0 + c11 * y1 + c12 * y2) / determinant
+        p2 = (c02 * y0 + c12 * y1 + c22 * y2) / determinant
+        squares = total - (p0 * y0 + p1 * y1 + p2 * y2)
+        residual = max(0.0, squares) / (n - 5.0)
+        noise = residual / (1.0 + scale * VALUE_NOISE * VALUE_NOISE)
+        noise *= VALUE_NOISE * SLOPE_NOISE * tile[MOVED * TILE + j]
+        noise /= tile[XX * TILE + j] + tile[YY * TILE + j] + tile[ZZ * TILE + j]
+        correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
+        # Where it is this low the two may well have nothing in common.
+        in_common = correlation >= 3.0 / math.sqrt(n)
+        share = noise if in_common & (noise < 1.0) else 1.0
+        if far:
+            # The step from the field is least squares of I_1 - a I_2 - b alone.
+            left = (sum_1 - a * sum_2) / n
+            more = share * a if in_common else 0.0
+            right_x = more * (gx_1 - a * tile[X_2 * TILE + j] - gx * left)
+            right_y = more * (gy_1 - a * tile[Y_2 * TILE + j] - gy * left)
+            right_z = more * (gz_1 - a * tile[Z_2 * TILE + j] - gz * left)
+            y0 = right_x * x + right_y * y + right_z * z
+            y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
+            p0 += (c00 * y0 + c01 * y1 + c02 * y2) / determinant
+            p1 += (c01 * y0 + c11 * y1 + c12 * y2) / determinant
+            p2 += (c02 * y0 + c12 * y1 + c22 * y2) / determinant
+        m_x, m_y, m_z = p0 * x + p1 * e_x + p2 * f_x, p0 * y + p1 * e_y + p2 * f_y, p0 * z + p2 * f_z
+        b = (mean - a * (gx * m_x + gy * m_y + gz * m_z)) / n
+        tile[PLANE * TILE + j] = m_x if ok else 0.0
+        tile[(PLANE + 1) * TILE + j] = m_y if ok else 0.0
+        tile[(PLANE + 2) * TILE + j] = m_z if ok else 0.0
+        tile[COVARIANCE * TILE + j] = c00 / determinant if ok else 0.0
+        tile[(COVARIANCE + 1) * TILE + j] = c01 / determinant if ok else 0.0
+        tile[(COVARIANCE + 2) * TILE + j] = c02 / determinant if ok else 0.0
+        tile[(COVARIANCE + 3) * TILE + j] = c11 / determinant if ok else 0.0
+        tile[(COVARIANCE + 4) * TILE + j] = c12 / determinant if ok else 0.0
+        tile[(COVARIANCE + 5) * TILE + j] = c22 / determinant if ok else 0.0
+        tile[RESIDUAL * TILE + j] = residual if ok else math.inf
+        tile[GAIN * TILE + j] = a if ok else 1.0
+        tile[OFFSET * TILE + j] = b if ok else 0.0
+        tile[SHARE * TILE + j] = share if ok else 1.0
+
+
+@kernel
+def fit_rows(
+    first, end, half, least, slope_weight, far, valid, x, w, first_image, known, value, slope, motion,
+    plane, covariance, residual, gain, offset, share,
+):  # fmt: skip
+    """Fit a plane to the window of (2 half + 1)² mirror pixels about every pixel.
+
+    least : samples that a window needs.
+    slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
+    far : whether to go beyond the solution; see `_fit`.
+    plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` and `[...]`: see
+    `_fit`.
+    """
+    height, width = valid.shape
+    tiles, size = (width + TILE - 1) // TILE, 2 * half + 1
+    # Column j is `sums[:, half + j]`; a border of windows is 0.
+    sums = np.zeros((SUMS, tiles * TILE + 2 * half))
+    new, old = np.zeros((FACTORS, width)), np.zeros((FACTORS, width))
+    tile, parts = np.zeros(ROWS * TILE), np.empty((2, SUMS * (TILE + 2 * half)))
+    for i in range(first - 2 * half, end):
+        incoming, outgoing = i + half, i - half - 1
+        if 0 <= incoming < height:
+            _factors_of(
+                known[incoming], x[incoming], w[incoming], first_image[incoming], value[incoming], slope[incoming],
+                motion[incoming], new,
+            )  # fmt: skip
+        else:
+            new[:] = 0.0
+        if outgoing >= max(0, first - half):
+            _factors_of(
+                known[outgoing], x[outgoing], w[outgoing], first_image[outgoing], value[outgoing], slope[outgoing],
+                motion[outgoing], old,
+            )  # fmt: skip
+        for k in range(SUMS):
+            _replace(sums[k, half : half + width], new[LEFT[k]], new[RIGHT[k]], old[LEFT[k]], old[RIGHT[k]])
+        if i < first:
+            continue
+        for begin in range(0, width, TILE):
+            n = min(TILE, width - begin)
+            if not valid[i, begin : begin + n].any():
+                residual[i, begin : begin + n] = math.inf
+                continue
+            _sum_over_columns(sums, begin, size, parts, tile)
+            for j in range(n):
+                for axis in range(3):
+                    tile[(DIRECTION + axis) * TILE + j] = x[i, begin + j, axis]
+            _fit(tile, least, slope_weight, far)
+            for j in range(n):
+                column = begin + j
+                for axis in range(3):
+                    plane[i, column, axis] = tile[(PLANE + axis) * TILE + j]
+                for k in range(6):
+                    covariance[i, column, k] = tile[(COVARIANCE + k) * TILE + j]
+                residual[i, column] = tile[RESIDUAL * TILE + j] if valid[i, column] else math.inf
+                gain[i, column] = tile[GAIN * TILE + j]
+                offset[i, column] = tile[OFFSET * TILE + j]
+                share[i, column] = tile[SHARE * TILE + j]
