@@ -181,6 +181,27 @@ def test_the_curve_shown_is_the_curve_searched(kind, cost):
     assert np.min(costs) == whole.costs[row, column, matcher.neighbours]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("cost", ["sad", "ssd", "zncc", "census"])
+@pytest.mark.parametrize("sampling", ["phi", "alpha"])
+def test_a_cost_does_not_depend_on_the_windows_beside_it(sampling, cost):
+    """Side by side windows share sums of columns; the same sums in the same order for one window alone, so no
+    tolerance. The row is longer than a block of those that are matched together."""
+    grid = Grid(width_px=300, height_px=16, z_max=0.5, z_min=-1.5)
+    first, second = noise(16, grid), noise(17, grid)
+    matcher = WindowMatcher(kind="window", sampling=sampling, cost=cost, window_px=5, d_min_m=0.8, d_max_m=6.0)
+    whole = match_whole_pixels(first, second, np.array([0.4, 0.3, 0]), matcher)
+    matched = np.argwhere(whole.reason == Reason.MATCHED)
+    assert len(matched) > 1000
+    assert np.ptp(matched[:, 1]) > 256
+    for row, column in matched[::17]:
+        ks, costs = costs_along_curve(first, second, whole, matcher, int(row), int(column))
+        at = int(whole.k[row, column] - ks[0])
+        assert np.argmin(costs) == at
+        for i in range(max(at - 3, 0), min(at + 4, len(ks))):
+            assert costs[i] == whole.costs[row, column, matcher.neighbours + i - at]
+
+
 def with_exposure(image, gain, offset):
     return Panorama(image.grid, (image.values * gain + offset).astype(np.float32), image.valid)
 

@@ -2,7 +2,8 @@
 
 Images are padded by half a window of columns on both sides, around the seam; windows are named by their upper left
 pixels in padded images. Every column of a window has a sum of its own: additions of different columns may be done at a
-time, and yet each is done in one order, whatever the compiler makes of it.
+time, and yet each is done in one order, whatever the compiler makes of it. Windows that lie side by side in both views
+share the sums of the columns that they have in common, and no result depends on which do.
 """
 
 import math
@@ -135,6 +136,83 @@ def _pixels(
         rows[i] = row if 0 <= row < height and matchable_2[row, columns[i]] else -1
 
 
+# -- Many windows side by side against as many -------------------------------------------------------------------------
+#
+# values, rows, columns : `[samples, BLOCK]`, for the same samples k of the pixels of a block, a part of a row.
+
+BLOCK = 128
+"""Pixels of a row that are matched together: what is kept of them stays in the cache."""
+_NOT_ASKED = -2
+
+
+@kernel
+def _column_sums(cost, first, second, codes_1, codes_2, row_1, column_1, row_2, column_2, size, many, sums, sums_32):
+    """Sums down the first `many` columns of a strip as high as a window; `sums_32` of differences, else `sums`."""
+    for j in range(many):
+        sums[j], sums_32[j] = 0.0, 0.0
+    for i in range(size):
+        row_a, row_b = row_1 + i, row_2 + i
+        if cost == CENSUS:
+            for j in range(many):
+                sums[j] += float(bits_set(np.uint32(codes_1[row_a, column_1 + j] ^ codes_2[row_b, column_2 + j])))
+        elif cost == ZNCC:
+            for j in range(many):
+                sums[j] += np.float64(first[row_a, column_1 + j]) * np.float64(second[row_b, column_2 + j])
+        elif cost == SSD:
+            for j in range(many):
+                d = first[row_a, column_1 + j] - second[row_b, column_2 + j]
+                sums_32[j] += d * d
+        else:
+            for j in range(many):
+                sums_32[j] += abs(first[row_a, column_1 + j] - second[row_b, column_2 + j])
+
+
+@kernel
+def _window_sums(sums, size, count, values):
+    """Sums of `size` columns from each of the first `count` on, every one from left to right."""
+    for p in range(count):
+        values[p] = 0.0
+    for j in range(size):
+        for p in range(count):
+            values[p] += sums[p + j]
+
+
+@kernel
+def _costs_side_by_side(
+    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows, columns, count, values, sums,
+    sums_32,
+):  # fmt: skip
+    """Costs of one sample of `count` pixels from `column` on; nothing where none is asked for, NaN without a window."""
+    size, number = np.uint64(2 * half + 1), float((2 * half + 1) ** 2)
+    begin = 0
+    while begin < count:
+        if rows[begin] < 0:
+            if rows[begin] != _NOT_ASKED:
+                values[begin] = math.nan
+            begin += 1
+            continue
+        end = begin + 1
+        while end < count and rows[end] == rows[begin] and columns[end] == columns[end - 1] + 1:
+            end += 1
+        run = values[begin:end]
+        _column_sums(
+            cost, first, second, codes_1, codes_2, np.uint64(row - half), np.uint64(column + begin),
+            np.uint64(rows[begin] - half), np.uint64(columns[begin]), size, np.uint64(end - begin + 2 * half), sums,
+            sums_32,
+        )  # fmt: skip
+        if cost in (CENSUS, ZNCC):
+            _window_sums(sums, size, np.uint64(end - begin), run)
+        else:
+            _window_sums(sums_32, size, np.uint64(end - begin), run)
+        if cost == ZNCC:
+            for i in range(begin, end):
+                values[i] = _one_minus_zncc(
+                    number, moments_1[0, row, column + i], moments_1[1, row, column + i],
+                    moments_2[0, rows[i], columns[i]], moments_2[1, rows[i], columns[i]], values[i],
+                )  # fmt: skip
+        begin = end
+
+
 @kernel
 def match_rows(
     rows,
@@ -177,37 +255,58 @@ def match_rows(
     cos_k, sin_k : of k times the length of a step, from k_0 on.
     reason, k_best, costs : written; `[height, width]`, and `[height, width, 2 reach + 1]`.
     """
-    sums, sums_32 = np.empty(2 * half + 1), np.empty(2 * half + 1, dtype=np.float32)
-    rows_2, columns_2 = np.empty(cos_k.size, np.int64), np.empty(cos_k.size, np.int64)
-    values = np.empty(cos_k.size)
+    width = searched.shape[1]
+    sums, sums_32 = np.empty(BLOCK + 2 * half), np.empty(BLOCK + 2 * half, dtype=np.float32)
+    rows_k, columns_k = np.empty(cos_k.size, np.int64), np.empty(cos_k.size, np.int64)
+    rows_2, columns_2 = np.empty((cos_k.size, BLOCK), np.int32), np.empty((cos_k.size, BLOCK), np.int32)
+    values = np.empty((cos_k.size, BLOCK))
+    begins, ends = np.zeros(BLOCK, np.int64), np.zeros(BLOCK, np.int64)  # samples of each pixel, counted from k_0
     for row in rows:
-        for column in range(searched.shape[1]):
-            if not searched[row, column]:
-                continue
-            k = k_first[row, column] - reach
-            count = k_last[row, column] + reach + 1 - k
-            _pixels(
-                k, k_0, cos_k, sin_k, mode, matchable_2, phi[column] if mode == PHI else alpha_1[row, column], t_hat,
-                m[row, column], n[row, column], step[row, column], z_max, z_pitch, phi_pitch, rows_2, columns_2, count,
-            )  # fmt: skip
-            complete = True
-            for i in range(reach, count - reach):
-                complete &= rows_2[i] >= 0
-            if not complete:
-                reason[row, column] = LEAVES_IMAGE
-                continue
-            _costs(
-                cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows_2, columns_2,
-                count, values, sums, sums_32,
-            )  # fmt: skip
-            best = reach
-            for i in range(reach + 1, count - reach):
-                if values[i] < values[best]:
-                    best = i
-            reason[row, column] = OK
-            k_best[row, column] = k + best
-            for i in range(2 * reach + 1):
-                costs[row, column, i] = values[best - reach + i]
+        for left in range(0, width, BLOCK):
+            some = min(BLOCK, width - left)
+            begin, end = cos_k.size, 0
+            for i in range(some):
+                column = left + i
+                begins[i] = ends[i] = 0
+                if not searched[row, column]:
+                    continue
+                k = k_first[row, column] - reach
+                count = k_last[row, column] + reach + 1 - k
+                _pixels(
+                    k, k_0, cos_k, sin_k, mode, matchable_2, phi[column] if mode == PHI else alpha_1[row, column],
+                    t_hat, m[row, column], n[row, column], step[row, column], z_max, z_pitch, phi_pitch, rows_k,
+                    columns_k, count,
+                )  # fmt: skip
+                complete = True
+                for j in range(reach, count - reach):
+                    complete &= rows_k[j] >= 0
+                if not complete:
+                    reason[row, column] = LEAVES_IMAGE
+                    continue
+                reason[row, column] = OK
+                begins[i], ends[i] = k - k_0, k - k_0 + count
+                begin, end = min(begin, begins[i]), max(end, ends[i])
+                for j in range(count):
+                    rows_2[k - k_0 + j, i], columns_2[k - k_0 + j, i] = rows_k[j], columns_k[j]
+            for i in range(some):
+                for j in range(begin, end):
+                    if not begins[i] <= j < ends[i]:
+                        rows_2[j, i] = _NOT_ASKED
+            for j in range(begin, end):
+                _costs_side_by_side(
+                    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, left, half, rows_2[j],
+                    columns_2[j], some, values[j], sums, sums_32,
+                )  # fmt: skip
+            for i in range(some):
+                if begins[i] == ends[i]:
+                    continue
+                best = begins[i] + reach
+                for j in range(best + 1, ends[i] - reach):
+                    if values[j, i] < values[best, i]:
+                        best = j
+                k_best[row, left + i] = k_0 + best
+                for j in range(2 * reach + 1):
+                    costs[row, left + i, j] = values[best - reach + j, i]
 
 
 @kernel
