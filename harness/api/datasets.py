@@ -38,7 +38,7 @@ class DatasetPair(OneLine):
     """A pair of a data set; arrays are read from its files when they are asked for."""
 
     stored: StoredPair
-    """Where all of it lies."""
+    """The pair's files, and how they are read."""
 
     @property
     def name(self) -> str:
@@ -98,15 +98,15 @@ Estimates = str | Path | Callable[[DatasetPair], NDArray[Any] | None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DatasetScore(OneLine):
-    """What estimates come to on a data set."""
+    """The scores of estimates on a data set."""
 
     pairs: tuple[Score, ...]
     missing: tuple[str, ...]
     """Names of the pairs without an estimate, whose density counts as 0."""
     doubt: str
-    """What the first estimate looks like if not like what it is said to be; empty otherwise."""
+    """A doubt about the unit or quantity of the first estimate, in words; empty if there is none."""
     about: dict[str, str]
-    """What was scored on what, for the files."""
+    """The data set and the estimates that were scored, for the files."""
 
     @cached_property
     def figures(self) -> dict[str, float | None]:
@@ -115,7 +115,7 @@ class DatasetScore(OneLine):
 
     @cached_property
     def parts(self) -> list[dict[str, Any]]:
-        """The same for parts of the picture: `split`, `part`, `pixels` and figures."""
+        """The figures of parts of the picture: `split`, `part`, `pixels` and figures."""
         return mean_of_regions(self.pairs)
 
     def write(self, folder: str | Path) -> None:
@@ -156,12 +156,12 @@ class DataSet(OneLine):
         """A pair by its number or its name."""
         if isinstance(which, int):
             return DatasetPair(self.stored.pairs[which])
-        found = next((pair for pair in self.stored.pairs if pair.name == which), None)
-        if found is None:
+        stored = next((pair for pair in self.stored.pairs if pair.name == which), None)
+        if stored is None:
             names = [pair.name for pair in self.stored.pairs]
             hint = nearest(which, names)
             raise InputError(f"there is no pair '{which}'; {hint if len(hint) < 200 else 'see its names'}", key="pair")
-        return DatasetPair(found)
+        return DatasetPair(stored)
 
     def part(self, split: str) -> "DataSet":
         """The pairs of `train`, `val` or `test`.
@@ -173,12 +173,12 @@ class DataSet(OneLine):
         """
         pairs = tuple(pair for pair in self.stored.pairs if pair.split == split)
         if not pairs:
-            there = sorted({pair.split for pair in self.stored.pairs} - {""})
-            raise InputError(f"no pair is in '{split}'; there are {', '.join(there) or 'no parts'}", key="split")
+            parts = sorted({pair.split for pair in self.stored.pairs} - {""})
+            raise InputError(f"no pair is in '{split}'; there are {', '.join(parts) or 'no parts'}", key="split")
         return DataSet(replace(self.stored, pairs=pairs))
 
     def check(self, only: Sequence[str] = ()) -> list[Finding]:
-        """What is wrong with the set, as `omnirange dataset check` finds it; empty for a good one.
+        """The faults of the set, as found by `omnirange dataset check`; empty if there are none.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class DataSet(OneLine):
         return [finding for _, findings in self.checks(only) for finding in findings or ()]
 
     def checks(self, only: Sequence[str] = ()) -> Iterator[tuple[Check, list[Finding] | None]]:
-        """Each check with what it found, one after the other; None where the set has nothing that it could look at."""
+        """Each check with its findings, one after the other; None for a check that does not apply to the set."""
         return check_set(self.stored, only)
 
     def score(
@@ -348,16 +348,16 @@ def make_dataset(
     """
     if workers is not None and workers < 1:
         raise InputError(f"must be at least 1; found {workers}", key="workers")
-    given, folder = load_spec(spec, sets), Path(out)
+    loaded, folder = load_spec(spec, sets), Path(out)
     make_folder(folder)
-    if not is_complete(given, folder):
-        journal = Journal(given, folder)
-        done = len(journal.done) * given.pairs_per_scene
+    if not is_complete(loaded, folder):
+        journal = Journal(loaded, folder)
+        done = len(journal.done) * loaded.pairs_per_scene
         with ExitStack() as stack:
             shown = someone_watches() if progress is None else progress
-            bar = stack.enter_context(Progress(given.name, given.pairs, done, "pairs")) if shown else None
-            backend = backend_for(float(given.pairs - done), max(given.scenes - len(journal.done), 1), workers)
-            make(given, folder, backend, journal, bar.count if bar else lambda _: None)
+            bar = stack.enter_context(Progress(loaded.name, loaded.pairs, done, "pairs")) if shown else None
+            backend = backend_for(float(loaded.pairs - done), max(loaded.scenes - len(journal.done), 1), workers)
+            make(loaded, folder, backend, journal, bar.count if bar else lambda _: None)
             if bar:
                 bar.finish()
     return open_dataset(folder)

@@ -1,4 +1,4 @@
-"""What range errors to expect of a rig, and which rigs reach what is asked for."""
+"""The expected range errors of a rig, and the search for rigs that meet a requirement."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FARTHEST_M = 1e6
-"""The most that a point may be away: a parallax of millionths of a degree has no digits left."""
+"""Largest distance of a point, metres: beyond, the parallax is below the rounding errors."""
 RANGES_M = (1.0, 2.0, 4.0, 8.0)
-"""At which a rig is described."""
+"""The ranges at which a rig is described, metres."""
 
 
 @dataclass(frozen=True, repr=False)
 class RigDescription(OneLine):
-    """What to expect of a rig."""
+    """The expected range errors of a rig, and its sensor's field of view."""
 
     rig: RigDesign
     facts: dict[str, str]
-    """What its sensor sees, and its size."""
+    """The sensor's field of view and size, in words by name."""
     answers: tuple[Answer, ...]
-    """A range each."""
+    """The expected error at each range."""
     coverage: Coverage
-    """What its sensor sees, in figures."""
+    """The sensor's field of view, in figures."""
     ellipsoids: tuple[Ellipsoid, ...]
-    """How well the positions of chosen points are known."""
+    """The uncertainty of the positions of chosen points."""
 
     @property
     def table(self) -> "pd.DataFrame":
@@ -82,14 +82,14 @@ def describe_rig(
     ranges_m: Sequence[float] = RANGES_M,
     points_m: ArrayLike | None = None,
 ) -> RigDescription:
-    """What range errors to expect of a rig, by cause, without rendering anything.
+    """The expected range errors of a rig, by cause, without rendering anything.
 
     Parameters
     ----------
     rig
         A TOML file, a table, or a `RigDesign`; the default sensor on half a metre when None.
     ranges_m
-        Where to say it, metres.
+        The ranges at which errors are given, metres.
     points_m
         `[n, 3]`: points in view 1's frame whose position is asked for; when None, abeam of view 1 at these ranges.
 
@@ -209,7 +209,7 @@ def find_rigs(
 
 
 def loaded_rig(rig: str | Path | Mapping[str, Any] | RigDesign | None) -> RigDesign:
-    """A rig from whatever stands for one."""
+    """A rig from a file, a table or an object."""
     if isinstance(rig, RigDesign):
         return rig
     if isinstance(rig, str | Path):

@@ -138,9 +138,9 @@ def load_sensor(
     if chosen != Chosen():
         raise InputError("is not a file; set these values in its tables", key="sensor")
     if isinstance(sensor, Mapping):
-        made = parse(Sensor, sensor_of_table(sensor, "sensor") if "file" in sensor else sensor, file="sensor")
-        check_mask(made, file="sensor")
-        return made
+        loaded = parse(Sensor, sensor_of_table(sensor, "sensor") if "file" in sensor else sensor, file="sensor")
+        check_mask(loaded, file="sensor")
+        return loaded
     return Sensor() if sensor is None else sensor
 
 

@@ -149,23 +149,23 @@ def checked_scan(*, estimate_has_metres: bool = True, **settings: float) -> Scan
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RangeMap(OneLine):
-    """What is occupied and what is free around a path; arrays `[rows, columns]`, row 0 at the lowest y.
+    """An occupancy grid of the surroundings of a path; arrays `[rows, columns]`, row 0 at the lowest y.
 
     Its frame is that of the first view's scan.
     """
 
     grid: OccupancyGrid
     places: tuple[Place, ...]
-    """Where the scans were taken."""
+    """The poses at which the scans were taken."""
 
     @property
     def state(self) -> NDArray[np.uint8]:
-        """`harness.mapping.occupancy.Cell`: unknown, free or occupied."""
+        """The state of each cell, a `harness.mapping.occupancy.Cell`: unknown, free or occupied."""
         return self.grid.state
 
     @property
     def probability(self) -> Array:
-        """That a cell is occupied."""
+        """The probability that a cell is occupied."""
         return self.grid.probability
 
     @property
@@ -199,7 +199,7 @@ def range_map(
     prior: float = 0.2,
     false_share: float = 0.05,
 ) -> RangeMap:
-    """The occupancy grid that range scans make together, each counted by its own standard deviations.
+    """The occupancy grid that follows from range scans, each weighted by its own standard deviations.
 
     Parameters
     ----------
@@ -267,15 +267,15 @@ def level_poses(motions: Sequence[Motion], first: Pose) -> list[tuple[Pose, tupl
         The first view's height and tilt: the map's frame is that of its scan.
     """
     turn, position = first.R_world_from_view, np.array(first.position_m)
-    made = []
+    poses = []
     for motion in (*motions, None):
         yaw, pitch, roll = Rotation.from_matrix(turn).as_euler("ZYX", degrees=True)
         pose = Pose(position_m=(0.0, 0.0, float(position[2])), pitch_deg=float(pitch), roll_deg=float(roll))
-        made.append((pose, (float(position[0]), float(position[1]), float(yaw))))
+        poses.append((pose, (float(position[0]), float(position[1]), float(yaw))))
         if motion is not None:
             position = position + turn @ motion.t_v1
             turn = turn @ motion.R_v2_from_v1.T
-    return made
+    return poses
 
 
 __all__ = ["RangeMap", "RangeScan", "checked_scan", "level_poses", "range_map", "range_scan"]

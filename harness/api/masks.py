@@ -1,4 +1,4 @@
-"""Masks of what moves with the camera."""
+"""Masks of objects that move with the camera."""
 
 import io
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ def find_mask(
     d_max_m: float = 10.0,
     bits: int | None = None,
 ) -> NDArray[np.bool_]:
-    """Find the pixels that show what moves with the camera, such as the robot itself, and leave them out.
+    """Find the pixels that show objects which move with the camera, such as the robot itself, and leave them out.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def find_mask(
 
 
 def write_mask(mask: NDArray[np.bool_], path: str | Path) -> None:
-    """Write a mask as an 8-bit image, white where pixels are used: what `sensor.mask` names.
+    """Write a mask as an 8-bit image, white where pixels are used, for `sensor.mask`.
 
     Raises
     ------

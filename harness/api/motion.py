@@ -98,7 +98,7 @@ class MotionEstimate(EstimatedMotion):
 
     @property
     def error(self) -> MotionError:
-        """What `motion` is off by, for the ranges' standard deviation; the same errors as `motion`."""
+        """The uncertainty of `motion`, for the ranges' standard deviation; raises the same errors as `motion`."""
         if self.covariance is None:
             raise InputError(self._nothing())
         if self.floor is None:

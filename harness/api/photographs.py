@@ -66,7 +66,7 @@ def _photograph(image: Image, sensor: Sensor, name: str, bits: int | None) -> Ph
 
 
 def side_of(scale: float, sensors: tuple[Sensor, Sensor]) -> int:
-    """How many pixels of an image become one of the smaller one, along each side.
+    """The number of pixels of an image, along each side, that become one pixel of the smaller image.
 
     Raises
     ------

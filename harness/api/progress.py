@@ -77,7 +77,7 @@ class Progress:
         self.count(len(rows), sum(row.state == "failed" for row in rows))
 
     def count(self, done: int, failed: int = 0) -> None:
-        """Count some that were just finished, and how many of them failed."""
+        """Count trials that were just finished, and how many of them failed."""
         self._done += done
         self._failed += failed
         rate = (self._done - self._before) / max(time.monotonic() - self._begun, 1e-9)
@@ -144,7 +144,7 @@ class Steps:
         self._bar.stop()
 
     def update(self, done: int, total: int) -> None:
-        """So many steps are done."""
+        """Show the number of steps that are done."""
         self._bar.update(self._task, completed=done, total=total)
 
 

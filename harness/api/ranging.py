@@ -173,7 +173,7 @@ def _estimated(
     if side > 1:
         first, second = (smaller(each, sensor, side) for each, sensor in zip((first, second), sensors, strict=True))
         sensors = binned_sensor(sensors[0], side), binned_sensor(sensors[1], side)
-        grid = Grid(**grid.model_dump())  # no longer "auto": its rows are those of the images as they are
+        grid = Grid(**grid.model_dump())  # no longer "auto": its rows are those of the full-size images
     estimated_range = estimate(first, second, sensors, known, settings, grid, error, has_metres=has_metres)
     return RangeEstimate(
         **{each.name: getattr(estimated_range, each.name) for each in fields(estimated_range)}, search=search

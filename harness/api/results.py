@@ -251,10 +251,10 @@ class RunResult:
 
     def _base_of(self, matching: list[Planned], chosen: Mapping[str, Any]) -> Planned | None:
         """The base trial by the method of trials that differ in the seed alone; None where it is not as chosen."""
-        apart = {shown(each.coordinates_without(lambda key: key == "seed")) for each in matching}
+        variants = {shown(each.coordinates_without(lambda key: key == "seed")) for each in matching}
         base = with_method(self.experiment.trial, matching[0].trial)
         table = as_table(base)
-        if len(apart) > 1 or CASE in chosen or any(value_at(table, key) != value for key, value in chosen.items()):
+        if len(variants) > 1 or CASE in chosen or any(value_at(table, key) != value for key, value in chosen.items()):
             return None
         return replace(matching[0], key=base.key, trial=base)
 

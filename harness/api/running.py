@@ -100,5 +100,5 @@ def run(
 
 
 def _told(bar: Progress | None) -> Callable[[Sequence[Finished]], None]:
-    """What is called with trials as they finish."""
+    """The function to call with trials as they finish."""
     return bar.update if bar else lambda _: None

@@ -1,4 +1,4 @@
-"""The limits of the search from the images, where they are not given."""
+"""The limits of the search, estimated from the images where they are not given."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -146,10 +146,10 @@ def convert_sensor(
     True
     """
     conversion = written(load_sensor(sensor), to, model)
-    apart = conversion.conversion
-    if not apart.rms_px <= allow_residual_px:
+    fit = conversion.conversion
+    if not fit.rms_px <= allow_residual_px:
         raise InputError(
-            f"the nearest {apart.optics.model.title} is {apart.rms_px:.2g} px RMS away, {apart.largest_px:.2g} px at "
+            f"the nearest {fit.optics.model.title} is {fit.rms_px:.2g} px RMS away, {fit.largest_px:.2g} px at "
             "most; --allow-residual PX accepts it",
             key="--to",
         )

@@ -30,19 +30,19 @@ _SUMMARY = "pair.json"
 
 @dataclass(frozen=True, repr=False)
 class PairRange(OneLine):
-    """What came of one pair of a sequence."""
+    """The results of one pair of a sequence."""
 
     left: str
     right: str
     """The images."""
     folder: str
-    """Where its files are, in the sequence's folder."""
+    """The folder of its files, in the sequence's folder."""
     status: str
-    """Status of the motion: `given`, or what `estimate_motion` says of it."""
+    """Status of the motion: `given`, or the status from `estimate_motion`."""
     reasons: tuple[str, ...]
-    """Why the motion is not reliable, or why there is no range."""
+    """The reasons why the motion is not reliable, or why there is no range."""
     verdict: str
-    """On the geometry; empty without ranges."""
+    """The verdict on the geometry; empty without ranges."""
     density: float
     """Share of the panorama with a range."""
     median_m: float | None
@@ -56,7 +56,7 @@ class PairRange(OneLine):
 
 @dataclass(frozen=True, repr=False)
 class SequenceRange(OneLine):
-    """What came of a sequence."""
+    """The results of a sequence."""
 
     pairs: tuple[PairRange, ...]
     folder: Path
@@ -133,12 +133,12 @@ def estimate_sequence(
     ranging = {"grid": grid, "bits": bits, "scale": scale, "fit_limits": fit_limits}
     names, done = _names([Path(each) for each in images]), []
     for i, (left, right) in enumerate(pairwise(images)):
-        given = None if motions is None else motions[i]
+        motion = None if motions is None else motions[i]
         inside = out / f"{i:04d}"
-        key = _key(settings, (Path(left), Path(right)), given)
+        key = _key(settings, (Path(left), Path(right)), motion)
         pair = _earlier(inside, key)
         if pair is None:
-            pair = _estimated(Path(left), Path(right), loaded, given, matcher, inside, baseline_m, ranging)
+            pair = _estimated(Path(left), Path(right), loaded, motion, matcher, inside, baseline_m, ranging)
             write(inside / _SUMMARY, json.dumps({"key": key} | asdict(pair), indent=2) + "\n")
         pair = replace(pair, left=names[i], right=names[i + 1])
         done.append(pair)
@@ -162,7 +162,7 @@ def _key(settings: list[Any], images: tuple[Path, Path], motion: Motion | None) 
 
 
 def _earlier(folder: Path, key: str) -> PairRange | None:
-    """What an earlier call left for the same key; None where there is nothing, or it is damaged."""
+    """The result of an earlier call with the same key; None if there is none, or its file is damaged."""
     try:
         table = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
         if table.pop("key") != key:
@@ -229,9 +229,9 @@ def _write(sequence: SequenceRange) -> None:
 
     out = sequence.folder
     write(out / "sequence.json", json.dumps([asdict(each) for each in sequence.pairs], indent=2) + "\n")
-    places = positions(sequence)
-    write(out / "range.html", build_page(sequence.pairs, places))
-    if places is not None:
+    viewpoints = positions(sequence)
+    write(out / "range.html", build_page(sequence.pairs, viewpoints))
+    if viewpoints is not None:
         points, colours = _points(sequence)
         cloud = trimesh.PointCloud(points, colors=colours)  # type: ignore[no-untyped-call]
         write(out / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""Two images and their ranges as a view from somewhere else."""
+"""Two images and their ranges, warped to the view from another viewpoint."""
 
 import io
 import math
@@ -29,16 +29,16 @@ Projection = Literal["panorama", "mirror", "perspective"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NewView(OneLine):
-    """A view from elsewhere; arrays `[height, width]`, seen as a person there would see it."""
+    """A view from another viewpoint; arrays `[height, width]`, unmirrored."""
 
     image: NDArray[np.uint8]
     """`[height, width]`, or `[height, width, 3]` of colour photographs; black where nothing is known."""
     range_m: Array
     """From the new viewpoint, in the unit of the estimate; NaN where it is not known."""
     sigma_m: Array
-    """Standard deviation of that."""
+    """Standard deviation of `range_m`."""
     state: NDArray[np.uint8]
-    """`harness.warping.warp.PixelState`: seen, or why not."""
+    """The `harness.warping.warp.PixelState` of each pixel: seen, or the reason why not."""
 
     def shares(self) -> dict[str, float]:
         """Share of the pixels in each state."""
@@ -155,7 +155,7 @@ def warp_view(
 
 
 def viewpoint(position_m: Sequence[float], yaw_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
-    """Where a new view stands in view 1's frame.
+    """The pose of a new view in view 1's frame.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def viewpoint(position_m: Sequence[float], yaw_deg: float, pitch_deg: float, rol
 
 
 def check_perspective(field_deg: float, width_px: int, height_px: int) -> None:
-    """Refuse a pinhole camera that cannot be.
+    """Refuse an impossible pinhole camera.
 
     Raises
     ------
