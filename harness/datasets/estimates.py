@@ -1,4 +1,4 @@
-"""Anybody's maps of range or disparity: the file of each pair, what its numbers mean, and the ranges they give."""
+"""Third-party maps of range or disparity: the file of each pair, the meaning of its numbers, and the ranges."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,18 +29,18 @@ _UPRIGHT = 1e-6
 
 @dataclass(frozen=True)
 class Meaning:
-    """What the numbers of estimates mean."""
+    """The meaning of the numbers in estimates."""
 
     quantity: Quantity = "range"
     scale: float | None = None
-    """What a number in the file is times this, in the quantity's unit; 1 for floating point, and for whole numbers what
-    Helvipad's files have."""
+    """Factor from numbers in the file to the quantity's unit; by default 1 for floating point, Helvipad's for whole
+    numbers."""
     invalid: float | None = None
     """The number that stands for no estimate, beside NaN and infinity; 0 for whole numbers."""
 
 
 def files_of(pair: StoredPair, folder: Path) -> Iterator[Path]:
-    """Where an estimate of a pair may lie: by the pair's name, or as the truth's own file lies in its set."""
+    """Candidate files of a pair's estimate: by the pair's name, or by the path of the truth's file in its set."""
     stems = [Path(pair.name), Path(pair.name) / "range_1", Path(pair.name) / "range", Path(pair.name) / "disparity"]
     if pair.maps:
         own = pair.maps[0].file.with_suffix("")
@@ -80,8 +80,8 @@ def range_of_values(raw: NDArray[Any], meaning: Meaning, pair: StoredPair, file:
         raw = raw[0] if raw.shape[0] == 1 else raw[..., 0]
     directions = pair.maps[0].directions()
     if raw.shape != directions.shape[:-1]:
-        found, expected = (" x ".join(map(str, shape)) for shape in (raw.shape, directions.shape[:-1]))
-        raise InputError(f"has {found} numbers, and the truth {expected}; bring it to the truth's pixels", file=file)
+        size, expected = (" x ".join(map(str, shape)) for shape in (raw.shape, directions.shape[:-1]))
+        raise InputError(f"has {size} numbers, and the truth {expected}; bring it to the truth's pixels", file=file)
     if raw.dtype.kind not in "fiu":
         raise InputError(f"has numbers of the type {raw.dtype}; give floating point or whole numbers", file=file)
     values = _in_unit(raw, meaning)
@@ -129,7 +129,7 @@ def pixel_rad(pair: StoredPair) -> float:
 
 
 def suspicion(range_m: Array, truth_m: Array) -> str:
-    """What estimates look like if not like ranges in metres; empty if they look like them.
+    """A suspicion that estimates are not ranges in metres, in words; empty if they look like ranges.
 
     By the median ratio to the truth: a thousandfold is another unit, and what falls where the range rises is none.
     """

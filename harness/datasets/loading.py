@@ -1,4 +1,4 @@
-"""Read what a data set is drawn from: a shipped specification by its name, a TOML file, or a table."""
+"""Read a data set's specification: a shipped one by its name, a TOML file, or a table."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

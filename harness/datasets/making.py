@@ -101,7 +101,7 @@ def write_files(folder: Path, files: Files) -> None:
         make_folder(below)
         clear_leftovers(below)
     for path, content in files.items():
-        replace_file(folder / path, content, durable=False)  # checksums tell, should the power fail
+        replace_file(folder / path, content, durable=False)  # checksums reveal a loss of power
 
 
 # --- What is done ---------------------------------------------------------------------------------------------------
@@ -284,16 +284,16 @@ def _is_image(path: str) -> bool:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a scene costs on one thread, from which a plan follows."""
+    """Time and disk space of a scene on one thread, and of a whole set."""
 
     seconds_a_pair: float
     seconds_a_scene: float
-    """Beside its pairs."""
+    """Seconds of a scene without its pairs."""
     bytes_a_pair: float
     bytes_a_scene: float
 
     def seconds(self, spec: DatasetSpec) -> float:
-        """A whole set on one thread."""
+        """The time of a whole set on one thread, seconds."""
         return self.seconds_a_pair * spec.pairs + self.seconds_a_scene * spec.scenes
 
     def bytes(self, spec: DatasetSpec) -> float:
@@ -306,16 +306,16 @@ _MEASURED_PAIRS = 4
 
 def measure(spec: DatasetSpec) -> Cost:
     """Time scenes of few pairs made in memory on one thread, after another, which loads and compiles what all need."""
-    made = []
+    costs = []
     for scene, pairs in ((0, 1), (1, 1), (2, _MEASURED_PAIRS)):
-        few = spec.model_copy(update={"pairs_per_scene": pairs})
+        small = spec.model_copy(update={"pairs_per_scene": pairs})
         begun = time.process_time()
-        files = scene_files(few, scene, "train")
-        made.append((time.process_time() - begun, float(sum(map(len, files.values())))))
-    one, several = made[1:]
+        files = scene_files(small, scene, "train")
+        costs.append((time.process_time() - begun, float(sum(map(len, files.values())))))
+    one, several = costs[1:]
     pair = [max((b - a) / (_MEASURED_PAIRS - 1), b / (2 * _MEASURED_PAIRS)) for a, b in zip(one, several, strict=True)]
-    rest = [max(b - _MEASURED_PAIRS * each, 0.0) for b, each in zip(several, pair, strict=True)]
-    return Cost(pair[0], rest[0], pair[1], rest[1])
+    beside_pairs = [max(b - _MEASURED_PAIRS * each, 0.0) for b, each in zip(several, pair, strict=True)]
+    return Cost(pair[0], beside_pairs[0], pair[1], beside_pairs[1])
 
 
 def file_hash(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""What a data set's folder says of itself: its files with their SHA-256, the split, the licence, and its origin."""
+"""The manifest and README of a data set: files with their SHA-256, the split, the licence, and the origin."""
 
 import hashlib
 import json
@@ -47,7 +47,7 @@ class SceneRecord:
     """By path, relative to the set's folder."""
 
     def line(self) -> str:
-        """As a line of JSON."""
+        """The record as a line of JSON."""
         files = {path: [each.sha256, each.size] for path, each in self.files.items()}
         return json.dumps({"scene": self.number, "split": self.split, "files": files})
 
@@ -77,8 +77,8 @@ def splits_of(spec: DatasetSpec) -> list[str]:
     for part in by_remainder[: spec.scenes - sum(counts.values())]:
         counts[part] += 1
     ordered = [part for part, count in counts.items() for _ in range(count)]
-    place = generator(spec.seed, "dataset", "split").permutation(spec.scenes).tolist()
-    return [ordered[i] for i in place]
+    rank = generator(spec.seed, "dataset", "split").permutation(spec.scenes).tolist()
+    return [ordered[i] for i in rank]
 
 
 @lru_cache(maxsize=1)
@@ -126,12 +126,12 @@ def manifest_of(spec: DatasetSpec, scenes: Sequence[SceneRecord], others: Mappin
 
 def readme_of(spec: DatasetSpec, of_layout: str) -> bytes:
     """README.txt."""
-    what = f"{spec.pairs} pairs of images with their truth over {spec.scenes} random scenes"
+    contents = f"{spec.pairs} pairs of images with their truth over {spec.scenes} random scenes"
     colour = "in colour" if spec.colour else "in grey"
     about = f"{spec.name}: {spec.description}\n\n" if spec.description else f"{spec.name}\n\n"
     licence = textwrap.fill(f"Licence: {LICENCE}. {' '.join(PROVENANCE)}", 120)
     return (
-        f"{about}{what}, {colour}, {spec.rig.width_px} x {spec.rig.height_px} pixels. No scene is in two parts.\n\n"
+        f"{about}{contents}, {colour}, {spec.rig.width_px} x {spec.rig.height_px} pixels. No scene is in two parts.\n\n"
         f"{of_layout}\n"
         "manifest.json has the SHA-256 of every file; dataset.toml what the set was drawn from;\n"
         f"omnirange dataset check DIR looks for what is wrong.\n\n{licence}\n"

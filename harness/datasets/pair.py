@@ -50,7 +50,7 @@ class Pair:
     """`[height, width, 2]`: where view 2's image has the point, (u, v) in pixels; NaN where it is not on that image.
     Known of hidden points, too."""
     state: NDArray[np.uint8]
-    """What view 1's pixels see; see `STATES`."""
+    """The states of view 1's pixels; see `STATES`."""
     normal: Array
     """`[height, width, 3]`: unit normals towards view 1, in view 1's frame; NaN where there is no surface."""
     sigma_grey: float
@@ -58,7 +58,7 @@ class Pair:
     gain: float
     """Exposure of view 2 against view 1."""
     threads: int | None = 1
-    """That may be used to trace more."""
+    """Threads for further ray tracing."""
 
 
 def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threads: int | None = 1) -> Pair:
@@ -75,7 +75,7 @@ def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threa
     draws = generator(spec.seed, "dataset", "image", str(scene), str(number))
     sigma_grey = float(number_between(spec.noise.sigma_grey, draws.random()))
     gain = float(np.exp(0.01 * spec.noise.gain_percent * draws.standard_normal()))
-    directions, seen = pixel_directions(sensors[0])
+    directions, in_field = pixel_directions(sensors[0])
     light_1 = render(placed, sensors[0], poses[0], spec.samples, threads, colour=spec.colour)
     if spec.colour:
         light_2 = render(placed, sensors[1], poses[1], spec.samples, threads, colour=True)
@@ -86,18 +86,18 @@ def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threa
         placed,
         poses[0],
         directions,
-        seen,
+        in_field,
         pose_2=poses[1],
         sensor_2=sensors[1],
         wrap_columns=seam_px(sensors[0]) > 0,
         threads=threads,
     )
-    there = np.isfinite(true.range_m)
-    points = directions[there] * true.range_m[there, None]
+    has_surface = np.isfinite(true.range_m)
+    points = directions[has_surface] * true.range_m[has_surface, None]
     pixels, on_image_2 = project(sensors[1], rotated(points - motion.t_v1, motion.R_v2_from_v1))
-    match, normal = np.full((*there.shape, 2), np.nan), np.full((*there.shape, 3), np.nan)
-    match[there] = np.where(on_image_2[:, None], pixels, np.nan)
-    normal[there] = rotated(true.normal[there], poses[0].R_world_from_view.T)
+    match, normal = np.full((*has_surface.shape, 2), np.nan), np.full((*has_surface.shape, 3), np.nan)
+    match[has_surface] = np.where(on_image_2[:, None], pixels, np.nan)
+    normal[has_surface] = rotated(true.normal[has_surface], poses[0].R_world_from_view.T)
     return Pair(
         scene_number=scene,
         number=number,
@@ -111,7 +111,7 @@ def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threa
         ),
         range_m=(true.range_m, range_2),
         match=match,
-        state=_states(true, seen),
+        state=_states(true, in_field),
         normal=normal,
         sigma_grey=sigma_grey,
         gain=gain,
@@ -122,16 +122,16 @@ def make_pair(spec: DatasetSpec, room: DrawnRoom, scene: int, number: int, threa
 def _states(true: Truth, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
     state = np.full(seen.shape, NOT_SEEN, dtype=np.uint8)
     state[seen] = SKY
-    there = np.isfinite(true.range_m)
-    state[there] = OUTSIDE
-    state[there & true.in_field_2] = OCCLUDED
+    has_surface = np.isfinite(true.range_m)
+    state[has_surface] = OUTSIDE
+    state[has_surface & true.in_field_2] = OCCLUDED
     state[true.visible] = VISIBLE
     return state
 
 
 def _photograph(light: NDArray[np.floating], sensor: Sensor, sigma_grey: float, draws: np.random.Generator) -> Image:
     """An image of 8 bits, with noise where the sensor sees something."""
-    seen = pixel_directions(sensor)[1]
+    in_field = pixel_directions(sensor)[1]
     noise = sigma_grey * draws.standard_normal(light.shape, dtype=np.float32)
-    noise *= seen if light.ndim == 2 else seen[..., None]
+    noise *= in_field if light.ndim == 2 else in_field[..., None]
     return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)

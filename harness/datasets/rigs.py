@@ -101,7 +101,7 @@ def draw_motion(spec: DatasetSpec, scene: int, pair: int) -> Motion:
 
 
 def draw_poses(spec: DatasetSpec, room: DrawnRoom, scene: int, pair: int) -> tuple[Pose, Pose]:
-    """Where both views stand: apart from walls and furniture by the clearance, if any of many tries finds such a place.
+    """The poses of both views: away from walls and furniture by the clearance, if one of many tries finds such a place.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class DrawnRoom:
     table: dict[str, Any]
     """As of a scene's file; files by their bare names."""
     files: dict[str, bytes]
-    """What it refers to, by name."""
+    """Contents of the files that it refers to, by name."""
     size_m: tuple[float, float, float]
     obstacles: tuple[Obstacle, ...]
 
@@ -80,7 +80,7 @@ class _Builder:
         return int(self.draws.integers(low_high[0], low_high[1] + 1))
 
     def place(self, radius: float, low: float, high: float) -> tuple[float, float] | None:
-        """Where a cylinder finds a free place; None if it does not."""
+        """A free position (x, y) for an upright cylinder, which it then occupies; None if no try finds one."""
         length, width, _ = self.size_m
         reach_x, reach_y = (each / 2 - radius - _GAP_M for each in (length, width))
         if min(reach_x, reach_y) <= 0:
@@ -211,9 +211,9 @@ def _pole(builder: _Builder, furniture: Furniture) -> None:
     side = float(np.exp(builder.between((low, high))))
     height = builder.size_m[2]
     texture = builder.painter.texture()
-    place = builder.place(side / math.sqrt(2), 0.0, height)
-    if place:
-        box = {"kind": "box", "name": "pole", "size_m": [side, side, height], "position_m": [*place, 0.0]}
+    position = builder.place(side / math.sqrt(2), 0.0, height)
+    if position:
+        box = {"kind": "box", "name": "pole", "size_m": [side, side, height], "position_m": [*position, 0.0]}
         builder.objects.append(box | {"yaw_deg": float(builder.draws.uniform(0, 90)), "texture": texture})
 
 
@@ -221,9 +221,9 @@ def _box(builder: _Builder, furniture: Furniture) -> None:
     a, b = builder.between(furniture.box_m), builder.between(furniture.box_m)
     height = min(builder.between(furniture.box_m) * float(builder.draws.uniform(0.5, 2.0)), builder.size_m[2] - _GAP_M)
     texture, top = builder.painter.texture(), builder.painter.texture()
-    place = builder.place(math.hypot(a, b) / 2, 0.0, height)
-    if place:
-        box = {"kind": "box", "name": "box", "size_m": [a, b, height], "position_m": [*place, 0.0]}
+    position = builder.place(math.hypot(a, b) / 2, 0.0, height)
+    if position:
+        box = {"kind": "box", "name": "box", "size_m": [a, b, height], "position_m": [*position, 0.0]}
         turned = {"yaw_deg": float(builder.draws.uniform(0, 180)), "texture": texture, "top": top}
         builder.objects.append(box | turned)
 
@@ -234,10 +234,10 @@ def _table(builder: _Builder) -> None:
     slab, leg = builder.between((0.02, 0.05)), builder.between((0.03, 0.08))
     texture, legs = builder.painter.texture(), builder.painter.texture()
     yaw_deg = float(builder.draws.uniform(0, 180))
-    place = builder.place(math.hypot(a, b) / 2, 0.0, height)
-    if not place:
+    position = builder.place(math.hypot(a, b) / 2, 0.0, height)
+    if not position:
         return
-    x, y = place
+    x, y = position
     plate = {"kind": "box", "name": "table", "size_m": [a, b, slab], "position_m": [x, y, height - slab]}
     builder.objects.append(plate | {"yaw_deg": yaw_deg, "texture": texture})
     cosine, sine = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
@@ -255,11 +255,11 @@ def _body(builder: _Builder, furniture: Furniture) -> None:
     height = builder.between(furniture.curved_m)
     file, radius = builder.painter.body(min(height, builder.size_m[2] - _GAP_M))
     texture = builder.painter.texture()
-    place = builder.place(radius, 0.0, height)
-    if not place:
+    position = builder.place(radius, 0.0, height)
+    if not position:
         del builder.painter.files[file]
         return
-    body = {"kind": "mesh", "name": "body", "file": file, "position_m": [*place, 0.0], "texture": texture}
+    body = {"kind": "mesh", "name": "body", "file": file, "position_m": [*position, 0.0], "texture": texture}
     builder.objects.append(body | {"yaw_deg": float(builder.draws.uniform(0, 360))})
 
 

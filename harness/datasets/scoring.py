@@ -1,4 +1,4 @@
-"""The project's figures for anybody's maps on any data set: each pair's errors, and what they come to over the set."""
+"""The project's figures for third-party maps on any data set: each pair's errors, and their means over the set."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Score(OneLine):
-    """What an estimate of a pair comes to."""
+    """The score of an estimate of a pair."""
 
     pair: StoredPair
     measures: Measures
@@ -97,14 +97,14 @@ def _visibility(pair: StoredPair, truth_m: Array, x: Array) -> tuple[Mask, Mask]
 
     Of a set without states nothing is known of what hides what: all that is in view 2's image counts as seen.
     """
-    there = np.isfinite(truth_m)
+    known = np.isfinite(truth_m)
     if pair.state is not None and pair.maps[0].is_image:
         state = pair.state()
-        return there & (state == VISIBLE), there & (state == OCCLUDED)
+        return known & (state == VISIBLE), known & (state == OCCLUDED)
     second = pair.views[1]
     points = (x * truth_m[..., None] - second.position_m) @ second.R_view_from_map.T
-    inside = there.copy()
-    inside[there] = project(second.sensor, points[there])[1]
+    inside = known.copy()
+    inside[known] = project(second.sensor, points[known])[1]
     return inside, np.zeros_like(inside)
 
 
@@ -198,7 +198,7 @@ def _kinds(pair: StoredPair, truth_m: Array, x: Array) -> tuple[Mask, Mask]:
 
 
 def _solid_angles(x: Array) -> Array:
-    """What each pixel covers of the sphere, steradians, from its neighbours; 0 at the borders of what is seen."""
+    """The solid angle of each pixel, steradians, from its neighbours' directions; 0 at the borders of the field."""
     along_rows, along_columns = np.gradient(x, axis=0), np.gradient(x, axis=1)
     return np.nan_to_num(np.linalg.norm(np.cross(along_rows, along_columns), axis=-1))
 
@@ -222,7 +222,7 @@ def mean_of(scores: Sequence[Measures]) -> Measures:
 
 
 def mean_of_regions(scores: Sequence[Score]) -> list[dict[str, Any]]:
-    """The same for each part of the picture, with its pixels in all pairs."""
+    """The mean of each figure over pairs for each part of the picture, with the part's pixels in all pairs."""
     rows: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for score in scores:
         for row in score.regions:

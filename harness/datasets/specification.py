@@ -1,4 +1,4 @@
-"""What a data set is drawn from: the distribution of its scenes, rigs and motions, as a TOML file states it.
+"""The specification of a data set: the distributions of its scenes, rigs and motions, as in a TOML file.
 
 Pairs of numbers are the lowest and the highest value; what lies between them is equally likely unless a key says
 otherwise.
@@ -69,7 +69,7 @@ class Room(_Ranges):
 
 
 class Furniture(_Ranges):
-    """What stands in the room. Pieces that find no free place are left out."""
+    """The furniture of a room. Pieces that find no free place are left out."""
 
     boxes: Counts = (2, 7)
     """Crates and cabinets, turned about the vertical."""
@@ -90,7 +90,7 @@ class Furniture(_Ranges):
 
 
 class Surfaces(_Ranges):
-    """How often a surface has which texture, as weights, and the textures' range."""
+    """The frequencies of kinds of texture, as weights, and the textures' range."""
 
     noise: Weight = 5.0
     """Weight of band-limited noise."""
@@ -150,7 +150,7 @@ class Rig(_Ranges):
 
 
 class Noise(_Ranges):
-    """What is added to the rendered images."""
+    """Noise and exposure of the rendered images."""
 
     sigma_grey: tuple[Annotated[float, Field(ge=0, le=100)], Annotated[float, Field(ge=0, le=100)]] = (0.0, 3.0)
     """Standard deviation of white noise, grey levels; drawn for each pair."""
@@ -231,7 +231,7 @@ _CAMERAS: dict[LayoutName, tuple[Camera, ...]] = {
 
 
 def _check_layout(spec: DatasetSpec) -> None:
-    """Refuse what the files of a layout cannot say."""
+    """Refuse settings that the files of a layout cannot express."""
     allowed = _CAMERAS.get(spec.layout)
     for each in spec.rig.cameras:
         if allowed and each not in allowed:

@@ -1,1 +1,1 @@
-"""What is wrong with a data set: one file for each kind of fault, and the table of them in `check`."""
+"""Checks of data sets: one file for each kind of fault, and the table of them in `check`."""

@@ -1,4 +1,4 @@
-"""What a set states twice: ranges and disparities, correspondences and geometry, points and their pixels."""
+"""Consistency of redundant data: ranges and disparities, correspondences and geometry, points and their pixels."""
 
 from collections.abc import Iterator
 
@@ -54,7 +54,7 @@ def _disparity_off(pair: StoredPair) -> dict[str, float]:
         return {}
     range_m, disparity, polar = range_m[use], disparity[use], polar[use]
     steps = 65536 / 2048
-    found = {
+    readings = {
         "": range_of_disparity(disparity, polar, B),
         "they are in pixels": range_of_disparity(disparity * degrees_a_pixel, polar, B),
         "they are in radians": range_of_disparity(np.degrees(disparity), polar, B),
@@ -63,7 +63,7 @@ def _disparity_off(pair: StoredPair) -> dict[str, float]:
         "they are those of half the baseline": range_of_disparity(disparity, polar, B / 2),
         "they are those of twice the baseline": range_of_disparity(disparity, polar, 2 * B),
     }
-    return {reading: _relative(each, range_m) for reading, each in found.items()}
+    return {reading: _relative(each, range_m) for reading, each in readings.items()}
 
 
 def _relative(found: Array, expected: Array) -> float:
@@ -74,14 +74,21 @@ def _relative(found: Array, expected: Array) -> float:
 def check_correspondences(data: StoredSet) -> Iterator[Finding]:
     """Whether stated correspondences, and stated pixels of points, are where range, motion and calibration put them."""
     off = [each for pair in data.some(_MOST_PAIRS) for each in _pixels_off(pair)]
-    bad = [(name, shift, size) for name, shift, size in off if size > _OFF_PX]
-    if not bad:
+    off_by_more = [(name, shift, size) for name, shift, size in off if size > _OFF_PX]
+    if not off_by_more:
         return
-    shift, size = np.median([each[1] for each in bad], axis=0), float(np.median([each[2] for each in bad]))
+    shift, size = (
+        np.median([each[1] for each in off_by_more], axis=0),
+        float(np.median([each[2] for each in off_by_more])),
+    )
     text = f"points are {size:.2g} px off where range, motion and calibration put them (median)"
     if np.hypot(*shift) > 0.9 * size and np.allclose(np.abs(2 * shift), np.rint(np.abs(2 * shift)), atol=0.1):
         text += f": a shift by ({shift[0]:+.1f}, {shift[1]:+.1f}) px, as where pixels are counted from their corners"
-    yield Finding("correspondences", f"{bad[0][0]} and {len(bad) - 1} more" if len(bad) > 1 else bad[0][0], text)
+    yield Finding(
+        "correspondences",
+        f"{off_by_more[0][0]} and {len(off_by_more) - 1} more" if len(off_by_more) > 1 else off_by_more[0][0],
+        text,
+    )
 
 
 def _pixels_off(pair: StoredPair) -> Iterator[tuple[str, Array, float]]:
@@ -89,15 +96,15 @@ def _pixels_off(pair: StoredPair) -> Iterator[tuple[str, Array, float]]:
     if pair.observed is not None:
         points, *stated = pair.observed
         for number, (view, pixels) in enumerate(zip(pair.views, stated, strict=True), 1):
-            found, _ = project(view.sensor, (points - view.position_m) @ view.R_view_from_map.T)
-            yield from _named(f"{pair.name}, view {number}", found - pixels)
+            projected, _ = project(view.sensor, (points - view.position_m) @ view.R_view_from_map.T)
+            yield from _named(f"{pair.name}, view {number}", projected - pixels)
     if pair.match is not None and pair.maps:
         stated_match = pair.match()
         points = pair.maps[0].directions() * pair.maps[0].read()[..., None]
         view = pair.views[1]
-        there = np.isfinite(stated_match[..., 0]) & np.isfinite(points[..., 0])
-        found, _ = project(view.sensor, (points[there] - view.position_m) @ view.R_view_from_map.T)
-        yield from _named(f"{pair.name}, view 2", found - stated_match[there])
+        known = np.isfinite(stated_match[..., 0]) & np.isfinite(points[..., 0])
+        projected, _ = project(view.sensor, (points[known] - view.position_m) @ view.R_view_from_map.T)
+        yield from _named(f"{pair.name}, view 2", projected - stated_match[known])
 
 
 def _named(name: str, off: Array) -> Iterator[tuple[str, Array, float]]:

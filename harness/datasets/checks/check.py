@@ -23,20 +23,20 @@ class Check:
 
     name: str
     title: str
-    """What it asks."""
+    """The question that it answers."""
     run: Callable[[StoredSet], Iterator[Finding]]
     of_files: bool = False
-    """Whether it looks at pairs that cannot be read, too."""
+    """Whether it includes pairs that cannot be read."""
     applies: Callable[[StoredSet], bool] = lambda _: True
-    """Whether a set has what it looks at."""
+    """Whether it applies to a set: the set has the data that it checks."""
 
 
 def _has_maps(*quantities: str) -> Callable[[StoredSet], bool]:
     """Whether a pair of a set has maps of all of these quantities, or any map if none is named."""
 
     def applies(data: StoredSet) -> bool:
-        there = ({map_.quantity for map_ in pair.maps} for pair in data.pairs)
-        return any(set(quantities) <= each and bool(each) for each in there)
+        of_pairs = ({map_.quantity for map_ in pair.maps} for pair in data.pairs)
+        return any(set(quantities) <= each and bool(each) for each in of_pairs)
 
     return applies
 
@@ -106,7 +106,7 @@ def open_set(folder: Path) -> StoredSet:
 
 
 def check_set(data: StoredSet, names: Sequence[str] = ()) -> Iterator[tuple[Check, list[Finding] | None]]:
-    """Each check with what it found, one after the other; None where the set has nothing that it could look at.
+    """Each check with its findings, one after the other; None for a check that does not apply to the set.
 
     What cannot be read is left out by all checks that come later.
 

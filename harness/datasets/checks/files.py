@@ -1,4 +1,4 @@
-"""Files: checksums, what is missing, what is cut off, what has another size than its neighbours."""
+"""Checks of files: checksums, missing and truncated files, sizes that differ from the other files'."""
 
 from collections.abc import Iterator
 
@@ -32,8 +32,8 @@ def check_checksums(data: StoredSet) -> Iterator[Finding]:
             faults.setdefault("is shorter than the manifest says: it was cut off", []).append(path)
         elif file_hash(file) != record.get("sha256"):
             faults.setdefault("has another SHA-256 than the manifest says: it was changed", []).append(path)
-    there = {path.relative_to(data.folder).as_posix() for path in data.folder.rglob("*") if path.is_file()}
-    if more := sorted(there - set(stated) - {MANIFEST}):
+    present = {path.relative_to(data.folder).as_posix() for path in data.folder.rglob("*") if path.is_file()}
+    if more := sorted(present - set(stated) - {MANIFEST}):
         faults["is there, and not in the manifest"] = more
     yield from gathered("checksums", faults)
 
@@ -48,7 +48,7 @@ def check_readable(data: StoredSet) -> Iterator[Finding]:
 
 
 def _unreadable(pair: StoredPair) -> Iterator[tuple[str, str]]:
-    """What cannot be read of a pair, and why."""
+    """The parts of a pair that cannot be read, each with the reason."""
     for view in pair.views:
         name = f"{pair.name}: {view.image.name}"
         try:

@@ -1,4 +1,4 @@
-"""What a check says, and what all checks are given."""
+"""The findings of checks, and the data set that all checks take."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class Finding:
     where: str
     """A file or a pair, or how many; empty for the whole set."""
     text: str
-    """What is wrong, with the figures that say so."""
+    """The fault, with the figures that show it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,7 +33,7 @@ class StoredSet(OneLine):
     """None for a set without one."""
 
     def some(self, most: int) -> list[StoredPair]:
-        """At most so many pairs, spread evenly over the set."""
+        """At most `count` pairs, spread evenly over the set."""
         count = len(self.pairs)
         step = max(1.0, count / most)
         return [self.pairs[int(i * step)] for i in range(min(most, count))]
@@ -46,11 +46,11 @@ def listed(names: list[str], most: int = 3) -> str:
 
 
 def gathered(check: str, faults: dict[str, list[str]]) -> Iterator[Finding]:
-    """One finding for each text, over all that it is said of."""
+    """Findings with equal texts as one, over all that they are about."""
     for text, names in faults.items():
         yield Finding(check, listed(names), text)
 
 
 def problem_of(error: InputError) -> str:
-    """What an error says, without its file."""
+    """The text of an error without its file."""
     return f"{error.key}: {error.problem}" if error.key else error.problem

@@ -33,14 +33,15 @@ _MOST = 0.7
 _LEAST_OUTLINES, _LEAST_OUTLINES_OF_A_PAIR = 150, 30
 _DEVIATIONS = 4.0
 _SHARE = 0.45
-"""What the steps on both sides of outlines differ by, in those at the outline above those around."""
+"""Least difference of the steps before and after outlines, as a share of the largest step's excess over its
+surroundings."""
 
 
 # --- Other readings --------------------------------------------------------------------------------------------------
 
 
 def as_stated(sight: Sight, _numbers: Array) -> Pixels:
-    """As the set states it."""
+    """The pixels of the points by the geometry that the set states."""
     return sight.pixels()
 
 
@@ -96,8 +97,8 @@ def _disparity(factor: float, *, cosine: float = 1.0) -> Change:
     def change(sight: Sight, _numbers: Array) -> Pixels:
         polar = polar_of(sight.directions)
         polar = polar if cosine > 0 else np.pi - polar
-        found = range_of_disparity(sight.raw * factor, polar, sight.pair.motion.baseline_m)
-        return sight.pixels(found if sight.pair.maps[0].quantity == "disparity" else np.full(found.shape, np.nan))
+        range_m = range_of_disparity(sight.raw * factor, polar, sight.pair.motion.baseline_m)
+        return sight.pixels(range_m if sight.pair.maps[0].quantity == "disparity" else np.full(range_m.shape, np.nan))
 
     return change
 
@@ -131,7 +132,7 @@ _READINGS: dict[str, Change] = {
     "image 1 is upside down": _flipped(1, 0),
     "image 2 is upside down": _flipped(1, 1),
 }
-"""What a set may have meant instead of what it states."""
+"""Alternative readings of a set's geometry."""
 
 
 def _swapped(sights: Sequence[Sight]) -> list[Sight]:
@@ -228,7 +229,7 @@ def check_images(data: StoredSet) -> Iterator[Finding]:
 
 
 def _fitted(sights: Sequence[Sight], small: _Small) -> tuple[str, float] | None:
-    """What is said of a small change, and what it gains, where most pairs ask for it.
+    """The description of a small change and its gain, if most pairs fit it alike; None otherwise.
 
     Each pair is fitted by itself: surfaces that repeat themselves, or that are coarser in the image than on the wall,
     ask for something, but in no two pairs for the same.
@@ -251,7 +252,7 @@ def _fitted(sights: Sequence[Sight], small: _Small) -> tuple[str, float] | None:
 
 
 def _unexplained(sights: Sequence[Sight], stated: float, where: str) -> Iterator[Finding]:
-    """What no change explains: patches off their epipolar curves, or images of something else."""
+    """Faults that no change explains: patches off their epipolar curves, or images of other scenes."""
     off = np.concatenate([across_px(sight) for sight in sights])
     if stated < _AGREE:
         yield Finding("images", where, f"the images do not show the map's points: they correlate by {stated:.2f}")

@@ -94,10 +94,10 @@ def _windows(map_: TruthMap, range_m: Array) -> tuple[Array, Array] | None:
 
 def _misfit(x: Array, range_m: Array) -> float:
     """The lower quartile over windows of the RMS misfit of a plane, relative to the inverse range."""
-    good = np.isfinite(range_m).all(axis=1)
-    if good.sum() < 20:
+    complete = np.isfinite(range_m).all(axis=1)
+    if complete.sum() < 20:
         return np.inf
-    x, inverse = x[good], 1 / range_m[good]
+    x, inverse = x[complete], 1 / range_m[complete]
     Q = np.linalg.qr(x)[0]
     fitted = np.einsum("wpk,wk->wp", Q, np.einsum("wpk,wp->wk", Q, inverse))
     rms = np.sqrt(np.mean((fitted - inverse) ** 2, axis=1)) / np.mean(inverse, axis=1)

@@ -1,4 +1,4 @@
-"""What both images of a pair show at the points of its map, and how far changed geometry makes them agree better.
+"""The images of a pair at the points of its map, and the changes of geometry that make them agree better.
 
 Images are freed of brightness and contrast: smoothed, less their surroundings, over the local standard deviation.
 Points beside a jump in range are left out, as are those that are seen at an image's border.
@@ -52,18 +52,18 @@ class PlainImage:
     @classmethod
     def of(cls, grey: NDArray[np.float32], sensor: Sensor) -> "PlainImage":
         """Free an image of a sensor."""
-        seen = pixel_directions(sensor)[1].astype(np.float64)
+        visible = pixel_directions(sensor)[1].astype(np.float64)
 
         def mean(values: Array, sigma: float) -> Array:
-            weight = ndimage.gaussian_filter(seen, sigma)
-            return np.asarray(ndimage.gaussian_filter(values * seen, sigma) / np.maximum(weight, 1e-6))
+            weight = ndimage.gaussian_filter(visible, sigma)
+            return np.asarray(ndimage.gaussian_filter(values * visible, sigma) / np.maximum(weight, 1e-6))
 
         image = grey.astype(np.float64)
         around = mean(image, _COARSE_PX)
         deviation = np.sqrt(mean((image - around) ** 2, _COARSE_PX)) + _FLOOR_GREY
-        values = (mean(image, _FINE_PX) - around) / deviation * seen
+        values = (mean(image, _FINE_PX) - around) / deviation * visible
         slope_v, slope_u = (np.asarray(each, dtype=np.float64) for each in np.gradient(values))
-        inner = ndimage.distance_transform_edt(np.pad(seen, 1))[1:-1, 1:-1] > _BORDER_PX
+        inner = ndimage.distance_transform_edt(np.pad(visible, 1))[1:-1, 1:-1] > _BORDER_PX
         spline = np.asarray(ndimage.spline_filter(values, mode="mirror"), dtype=np.float64)
         return cls(values, spline, slope_u, slope_v, inner.astype(np.float64))
 
@@ -108,7 +108,7 @@ class Sight:
         return self.pair.views
 
     def pixels(self, range_m: Array | None = None, motion: Motion | None = None) -> Pixels:
-        """Where both images have the points, for other ranges, or for another motion from view 1 to view 2."""
+        """The points' pixels in both images, with other ranges, or with another motion from view 1 to view 2."""
         points = self.directions * (self.range_m if range_m is None else range_m)[:, None]
         first, second = self.views
         in_1 = (points - first.position_m) @ first.R_view_from_map.T
@@ -130,13 +130,13 @@ def sight_of(pair: StoredPair) -> Sight | None:
         range_m = _ranges_of(map_.quantity, values, x, pair)
         range_m = np.where(np.isfinite(range_m), range_m, np.nan)
         known = np.isfinite(range_m) & (range_m > 0) & np.isfinite(x[..., 0])
-        good = known & ~_jumps(range_m, np.inf)
-        if good.sum() < _FEW:  # a laser's points, few and far between: what is missing is no outline
-            good = known & ~_jumps(range_m, np.nan)
+        usable = known & ~_jumps(range_m, np.inf)
+        if usable.sum() < _FEW:  # a laser's sparse points: missing neighbours are no outline
+            usable = known & ~_jumps(range_m, np.nan)
         if pair.state is not None and map_.is_image:
             state = pair.state()
-            good &= (state == VISIBLE) if state.shape == good.shape else True
-        row, column = np.nonzero(good)
+            usable &= (state == VISIBLE) if state.shape == usable.shape else True
+        row, column = np.nonzero(usable)
         if row.size < _FEW:
             return None
         chosen = draws.permutation(row.size)[:_MOST_POINTS]
@@ -180,7 +180,7 @@ def correlation(sights: Sequence[Sight], change: Change, numbers: Array | None =
         p_1, p_2 = change(sight, numbers)
         a, b = (image.at(pixels) for image, pixels in zip(sight.images, (p_1, p_2), strict=True))
         both = np.isfinite(a) & np.isfinite(b)
-        # Few points that happen to be on both images say little.
+        # A correlation over few points means little.
         if both.sum() > 0.05 * both.size:
             sums += a[both] @ a[both], b[both] @ b[both], a[both] @ b[both]
     return float(sums[2] / np.sqrt(sums[0] * sums[1])) if sums[0] * sums[1] > 0 else 0.0
@@ -249,22 +249,22 @@ def _equations(sight: Sight, change: Change, numbers: Array, steps: Array) -> tu
 
 
 def across_px(sight: Sight) -> Array:
-    """How far patches of image 1 lie off their epipolar curves in image 2, `[patches]`, pixels.
+    """Offsets of patches of image 1 across their epipolar curves in image 2, `[patches]`, pixels.
 
-    Each patch is the points in a cell of a grid on image 1; its shift in image 2 solves two normal equations. What lies
-    along the curve is the range's matter; what is left is across.
+    Each patch is the points in a cell of a grid on image 1; its shift in image 2 solves two normal equations. The part
+    along the curve is an error of the range; the rest is across.
     """
     p_1, p_2 = sight.pixels()
     _, farther = sight.pixels(sight.range_m * 1.02)
     along = farther - p_2
     a, b, slopes = sight.images[0].at(p_1), sight.images[1].at(p_2), sight.images[1].slopes_at(p_2)
-    good = np.isfinite(a) & np.isfinite(b)
+    usable = np.isfinite(a) & np.isfinite(b)
     length = np.linalg.norm(along, axis=1)
-    good &= length > 1e-6
-    size = max(np.max(p_1[good], axis=0, initial=1.0)) / 10
+    usable &= length > 1e-6
+    size = max(np.max(p_1[usable], axis=0, initial=1.0)) / 10
     cell = np.floor(p_1 / size).astype(np.int64)
-    label = np.where(good, cell[:, 0] * 1000 + cell[:, 1], -1)
-    found = []
+    label = np.where(usable, cell[:, 0] * 1000 + cell[:, 1], -1)
+    offsets = []
     for each in np.unique(label[label >= 0]):
         at = label == each
         if at.sum() < 20:
@@ -277,8 +277,8 @@ def across_px(sight: Sight) -> Array:
         shift = np.linalg.solve(A, (J * weight[:, None]).T @ (a - b)[at])
         direction = np.median(along[at] / length[at, None], axis=0)
         direction /= max(float(np.linalg.norm(direction)), 1e-9)
-        found.append(shift[0] * -direction[1] + shift[1] * direction[0])
-    return np.array(found)
+        offsets.append(shift[0] * -direction[1] + shift[1] * direction[0])
+    return np.array(offsets)
 
 
 # --- Outlines --------------------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ def _standing_out(values: NDArray[np.float64], raw: NDArray[Any]) -> Iterator[st
 
 
 def _against_states(pair: StoredPair) -> Iterator[str]:
-    """What the states contradict: values where nothing is seen, none where something is."""
+    """Contradictions between states and values: values where nothing is seen, or none where something is."""
     if pair.state is None or not pair.maps or not pair.maps[0].is_image:
         return
     state, values = pair.state(), pair.maps[0].read()

@@ -58,11 +58,11 @@ def _place(split: str, scene: int) -> str:
 
 
 def _pair_files(spec: DatasetSpec, split: str, pair: Pair) -> Files:  # noqa: ARG001
-    place = _place(split, pair.scene_number)
+    model = _place(split, pair.scene_number)
     files = {}
     for i in (0, 1):
-        files[f"{place}/images/{pair.number:04d}_{i + 1}.png"] = png(pair.images[i])
-        files[f"{place}/range/{pair.number:04d}_{i + 1}.npy"] = single(pair.range_m[i])
+        files[f"{model}/images/{pair.number:04d}_{i + 1}.png"] = png(pair.images[i])
+        files[f"{model}/range/{pair.number:04d}_{i + 1}.npy"] = single(pair.range_m[i])
     return files
 
 
@@ -83,8 +83,8 @@ def _scene_files(spec: DatasetSpec, split: str, scene: int, pairs: Sequence[Brie
         for k, (track, j) in enumerate(zip(tracks, usable.tolist(), strict=True)):
             x, y, z = pair.points_m[j].tolist()
             grey = int(pair.grey[j])
-            seen = f"{2 * pair.number + 1} {k} {2 * pair.number + 2} {k}"
-            points.append(f"{track} {x!r} {y!r} {z!r} {grey} {grey} {grey} 0.0 {seen}")
+            observations = f"{2 * pair.number + 1} {k} {2 * pair.number + 2} {k}"
+            points.append(f"{track} {x!r} {y!r} {z!r} {grey} {grey} {grey} 0.0 {observations}")
     heads = {
         "cameras": "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
         "images": "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)",
@@ -115,12 +115,12 @@ def _pose_words(sensor: Sensor, pose: Pose) -> str:
 
 
 def _in_front(pair: Brief) -> np.ndarray:
-    """Which of a pair's points lie well within 90 degrees of both axes."""
-    good = np.ones(len(pair.points_m), dtype=bool)
+    """`[n]`: whether each of a pair's points lies well within 90 degrees of both axes."""
+    in_front = np.ones(len(pair.points_m), dtype=bool)
     for i in (0, 1):
-        rays = optics_of(pair.sensors[i]).unproject(pair.pixels[i]) if len(good) else np.empty((0, 3))
-        good &= rays[:, 2] > _LEAST_COSINE
-    return good
+        rays = optics_of(pair.sensors[i]).unproject(pair.pixels[i]) if len(in_front) else np.empty((0, 3))
+        in_front &= rays[:, 2] > _LEAST_COSINE
+    return in_front
 
 
 def _set_files(spec: DatasetSpec, splits: Sequence[str]) -> Files:  # noqa: ARG001
@@ -160,10 +160,10 @@ def _of_model(folder: Path, model: Path) -> list[StoredPair]:
         (_image(model, *both) for both in zip(lines[::2], lines[1::2], strict=False)), key=lambda each: each[0]
     )
     base = _base(model)
-    place = base.relative_to(folder).as_posix()
+    name = base.relative_to(folder).as_posix()
     pairs = []
     for first, second in zip(images[::2], images[1::2], strict=False):
-        pairs.append(_stored(place, base, first, second, points))
+        pairs.append(_stored(name, base, first, second, points))
     return pairs
 
 
@@ -211,9 +211,11 @@ def _image(model: Path, line: str, observed: str) -> _Seen:
         w, x, y, z, *t = (float(word) for word in words[1:8])
         R = Rotation.from_quat([x, y, z, w]).as_matrix()
         camera, name = int(words[8]), words[9]
-        seen = observed.split()
+        observations = observed.split()
         tracks = {
-            int(k): (float(u), float(v)) for u, v, k in zip(seen[::3], seen[1::3], seen[2::3], strict=True) if k != "-1"
+            int(k): (float(u), float(v))
+            for u, v, k in zip(observations[::3], observations[1::3], observations[2::3], strict=True)
+            if k != "-1"
         }
     except (ValueError, IndexError) as error:
         raise InputError(f"'{line[:60]}' must be IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", file=file) from error

@@ -92,8 +92,8 @@ def _pair_files(spec: DatasetSpec, split: str, pair: Pair) -> Files:  # noqa: AR
         "disparity_maps": _levels(disparity, DISPARITY_STEPS),
         "states": pair.state,
     }
-    place = f"scene{pair.scene_number:05d}_IN/{pair.number:04d}.png"
-    return {f"{split}/{kind}/{place}": png(levels) for kind, levels in maps.items()}
+    path = f"scene{pair.scene_number:05d}_IN/{pair.number:04d}.png"
+    return {f"{split}/{kind}/{path}": png(levels) for kind, levels in maps.items()}
 
 
 def _levels(values: Array, steps: float) -> NDArray[np.uint16]:
@@ -118,8 +118,8 @@ def _recognises(folder: Path) -> bool:
 def _read(folder: Path) -> list[StoredPair]:
     pairs = []
     for image in sorted(folder.glob("*/images_bottom/*/*.png")):
-        base, place = image.parents[2], image.relative_to(image.parents[1]).as_posix()
-        pairs.append(_stored(folder, base, place))
+        base, name = image.parents[2], image.relative_to(image.parents[1]).as_posix()
+        pairs.append(_stored(folder, base, name))
     return pairs
 
 
@@ -160,7 +160,7 @@ def _camera(folder: Path, image: Path) -> tuple[Sensor, float]:
     try:
         with Image.open(image) as opened:
             width, height = opened.size
-    except Exception as error:  # Pillow's readers raise whatever comes to them
+    except Exception as error:  # Pillow's readers raise exceptions of any class
         raise InputError("cannot be read as an image; it may be cut off", file=image) from error
     skipped, baseline_m = (0.0 if 2 * height == width else _SKIPPED_ROWS * width / 2), _BASELINE_M
     if file.is_file():

@@ -1,4 +1,4 @@
-"""What a layout is: how a pair becomes files, and how files become a pair again.
+"""Layouts of data sets: the conversion of a pair to files, and of files to a pair.
 
 A pair that is read has maps of truth over directions in a frame of the map's own, and for each view the place and the
 rotation of its sensor in that frame: view 1 of most layouts is at the origin.
@@ -35,7 +35,7 @@ _POINTS = 200
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Brief(OneLine):
-    """What a scene's files say of a pair: its geometry, and some points that both views see."""
+    """The description of a pair in its scene's files: its geometry, and some points that both views see."""
 
     number: int
     sensors: tuple[Sensor, Sensor]
@@ -131,19 +131,19 @@ class StoredPair(OneLine):
 
 @dataclass(frozen=True)
 class Layout:
-    """How a data set lies on the disk."""
+    """A layout of a data set's files: how it is recognised, read and written."""
 
     name: str
     title: str
     """For people."""
     readme: str
-    """What README.txt says of the files."""
+    """The part of README.txt about the files."""
     pair_files: Callable[[DatasetSpec, str, Pair], Files]
     """The files of a pair of a part of the split."""
     scene_files: Callable[[DatasetSpec, str, int, Sequence[Brief]], Files]
-    """Those of a scene, by its part, number and pairs."""
+    """The files of a scene, by its part, number and pairs."""
     set_files: Callable[[DatasetSpec, Sequence[str]], Files]
-    """Those of the set, by the parts of its scenes in order."""
+    """The files of the whole set, by the parts of its scenes in order."""
     recognises: Callable[[Path], bool]
     """Whether a folder is laid out so."""
     read: Callable[[Path], list[StoredPair]]
@@ -154,7 +154,7 @@ class Layout:
 
 
 def states_in_lines(indent: int) -> str:
-    """What the numbers of a map of states mean, a line each, those after the first indented."""
+    """The meanings of the numbers in a map of states, a line each, those after the first indented."""
     return f"\n{' ' * indent}".join(f"{number} {text}" for number, text in STATES.items())
 
 
@@ -185,7 +185,7 @@ def geometry_table(motion: Motion) -> dict[str, Any]:
 
 
 def pose_table(pose: Pose) -> dict[str, Any]:
-    """Where a view stands in the world, for a TOML file."""
+    """The pose of a view in the world, for a TOML file."""
     return {**pose.model_dump(), "R_world_from_view": pose.R_world_from_view.tolist()}
 
 

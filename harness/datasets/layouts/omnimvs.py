@@ -71,11 +71,11 @@ def _pair_files(spec: DatasetSpec, split: str, pair: Pair) -> Files:
     stream = BytesIO()
     inverse = np.nan_to_num(1 / range_m).astype(np.float32)
     Image.fromarray(inverse).save(stream, format="TIFF")
-    place, number = _place(split, pair.scene_number), pair.number + 1  # counted from 1, as theirs are
+    base, number = _place(split, pair.scene_number), pair.number + 1  # counted from 1, as in OmniMVS's sets
     return {
-        f"{place}/cam1/{number:04d}.png": png(pair.images[0]),
-        f"{place}/cam2/{number:04d}.png": png(pair.images[1]),
-        f"{place}/omnidepth_gt_{width}/{number:05d}.tiff": stream.getvalue(),
+        f"{base}/cam1/{number:04d}.png": png(pair.images[0]),
+        f"{base}/cam2/{number:04d}.png": png(pair.images[1]),
+        f"{base}/omnidepth_gt_{width}/{number:05d}.tiff": stream.getvalue(),
     }
 
 
@@ -139,19 +139,19 @@ def _read(folder: Path) -> list[StoredPair]:
 
 
 def _of_config(folder: Path, config: Path, split_of: dict[str, str]) -> list[StoredPair]:
-    here = config.parent
+    base = config.parent
     views = [_view(config, read_regular(config, 2**22), i) for i in (0, 1)]
     phi_deg = _phi_deg(config)
     pairs = []
-    for image in sorted((here / "cam1").glob("*.png")):
-        other = here / "cam2" / image.name
+    for image in sorted((base / "cam1").glob("*.png")):
+        other = base / "cam2" / image.name
         maps = [
             file
-            for file in sorted(here.glob("omnidepth_gt_*/*.tif*"))
+            for file in sorted(base.glob("omnidepth_gt_*/*.tif*"))
             if file.stem.lstrip("0") == image.stem.lstrip("0")
         ]
         placed = [PlacedView(file, *view) for file, view in zip((image, other), views, strict=True)]
-        scene = here.relative_to(folder).as_posix()
+        scene = base.relative_to(folder).as_posix()
         pairs.append(
             StoredPair(
                 name=f"{scene}/{image.stem}".removeprefix("./"),

@@ -82,9 +82,9 @@ def _scene_files(spec: DatasetSpec, split: str, scene: int, pairs: Sequence[Brie
     room = draw_room(spec, scene)
     files = {"scene.toml": room.toml(), **room.files}
     for number, sensor in enumerate(pairs[0].sensors, 1):
-        rays, seen = pixel_directions(sensor)
+        rays, valid = pixel_directions(sensor)
         files[f"sensor_{number}.toml"] = sensor_files(sensor)["sensor.toml"]
-        files[f"rays_{number}.npy"] = single(np.where(seen[..., None], rays, np.nan))
+        files[f"rays_{number}.npy"] = single(np.where(valid[..., None], rays, np.nan))
     return {f"scenes/{scene:05d}/{name}": content for name, content in files.items()}
 
 
@@ -108,15 +108,15 @@ def _stored(folder: Path, file: Path) -> StoredPair:
     scene = file.parent.parent.name
     files = [folder / "scenes" / scene / f"sensor_{i}.toml" for i in (1, 2)]
     sensors = [_sensor(each, read_regular(each, MOST_BYTES)) for each in files]
-    here = file.parent
-    ranges = here / "range_1.npy"
+    base = file.parent
+    ranges = base / "range_1.npy"
     return StoredPair(
-        name=here.relative_to(folder).as_posix(),
-        split=here.parent.parent.name,
+        name=base.relative_to(folder).as_posix(),
+        split=base.parent.parent.name,
         scene=scene,
         views=(
-            PlacedView(here / "image_1.png", sensors[0], np.eye(3), np.zeros(3)),
-            PlacedView(here / "image_2.png", sensors[1], R, t_v1),
+            PlacedView(base / "image_1.png", sensors[0], np.eye(3), np.zeros(3)),
+            PlacedView(base / "image_2.png", sensors[1], R, t_v1),
         ),
         maps=(
             TruthMap(
@@ -127,8 +127,8 @@ def _stored(folder: Path, file: Path) -> StoredPair:
                 partial(read_array, ranges),
             ),
         ),
-        state=partial(read_array, here / "state.png"),
-        match=lambda: known(read_array(here / "match.npy")),
+        state=partial(read_array, base / "state.png"),
+        match=lambda: known(read_array(base / "match.npy")),
     )
 
 
@@ -139,8 +139,8 @@ def _sensor(file: Path, content: bytes) -> Sensor:  # noqa: ARG001 - the file ma
 
 def seen_directions(sensor: Sensor) -> Array:
     """Unit directions `[height, width, 3]` of a sensor's pixels; NaN where it sees nothing."""
-    rays, seen = pixel_directions(sensor)
-    return np.where(seen[..., None], rays, np.nan)
+    rays, valid = pixel_directions(sensor)
+    return np.where(valid[..., None], rays, np.nan)
 
 
 OWN = Layout("omnirange", "omnirange's own", README, _pair_files, _scene_files, _set_files, _recognises, _read)

@@ -64,7 +64,7 @@ def read_levels(data: bytes, file: Path) -> NDArray[Any]:
             with Image.open(io.BytesIO(data), formats=("PNG", "TIFF", "JPEG")) as image:
                 if image.width * image.height <= LIMIT_PX:
                     return np.array(image)
-    except Exception as error:  # Pillow's readers raise whatever comes to them
+    except Exception as error:  # Pillow's readers raise exceptions of any class
         raise InputError("cannot be read as an image; it may be cut off", file=file) from error
     raise InputError(f"has more than the {LIMIT_PX / 1e6:.0f} million pixels that are read", file=file)
 
