@@ -23,7 +23,7 @@ def main() -> int:
         code = command()
     finally:
         if listens:
-            # All is written. Python's handlers are taken away while it shuts down, and the default would be death.
+            # All is written. Python removes its handlers on shutdown, and the default one would kill the process.
             signal.signal(signal.SIGINT, end_at_once)
             atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
         # Python kills itself in the end if a KeyboardInterrupt went through an `exec` of text, such as that of a named

@@ -1,4 +1,4 @@
-"""What may stand at a key of a specification, read from its types."""
+"""The types that the value at a key of a specification may have, read from its annotations."""
 
 import types
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ def members(annotation: Any) -> list[Any]:
 
 
 def inside(annotation: Any, part: int | str) -> list[Any]:
-    """What may stand at a key or an index of a value of this type, the members of a union one by one."""
+    """The types that may stand at a key or an index of a value of this type, the members of a union one by one."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         field = annotation.model_fields.get(str(part))
         return [] if field is None else members(field.annotation)

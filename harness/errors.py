@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class InputError(Exception):
-    """Something given to the program is wrong; its text is one line that says where, what and what would be right.
+    """An error in the program's input; its text is one line that says where, what is wrong and what would be right.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def with_article(noun: str) -> str:
 
 
 class Notice(UserWarning):
-    """Something that a user may want to know, in one line: the program continues, and its numbers are right."""
+    """A notice for the user, in one line: the program continues, and its numbers are right."""
 
 
 def one_line(text: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from harness.errors import InputError
 
 PARTIAL = ".partial"
-"""How the name of a file ends that is being written; what stands before it cannot be guessed."""
+"""Suffix of the name of a file while it is written; the part before it is random."""
 _LEFTOVER = re.compile(rf"\.[0-9a-f]{{32}}{re.escape(PARTIAL)}")
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
@@ -35,12 +35,12 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
     try:
         if not stat.S_ISREG(Path(path).stat().st_mode):
             raise _not_regular(path, what)
-        # A pipe that has replaced the file since must not be waited for.
+        # Do not block on a pipe that has replaced the file since.
         with open(path, "rb", opener=_open_at_once) as stream:
             status = os.fstat(stream.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise _not_regular(path, what)
-            # The size may be unknown (/proc) or have grown: what is read counts, and no more than the limit is.
+            # The size may be unknown (/proc) or have grown: the bytes read are checked against the limit.
             data = stream.read(limit_bytes + 1) if status.st_size <= limit_bytes else None
     except FileNotFoundError:
         raise InputError("no such file", file=printable(path)) from None
@@ -64,7 +64,7 @@ def _open_at_once(name: str, flags: int) -> int:
 
 
 def printable(path: str | Path) -> str:
-    """A name without what no terminal shows, and not longer than a line."""
+    """A name without unprintable characters, and not longer than a line."""
     text = ascii(str(path))[1:-1] if not str(path).isprintable() else str(path)
     return text if len(text) <= 200 else f"{text[:100]} ... {text[-50:]}"
 
@@ -77,10 +77,10 @@ def cache_folder() -> Path | None:
     InputError
         When `OMNIRANGE_CACHE` names no folder.
     """
-    given = os.environ.get("OMNIRANGE_CACHE")
-    if not given:
+    path = os.environ.get("OMNIRANGE_CACHE")
+    if not path:
         return user_cache_folder()
-    return path_of(given, key="OMNIRANGE_CACHE")
+    return path_of(path, key="OMNIRANGE_CACHE")
 
 
 def user_cache_folder() -> Path | None:

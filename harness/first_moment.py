@@ -16,7 +16,7 @@ from _signal import (  # type: ignore[import-not-found]  # `signal` itself loads
 EXIT_CODE = 130
 """What a program that was ended by Ctrl-C exits with."""
 
-_exit = os._exit  # as it is here, whatever other code makes of it
+_exit = os._exit  # the original, should other code replace it
 
 
 def end_at_once(_number: int = 0, _frame: object = None) -> None:

@@ -35,9 +35,9 @@ _DIM = 1 / 8
 """A share of white: where no level reaches it, three bits or more may hold nothing, as in a file of 12 bits in 16."""
 
 Weights = tuple[float, float, float]
-"""What red, green and blue count in a band of an image."""
+"""Weights of red, green and blue in a band of an image."""
 LUMA: Weights = (0.299, 0.587, 0.114)
-"""The band that is grey."""
+"""Weights of the grey band, the luma."""
 COLOURS: tuple[Weights, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 """Red, green and blue."""
 _BLOCK_ROWS = 256
@@ -191,8 +191,8 @@ def _type_of(image: Image.Image, file: str | Path) -> tuple[float | None, str]:
     if image.mode.startswith("I;16"):
         bits = 16
         if image.format == "TIFF":
-            given = getattr(image, "tag_v2", {}).get(_BITS_PER_SAMPLE, (16,))
-            bits = int(given[0] if isinstance(given, tuple) else given)
+            tag = getattr(image, "tag_v2", {}).get(_BITS_PER_SAMPLE, (16,))
+            bits = int(tag[0] if isinstance(tag, tuple) else tag)
         return float(2**bits - 1), f"{bits} bits"
     if image.mode == "I":
         # Pillow brings a PGM to 16 bits by the maximum that the file itself declares.
@@ -238,5 +238,5 @@ def _opened(data: bytes, file: str | Path) -> Iterator[Image.Image]:
         raise
     except Image.DecompressionBombError as error:
         raise InputError(f"has more than the {LIMIT_PX / 1e6:.0f} million pixels that are read", file=file) from error
-    except Exception as error:  # Pillow's readers raise whatever comes to them
+    except Exception as error:  # Pillow's readers raise exceptions of any class
         raise InputError(f"cannot be read as an image; give a {names} file", file=file) from error

@@ -1,4 +1,4 @@
-"""Ctrl-C that is never lost.
+"""Handling of Ctrl-C such that it is never lost.
 
 Python raises KeyboardInterrupt wherever the program happens to be. In the callback of a weak reference it is dropped,
 and libraries that catch everything drop it, or wrap it into an error of their own. So the signal is also remembered,
@@ -41,7 +41,7 @@ def heard() -> Iterator[None]:
     before, hook, show = signal.getsignal(signal.SIGINT), sys.unraisablehook, warnings.showwarning
 
     def show_unless_asked(*of: Any, **more: Any) -> None:
-        # A library that swallowed the interrupt may warn of what it broke: pydantic does.
+        # A library that swallowed the interrupt may warn about the consequences: pydantic does.
         if not _asked_at:
             show(*of, **more)
 

@@ -1,4 +1,4 @@
-"""What the operating system offers; asked for here alone, so that no other file needs to know the differences."""
+"""Differences between operating systems, so that no other file needs to know them."""
 
 import ctypes
 import os
@@ -61,6 +61,6 @@ def kill(process: subprocess.Popen[bytes], group: int | None = None) -> None:
             os.killpg(group or process.pid, signal.SIGKILL)
         else:
             process.kill()
-    except (ProcessLookupError, PermissionError):  # the second is what macOS and Windows say of one that has ended
+    except (ProcessLookupError, PermissionError):  # the second on macOS and Windows, of a process that has ended
         pass
     process.wait()

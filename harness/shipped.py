@@ -1,4 +1,4 @@
-"""Where the scenes, sensors, experiments and data sets that come with the program lie."""
+"""The folders of the scenes, sensors, experiments and data sets that come with the program."""
 
 import difflib
 from pathlib import Path
@@ -53,18 +53,18 @@ def or_shipped(kind: Kind, path: Path) -> Path:
 
 
 def _hint(kind: Kind, name: str) -> str:
-    """What may have been meant by a name or path that is not there."""
+    """A hint at what was meant by a name or path that does not exist."""
     if name in names("scenes" if kind == "experiments" else "experiments"):
         if kind == "experiments":
             return f"it is a scene: see `omnirange render`, or give `--set scene={name}` with an experiment"
         return f"it is an experiment: `omnirange run {name}`"
-    rest = f"give the path of a TOML file or one of the shipped names: {', '.join(names(kind))}"
+    advice = f"give the path of a TOML file or one of the shipped names: {', '.join(names(kind))}"
     close = difflib.get_close_matches(name, names(kind), n=1, cutoff=0.5)
-    return f"did you mean '{close[0]}'? Otherwise {rest}" if close else rest
+    return f"did you mean '{close[0]}'? Otherwise {advice}" if close else advice
 
 
 def descriptions(kind: Kind) -> dict[str, str]:
-    """What each shipped file says of itself in a line, by its name: its `description`, or a sensor's first comment."""
+    """A one-line description of each shipped file, by its name: its `description`, or a sensor's first comment."""
     files = {name: folder(kind) / f"{name}.toml" for name in names(kind)}
     if kind == "sensors":
         return {name: file.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ") for name, file in files.items()}

@@ -18,7 +18,7 @@ _JUST_NOW_NS = 2_000_000_000
 
 
 def state_of(path: Path) -> State:
-    """What tells whether a file or folder has changed since.
+    """The state of a file or folder, by which a later change is detected.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def is_python(path: Path) -> bool:
 
 
 def script_files(script: Path) -> list[Path]:
-    """What a Python script imports from its own folder, directly or not: modules, and packages whole."""
+    """The files that a Python script imports from its own folder, directly or not: modules, and whole packages."""
     files, waiting = {script}, [script]
     while waiting:
         for name in imports(waiting.pop()):

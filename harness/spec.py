@@ -207,7 +207,7 @@ class _LeftOut(Enum):
 
 
 LEFT_OUT = _LeftOut.LEFT_OUT
-"""What was given for a key that was not."""
+"""The recorded value of a key that was not given."""
 
 _GIVEN = "given"
 
@@ -223,12 +223,12 @@ def remember(spec: S, given: Mapping[str, Any]) -> S:
 
 
 def given_of(spec: Spec) -> dict[str, Any]:
-    """What a specification knows of what was given for its own keys."""
+    """The values that were given for keys of a specification whose values were computed from them."""
     return dict(spec.__dict__.get(_GIVEN, {}))
 
 
 def put_back(spec: Spec, table: dict[str, Any]) -> dict[str, Any]:
-    """The table of a specification, in which what was worked out is replaced in place by what was given."""
+    """The table of a specification, changed in place: computed values are replaced by those that were given."""
     for name in type(spec).model_fields:
         value = getattr(spec, name)
         if isinstance(value, Spec) and isinstance(table.get(name), dict):
@@ -353,13 +353,13 @@ def _locate(model: type[BaseModel], error: Any) -> _Problem:
 
 
 def _explain(problems: list[_Problem]) -> tuple[Location, str]:
-    # A misspelt key often leaves another one missing: the misspelling is the thing to say.
+    # A misspelt key often leaves another one missing: report the misspelling.
     problem = min(problems, key=lambda each: each.error["type"] != "extra_forbidden")
     if problem.fork is not None:
         stem = problem.location[: problem.fork]
         tried = [each for each in problems if each.fork == problem.fork and each.location[: each.fork] == stem]
         deepest = max(tried, key=lambda each: len(each.location))
-        if len(deepest.location) > problem.fork:  # the member that got furthest is the one that was meant
+        if len(deepest.location) > problem.fork:  # the member that validated furthest is the intended one
             problem = deepest
         elif len(tried) == 1:
             problem = tried[0]
@@ -429,7 +429,7 @@ def _expected(problem: _Problem) -> str:
     if error["type"] in _BOUNDS and isinstance(error["input"], float) and math.isnan(error["input"]):
         return _EXPECTED["finite_number"]
     if error["type"] == "greater_than_equal" and error["ctx"]["ge"] == 1 / LARGEST and float(error["input"]) <= 0:
-        return "above 0"  # what `Positive` is about
+        return "above 0"  # from `Positive`
     if error["type"] in _EXPECTED:
         return _EXPECTED[error["type"]].format(**error.get("ctx", {}))
     return str(error["msg"]).removeprefix("Input should be ")

@@ -22,7 +22,7 @@ class _Source:
     digest: str
     """SHA-256 over the names and contents of all files that count, and the versions of libraries."""
     code: str
-    """The same without data files, as a process that has loaded the module needs it."""
+    """SHA-256 like `digest`, but without data files: of the code that a process has loaded."""
     states: Mapping[Path, State]
     """States of all files, and of the folders of packages."""
 
@@ -87,7 +87,7 @@ def absent(module: str, name: str) -> InputError:
 
 
 def identity_of(thing: type) -> str:
-    """What a class of another project depends on besides its own settings: `source_of` its module.
+    """SHA-256 of the source that a third-party class depends on: `source_of` its module.
 
     For a class of the script that is run: the script, and what it imports from its own folder. For one that was typed
     in: a word that is another one in every process, so that nothing made by it is ever taken for another's.
@@ -141,7 +141,7 @@ def _hash(lines: list[str]) -> str:
 
 
 def _spec(name: str) -> ModuleSpec | None:
-    """Where a module would be loaded from; unlike `importlib.util.find_spec` it imports no parent package."""
+    """The spec from which a module would be loaded; unlike `importlib.util.find_spec` it imports no parent package."""
     path = None
     spec = None
     parts = name.split(".")

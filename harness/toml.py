@@ -53,7 +53,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     InputError
         When it is too deep.
     """
-    # Before it is parsed: the parser calls itself for each bracket, and copies the whole of a dotted key for each dot.
+    # Before it is parsed: the parser recurses at each bracket, and copies the whole of a dotted key at each dot.
     bare = _QUOTED_OR_COMMENT.sub("q", text)
     if _LONG_KEY.search(bare) or _bracket_levels(bare) > MOST_LEVELS:
         raise InputError(_TOO_DEEP)
@@ -64,7 +64,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def levels(value: Any) -> int:
-    """How many tables and lists are inside each other, the value itself counted; 0 for a plain value."""
+    """The depth of nested tables and lists, the value itself included; 0 for a plain value."""
     deepest, waiting = 0, [(value, 1)]
     while waiting:
         one, level = waiting.pop()
@@ -77,7 +77,7 @@ def levels(value: Any) -> int:
 
 
 def _bracket_levels(bare: str) -> int:
-    """How many brackets are open at once at most."""
+    """The largest number of brackets that are open at once."""
     level = deepest = 0
     for bracket in re.findall(r"[][{}]", bare):
         level = level + 1 if bracket in "[{" else max(0, level - 1)

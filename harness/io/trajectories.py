@@ -1,4 +1,4 @@
-"""Trajectories as other programs write them: a pose a line, by TUM's or KITTI's convention."""
+"""Trajectory files of other programs: one pose in each line, by TUM's or KITTI's convention."""
 
 import re
 from dataclasses import dataclass
@@ -79,7 +79,7 @@ def read_trajectory(content: Content) -> Trajectory:
         R = poses[:, :3, :3]
         deviation = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
         _check([n for n, _ in lines], deviation, "rotation matrix times its transpose", content.file)
-        # The nearest rotation to what few digits say.
+        # The nearest rotation, as the file has few digits.
         poses[:, :3, :3] = Rotation.from_matrix(R).as_matrix()
     return Trajectory(content.file, _KINDS[count], poses)
 

@@ -1,1 +1,1 @@
-"""For the test suites of others: what every matcher has to do, and error bounds with a reason."""
+"""For other projects' test suites: checks that every matcher has to pass, and error bounds with a reason."""

@@ -1,7 +1,7 @@
-"""What any matcher has to do, tried out on small scenes and said in plain words.
+"""Checks that every matcher has to pass, on small scenes, with findings in plain words.
 
-A check is passed, broken, or not reached, when what it needs is broken already. `omnirange check` and the pytest
-fixture `omnirange_check` are the two ways in.
+A check is passed, broken, or not reached because a check that it builds on is broken. `omnirange check` and the pytest
+fixture `omnirange_check` run the checks.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,7 +41,7 @@ right to a fraction of a column where the texture is the same."""
 ONE_IMAGE_SHARE = 0.25
 """Share of matches that may still have one: candidates of whole columns need not hold infinity itself."""
 BLANK_SHARE = 0.1
-"""Share of pixels on which something may be claimed where there is nothing to go by."""
+"""Share of the pixels of images without texture that may have a match."""
 SEAM_SHARE = 0.02
 """Share of pixels that may change when the rig is turned by a quarter: ties that rounding decides."""
 DENSITY = 0.02
@@ -53,12 +53,12 @@ BETTER = 0.8
 
 @dataclass(frozen=True)
 class Check:
-    """Something that a matcher has to do."""
+    """A check that every matcher has to pass."""
 
     name: str
     title: str
     run: Callable[["Subject"], str]
-    """Says what was seen; raises `Broken`, `NotReached` or the matcher's own `InputError`."""
+    """Returns the observation in words; raises `Broken`, `NotReached` or the matcher's own `InputError`."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Broken(Exception):  # noqa: N818 - a verdict, not a failure of this progra
 
 
 class NotReached(Exception):  # noqa: N818
-    """Something that the check builds on is broken."""
+    """A check that this one builds on is broken."""
 
 
 def conformity(matcher: MatcherSettings) -> Iterator[Finding]:
@@ -104,7 +104,7 @@ class Subject:
     _answers: dict[str, Any] = field(default_factory=dict)
 
     def raw(self, name: str) -> Any:
-        """What it returned for one of the named pairs, unchecked."""
+        """The matcher's answer for one of the named pairs, unchecked."""
         if name not in self._answers:
             try:
                 self._answers[name] = self.matcher.answer(fresh(PAIRS[name]()))
@@ -115,11 +115,11 @@ class Subject:
         return self._answers[name]
 
     def faults(self, name: str) -> list[Fault]:
-        """What is wrong with that."""
+        """The faults of the matcher's answer for one of the named pairs."""
         return list(faults(self.raw(name), PAIRS[name]().grid))
 
     def matches(self, name: str) -> Matches:
-        """The same as `Matches`."""
+        """The matcher's answer for one of the named pairs, as `Matches`."""
         if name != "easy":
             self._sound("easy")
         return self._sound(name)
@@ -138,13 +138,13 @@ class Subject:
         return as_given(self.raw(name), PAIRS[name]().grid)
 
     def now(self, pair: Pair, **limits: float) -> Matches:
-        """Its result for any pair, computed again, with other limits."""
+        """The matcher's result for any pair, computed anew, with other limits."""
         self.matches("easy")
         matcher = self.matcher.model_copy(update=limits)
-        given = matcher.answer(pair)
-        for fault in faults(given, pair.grid):
+        answer = matcher.answer(pair)
+        for fault in faults(answer, pair.grid):
             raise Broken(fault.text)
-        return as_given(given, pair.grid)
+        return as_given(answer, pair.grid)
 
 
 def as_given(raw: Any, grid: Grid) -> Matches:
@@ -167,8 +167,8 @@ def _runs(subject: Subject) -> str:
     if isinstance(raw, Answer):
         where = "the panorama" if raw.projection is None else raw.projection.words
         return f"{', '.join(raw.arrays)} on {where}"
-    given = as_given(raw, GRID)
-    more = [name for name in ("confidence", "sigma_alpha_2", "reason") if getattr(given, name) is not None]
+    matches = as_given(raw, GRID)
+    more = [name for name in ("confidence", "sigma_alpha_2", "reason") if getattr(matches, name) is not None]
     return f"alpha_2{''.join(f', {name}' for name in more)}"
 
 
@@ -192,16 +192,16 @@ def _keeps(rule: str, good: str) -> Callable[[Subject], str]:
 
 
 def _not_mixed_up(subject: Subject) -> str:
-    there = lopsided()
+    scene = lopsided()
     try:
         raw = subject.raw("lopsided")
-        wrong = [fault for fault in faults(raw, there.pair.grid) if fault.rule in {"form", "shape", "dtype"}]
+        wrong = [fault for fault in faults(raw, scene.pair.grid) if fault.rule in {"form", "shape", "dtype"}]
     except InputError as error:
         raise NotReached("it returns no result") from error
     if wrong:
         raise NotReached("its result is not an array of the right shape and type")
-    answer = raw if isinstance(raw, Answer) else there.pair.answer(alpha_2=as_given(raw, GRID).alpha_2)
-    if slip := slip_in(answer, there):
+    answer = raw if isinstance(raw, Answer) else scene.pair.answer(alpha_2=as_given(raw, GRID).alpha_2)
+    if slip := slip_in(answer, scene):
         raise Broken(f"{answer.quantity} looks like {slip}")
     if np.isfinite(answer.values).sum() < FEWEST:
         return "too few matches to tell"
@@ -304,11 +304,11 @@ def _seam(subject: Subject) -> str:
     pair = scenery().pair
     before, after = subject.matches("easy").alpha_2, subject.matches("quarter").alpha_2
     after = np.roll(after, -pair.grid.width_px // 4, axis=1)
-    apart = np.abs(after - before) > TOLERANCE_PX * pair.grid.phi_pitch
-    apart |= np.isnan(after) != np.isnan(before)
-    share = float(apart.mean())
+    changed = np.abs(after - before) > TOLERANCE_PX * pair.grid.phi_pitch
+    changed |= np.isnan(after) != np.isnan(before)
+    share = float(changed.mean())
     if share > SEAM_SHARE:
-        columns = apart.mean(axis=0)
+        columns = changed.mean(axis=0)
         worst = np.degrees(pair.grid.phi[int(np.argmax(columns))])
         raise Broken(
             f"with the whole rig turned by 90 deg, {share:.1%} of pixels get another result (at most "
@@ -394,7 +394,7 @@ def _better_than_a_guess(subject: Subject, name: str, there: Scenery) -> str:
 
 
 def _likely_slip(alpha_2: Array, there: Scenery, scored: Mask, small: float) -> str:
-    """What the result looks like, if it is something other than alpha_2."""
+    """The quantity that the result looks like, in words, if it is not alpha_2."""
     truth, alpha_1 = there.alpha_2, there.pair.alpha_1
     slips = (
         ("the disparity alpha_2 - alpha_1", truth - alpha_1),

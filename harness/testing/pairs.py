@@ -1,4 +1,4 @@
-"""The pairs that matchers are tried out on: small views of the paper's box, without noise."""
+"""The pairs that matchers are tested on: small views of the paper's box, without noise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -50,9 +50,9 @@ class Scenery:
         """
         trial, poses = self.work.trial, self.work.setup.poses
         every = np.ones(looking.shape[:-1], dtype=bool)
-        seen = truth(trial.scene, poses[0], looking, every, pose_2=poses[1], sensor_2=self.pair.sensors[1])
+        ground_truth = truth(trial.scene, poses[0], looking, every, pose_2=poses[1], sensor_2=self.pair.sensors[1])
         alike = poses[0].model_copy(update={"position_m": poses[1].position_m})
-        return seen, truth(trial.scene, alike, looking, every).range_m
+        return ground_truth, truth(trial.scene, alike, looking, every).range_m
 
 
 SLANTED = SecondView(azimuth_deg=130.0, elevation_deg=25.0)
@@ -109,7 +109,7 @@ def fresh(pair: Pair, *, threads: int | None = None) -> Pair:
 
 
 def quarter_turn(pair: Pair) -> Pair:
-    """What the same rig sees after it was turned by 90°, to the last bit: phi grows by 90° everywhere."""
+    """The images of the same rig after a turn by 90°, exact to the last bit: phi grows by 90° everywhere."""
     first, second = (np.ascontiguousarray(np.rot90(image, -1)) for image in pair.images)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     R, t = pair.motion.R_v2_from_v1, pair.motion.t_v1

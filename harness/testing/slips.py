@@ -1,7 +1,7 @@
-"""What a matcher's answer looks like when it is something other than what it is said to be: another unit, another sign,
-another image, half a pixel beside.
+"""Likely mix-ups in a matcher's answer: another unit, another sign, another image, a shift by half a pixel.
 
-The answer to a pair without symmetries is compared, on its own pixels, with the truth in all that may be taken for it.
+The answer to a pair without symmetries is compared, on its own pixels, with the truth in all forms that might be
+mistaken for it.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ class Facts:
     looking: Array
     range_m: Array
     range_2_m: Array
-    """From viewpoint 2 along the same directions: what a matcher says that takes view 2 for view 1."""
+    """From viewpoint 2 along the same directions: the answer of a matcher that takes view 2 for view 1."""
     alpha_1: Array
     t_v1: Array
     step: float
@@ -71,33 +71,33 @@ def facts_for(answer: Answer, there: Scenery) -> Facts:
     """The truth of a pair on an answer's own pixels."""
     grid = there.pair.grid
     looking = directions(grid) if answer.projection is None else answer.projection.directions
-    seen, range_2_m = there.truth(looking)
+    ground_truth, range_2_m = there.truth(looking)
     a_1 = angle_between(looking, answer.t_v1)
-    domain = seen.visible & (np.sin(a_1) >= 0.5)
+    domain = ground_truth.visible & (np.sin(a_1) >= 0.5)
     if answer.seen is not None:
         domain &= answer.seen
     else:
         domain &= there.pair.panoramas()[0].valid
-    near_edges = ndimage.binary_dilation(seen.discontinuity | ~seen.visible, iterations=_EDGE_PX)
+    near_edges = ndimage.binary_dilation(ground_truth.discontinuity | ~ground_truth.visible, iterations=_EDGE_PX)
     return Facts(
         looking=looking,
-        range_m=seen.range_m,
+        range_m=ground_truth.range_m,
         range_2_m=range_2_m,
         alpha_1=a_1,
         t_v1=answer.t_v1,
         step=grid.phi_pitch if answer.projection is None else answer.projection.step,
         domain=domain,
-        smooth=domain & ~near_edges & ~_bent(seen.normal),
+        smooth=domain & ~near_edges & ~_bent(ground_truth.normal),
     )
 
 
 def _bent(normal: Array) -> Mask:
     """Pixels near which the surface turns, as in a corner of a room: inverse range has a fold there."""
-    turned = np.zeros(normal.shape[:2], dtype=bool)
+    at_fold = np.zeros(normal.shape[:2], dtype=bool)
     with np.errstate(invalid="ignore"):
         for axis in (0, 1):
-            turned |= np.sum(normal * np.roll(normal, 1, axis=axis), axis=-1) < 0.99
-    return np.asarray(ndimage.binary_dilation(turned, iterations=_EDGE_PX))
+            at_fold |= np.sum(normal * np.roll(normal, 1, axis=axis), axis=-1) < 0.99
+    return np.asarray(ndimage.binary_dilation(at_fold, iterations=_EDGE_PX))
 
 
 def slip_in(answer: Answer, there: Scenery) -> str:
@@ -113,19 +113,19 @@ def slip_in(answer: Answer, there: Scenery) -> str:
     scored = facts.domain & np.isfinite(values)
     if scored.sum() < FEWEST:
         return ""
-    said = answer.quantity
-    truth = _units(facts, answer)[_UNIT_OF[said]][0]
+    quantity = answer.quantity
+    truth = _units(facts, answer)[_UNIT_OF[quantity]][0]
     for others, share, fits in (
-        (_other_units(said, facts, answer), 0.5, FITS),
-        (_other_pictures(said, truth, facts), MOST, PICTURE_FITS),
+        (_other_units(quantity, facts, answer), 0.5, FITS),
+        (_other_pictures(quantity, truth, facts), MOST, PICTURE_FITS),
     ):
         should = _distance(values, truth, scored, share)
-        found = [(_distance(values, other, scored, share), text) for other, text in others]
-        least, text = min(found, key=lambda each: each[0])  # the first of equal ones
+        distances = [(_distance(values, other, scored, share), text) for other, text in others]
+        least, text = min(distances, key=lambda each: each[0])  # the first of equal ones
         if least < fits and least < BETTER * should:
             return text
-    good = _distance(values, truth, scored, 0.5) < FITS
-    return _half_pixel(disparity_of(answer, there.pair.grid), facts) if good else ""
+    is_right = _distance(values, truth, scored, 0.5) < FITS
+    return _half_pixel(disparity_of(answer, there.pair.grid), facts) if is_right else ""
 
 
 def _distance(values: Array, other: Array, scored: Mask, share: float) -> float:
@@ -147,12 +147,12 @@ _METRES = "are these metres?"
 
 
 def _units(facts: Facts, answer: Answer) -> dict[str, tuple[Array, str, bool]]:
-    """What a number may be: the truth in it, its name, and whether it is a length."""
+    """The truth in every unit that a number may have, its name, and whether it is a length."""
     d, a_2, disparity = facts.range_m, facts.alpha_2, facts.disparity
     baseline = float(np.linalg.norm(facts.t_v1))
     pixels = disparity / facts.step
     level = np.hypot(facts.looking[..., 0], facts.looking[..., 1])
-    made = {
+    units = {
         "range": (d, "ranges in metres", True),
         "millimetres": (1000 * d, "ranges in millimetres", True),
         "baselines": (d / baseline, "ranges in units of the baseline", True),
@@ -174,12 +174,12 @@ def _units(facts: Facts, answer: Answer) -> dict[str, tuple[Array, str, bool]]:
     }
     if isinstance(answer.projection, Perspective):
         depth = facts.point @ answer.projection.axes[2]
-        made["depth"] = depth, "depths along the optical axis, not ranges along the ray", True
-    return made
+        units["depth"] = depth, "depths along the optical axis, not ranges along the ray", True
+    return units
 
 
 def _other_units(said: str, facts: Facts, answer: Answer) -> Iterator[tuple[Array, str]]:
-    """What an answer in another unit, or of another sign, looks like, and what to ask then."""
+    """The truth in other units, or of the other sign, each with the question to ask if the answer looks like it."""
     is_length = said == "range_m"
     units = _units(facts, answer)
     for name in sorted(units, key=lambda each: _UNIT_OF[said] not in each):  # its own unit first: others may be equal
@@ -191,7 +191,7 @@ def _other_units(said: str, facts: Facts, answer: Answer) -> Iterator[tuple[Arra
 
 
 def _other_pictures(said: str, truth: Array, facts: Facts) -> Iterator[tuple[Array, str]]:
-    """What an answer in its own unit looks like that is another picture, and what to ask then."""
+    """The truth as other pictures, each with the question to ask if the answer looks like it."""
     yield from (
         (
             truth[:, ::-1],
@@ -208,13 +208,13 @@ def _other_pictures(said: str, truth: Array, facts: Facts) -> Iterator[tuple[Arr
 
 
 def _way_out(said: str, name: str) -> str:
-    """How to answer what was meant."""
+    """A hint at the keyword of `answer` for the quantity that was meant."""
     keyword = {unit: quantity for quantity, unit in _UNIT_OF.items()}.get(name)
     return f" Then answer({keyword}=...) says so" if keyword and keyword != said else ""
 
 
 def _of_view_2(said: str, facts: Facts) -> Array:
-    """What is said by a matcher that takes view 2 for view 1."""
+    """The answer of a matcher that takes view 2 for view 1."""
     point = facts.looking * facts.range_2_m[..., None]
     disparity = angle_between(point, point + facts.t_v1)
     return {
@@ -229,11 +229,11 @@ def _of_view_2(said: str, facts: Facts) -> Array:
 
 
 SHIFTS = ("disparity", "rows", "columns")
-"""What may be displaced: the disparity everywhere alike, or the picture."""
+"""The kinds of shift: of the disparity, everywhere alike, or of the picture."""
 
 
 def shift_of(disparity: Array, facts: Facts, part: slice = slice(None)) -> Array | None:
-    """How far an answer is beside the truth, in its own pixels, as in `SHIFTS`; None where too little is known.
+    """The shift of an answer against the truth, in its own pixels, as in `SHIFTS`; None with too few pixels.
 
     Errors are `b - s_row ∂/∂row - s_column ∂/∂column` of the true disparity, fitted by least squares with weights 1/|r|
     beyond the median of the residuals, so that mismatches do not count.
@@ -257,8 +257,8 @@ def shift_of(disparity: Array, facts: Facts, part: slice = slice(None)) -> Array
     e, weights, fit = error[used], np.ones(used.sum()), np.zeros(3)
     for _ in range(10):
         fit = np.linalg.lstsq(design * weights[:, None], e * weights, rcond=1e-3)[0]
-        rest = np.abs(e - design @ fit)
-        weights = np.sqrt(np.minimum(1, np.median(rest) / np.maximum(rest, 1e-12)))
+        residual = np.abs(e - design @ fit)
+        weights = np.sqrt(np.minimum(1, np.median(residual) / np.maximum(residual, 1e-12)))
     return np.asarray(fit)
 
 

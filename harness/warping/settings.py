@@ -1,4 +1,4 @@
-"""Which views are warped from a pair, to be scored."""
+"""Settings of the views that are warped from a pair and scored."""
 
 import math
 from typing import Annotated
@@ -23,7 +23,7 @@ class NovelViews(Spec):
     """Direction of the line in the world: elevation above the horizontal, degrees."""
 
     def poses(self, view_1: Pose) -> tuple[Pose, ...]:
-        """Where they stand, given the first view."""
+        """The poses of the new views, given the first view's."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         x, y = math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth)
         z = math.sin(elevation)

@@ -74,7 +74,7 @@ class RangeSurface(OneLine):
 
     @cached_property
     def _slack(self) -> Array:
-        """How far 1/s of a pixel may be from another one's on the same surface: by its error, and by `JUMP`."""
+        """The largest difference of 1/s between pixels of one surface: from a pixel's error, and from `JUMP`."""
         relative = SIGMAS * np.where(np.isfinite(self.sigma_m), self.sigma_m, 0.0) / self.range_m
         return np.asarray(self._inverse * np.hypot(relative, JUMP))
 
@@ -88,7 +88,7 @@ class RangeSurface(OneLine):
         step = there - self._inverse
         before = self._inverse - _moved(self._inverse, -rows, -columns)
         after = _moved(self._inverse, 2 * rows, 2 * columns) - there
-        # Of a step that is not known nothing follows; without both, a step is small or is none.
+        # An unknown neighbouring step sets no limit; where neither is known, only a small step joins.
         low, high = (np.nan_to_num(each(before, after)) for each in (np.fmin, np.fmax))
         beyond = np.maximum(low - step, step - high)
         return np.asarray(beyond <= np.hypot(self._slack, _moved(self._slack, rows, columns)))
@@ -118,7 +118,7 @@ class RangeSurface(OneLine):
                 there = self._inverse + at[0] * down_slope + at[1] * right_slope
                 total += np.where(joined, _moved(there, rows, columns), 0.0)
                 count += joined
-            # A plane that would pass through the viewpoint is not what was seen.
+            # A plane through the viewpoint would not be visible.
             inverse = np.maximum(total / count, 0.1 * self._inverse)
             fans.append(self._corner_points(down, right) / inverse[..., None])
         return np.stack(fans, axis=2)

@@ -32,14 +32,14 @@ _HIDDEN = 0.01
 
 
 class PixelState(IntEnum):
-    """Why a pixel of a warped view has the grey level that it has."""
+    """The source of a pixel's grey level in a warped view."""
 
     SEEN = 0
-    """A source saw what is there."""
+    """A source image shows the point."""
     DISOCCLUDED = 1
-    """Behind an outline: none of the views that the ranges are of has seen what is there."""
+    """Behind an outline: none of the views with ranges sees the surface there."""
     UNMATCHED = 2
-    """The matcher had no range for what is there."""
+    """The matcher has no range for the surface there."""
     OUTSIDE = 3
     """Beyond all panoramas."""
     UNSAMPLED = 4
@@ -90,7 +90,7 @@ class WarpedView(OneLine):
     range_m: Array
     """Distance from the new viewpoint, metres; NaN where no range is known."""
     sigma_m: Array
-    """Standard deviation of that, metres."""
+    """Standard deviation of `range_m`, metres."""
     state: NDArray[np.uint8]
     """`PixelState`."""
 
@@ -173,7 +173,7 @@ def _met(sources: Sequence[Source], viewpoint_m: Array, rays: Array) -> tuple[Ar
         distance, pixel = source.surface.meet(begin, towards)
         hit = pixel >= 0
         own = np.where(hit, source.surface.sigma_m.reshape(-1)[pixel], np.nan)
-        # The error is along the map's own ray: the new ray, which is slanted to the surface as that is, takes it over.
+        # The error is along the map's own ray: the new ray, at a similar angle to the surface, has the same error.
         distances.append(distance)
         sigmas.append(np.where(np.isfinite(own), own, 0.0))
     distance, sigma = np.array(distances), np.array(sigmas)
@@ -198,10 +198,10 @@ def _states(
     for source in sources:
         begin, towards = _in_frame(source.motion, viewpoint_m, rays[missing])
         distance, behind, unmatched = source.surface.in_a_gap(begin, towards)
-        # Where one map has no answer, and another has an outline, an answer is what is missing.
+        # Where one map has no range, and another an outline, the state is a missing range.
         state[missing[behind & (state[missing] == PixelState.OUTSIDE)]] = PixelState.DISOCCLUDED
         state[missing[unmatched]] = PixelState.UNMATCHED
-        guess_m[missing] = np.fmax(guess_m[missing], distance)  # what is not seen is rather far than near
+        guess_m[missing] = np.fmax(guess_m[missing], distance)  # an unseen surface is more likely far than near
     return state, guess_m
 
 
@@ -211,7 +211,7 @@ def _blended(
     """Grey level along each ray; NaN where no image shows the point."""
     total, weights = np.zeros(len(rays)), np.zeros(len(rays))
     met = np.flatnonzero(np.isfinite(range_m))
-    sigma_m = np.nan_to_num(sigma_m)  # a guess has none
+    sigma_m = np.nan_to_num(sigma_m)  # a guessed distance has no sigma
     points = viewpoint_m + rays[met] * range_m[met, None]
     for image in images:
         seen = image.motion.apply(points)
@@ -237,7 +237,7 @@ def _hidden(
     begin = image.motion.t_v1
     for source in sources:
         if np.allclose(source.motion.t_v1, begin, rtol=0, atol=1e-9):
-            first = np.full(len(towards), np.nan)  # the map is of this viewpoint: nothing in it hides what it shows
+            first = np.full(len(towards), np.nan)  # the map's own viewpoint: all its points are visible
             continue
         at, along = _in_frame(source.motion, begin, towards @ to_sources.T)
         first, _ = source.surface.meet(at, along)

@@ -22,7 +22,7 @@ FORMATS: dict[str, Format] = {
     "ocamcalib": OCAMCALIB,
     "colmap": COLMAP,
 }
-"""Those that are written as well, by name."""
+"""The formats that can also be written, by name."""
 READERS: dict[str, Reader] = {**FORMATS, "omnimvs": OMNIMVS}
 """The formats by name, in the order in which they are tried."""
 

@@ -84,13 +84,13 @@ def _kind(sensor: Sensor) -> str:
 def _targets(sensor: Sensor, to: str, kind: str | None) -> list[Target]:
     """The models that may be written; those that are likely to be exact come first."""
     own = _kind(sensor)
-    there = [Target(each) for each in BUILT_IN if each != _NO_LENS] if to == TOML else list(FORMATS[to].targets)
+    targets = [Target(each) for each in BUILT_IN if each != _NO_LENS] if to == TOML else list(FORMATS[to].targets)
     if to == TOML:
         kind = kind or own
-        there += [Target(own)] if own not in BUILT_IN or own == _NO_LENS else []
-    chosen = [each for each in there if kind in (None, each.kind)]
+        targets += [Target(own)] if own not in BUILT_IN or own == _NO_LENS else []
+    chosen = [each for each in targets if kind in (None, each.kind)]
     if not chosen:
-        known = ", ".join(dict.fromkeys(each.kind for each in there))
+        known = ", ".join(dict.fromkeys(each.kind for each in targets))
         raise InputError(f"{to} has no model '{kind}'; it has {known}", key="--model")
     if own == _NO_LENS and [each.kind for each in chosen] != [own]:
         raise InputError("an equirectangular panorama cannot be written in another camera model", key="--to")

@@ -72,11 +72,11 @@ def _camera(content: Content, entry: Mapping[str, Any], name: str) -> Calibrated
             f"{distortion} of {with_article(model)} camera is not supported, only {known}",
         )
     intrinsics = numbers(content, *member(content, entry, "intrinsics", name), INTRINSICS[model])
-    given = dict(zip(INTRINSICS[model].split(), intrinsics, strict=True))
-    fu, fv = given.pop("fu"), given.pop("fv")
+    values = dict(zip(INTRINSICS[model].split(), intrinsics, strict=True))
+    fu, fv = values.pop("fu"), values.pop("fv")
     if not (fu > 0 and fv > 0):
         raise refusal(content, f"{name}.intrinsics", f"fu and fv must be above 0; found {fu:g} and {fv:g}")
-    camera = {"focal_px": fu, "aspect": fv / fu, "cx_px": given.pop("pu"), "cy_px": given.pop("pv")}
+    camera = {"focal_px": fu, "aspect": fv / fu, "cx_px": values.pop("pu"), "cy_px": values.pop("pv")}
     terms: list[float] = []
     if distortion != "none" or "distortion_coeffs" in entry:
         coefficients, key = member(content, entry, "distortion_coeffs", name)
@@ -85,7 +85,7 @@ def _camera(content: Content, entry: Mapping[str, Any], name: str) -> Calibrated
     if distortion == "equidistant":
         ours: dict[str, Any] = {"kind": "kannala_brandt"} | named
     else:
-        ours = {"kind": _KINDS[model]} | ({"xi": 0.0} if model == "pinhole" else given)
+        ours = {"kind": _KINDS[model]} | ({"xi": 0.0} if model == "pinhole" else values)
     return CalibratedCamera(
         name=name,
         model=ours,
@@ -93,7 +93,7 @@ def _camera(content: Content, entry: Mapping[str, Any], name: str) -> Calibrated
         lens=named if distortion == "radtan" else {},
         size=pixels(content, *member(content, entry, "resolution", name)),
         keys={f"camera.{each}": f"{name}.intrinsics" for each in camera}
-        | {f"model.{each}": f"{name}.intrinsics" for each in given}
+        | {f"model.{each}": f"{name}.intrinsics" for each in values}
         | {"camera.width_px": f"{name}.resolution", "camera.height_px": f"{name}.resolution"}
         | {"lens": f"{name}.distortion_coeffs"},
         notes=(PERSPECTIVE,) if ours["kind"] == "unified" and model == "pinhole" else (),

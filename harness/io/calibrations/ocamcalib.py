@@ -101,10 +101,10 @@ def _agreement(direct: Array, inverse: Array, row: float, column: float, shape: 
     """
     reach = max(row, shape[0] - 1 - row, column, shape[1] - 1 - column)
     rho, theta = _monotonic(direct, np.linspace(0.0, reach, 400))
-    apart = np.abs(inverse_radius(inverse, theta) - rho)
-    rms = float(np.sqrt(np.mean(apart**2)))
+    difference = np.abs(inverse_radius(inverse, theta) - rho)
+    rms = float(np.sqrt(np.mean(difference**2)))
     text = (
-        f"the direct polynomial is used; the file's inverse polynomial is off by {apart.max():.2g} px at most and "
+        f"the direct polynomial is used; the file's inverse polynomial is off by {difference.max():.2g} px at most and "
         f"{rms:.2g} px RMS up to {rho[-1]:.0f} px from the centre"
     )
     if rms < _MUCH_PX:
@@ -165,9 +165,9 @@ def fitted_inverse(direct: Array, reach: float) -> Array:
     least = np.inf
     for degree in range(3, 25):
         coefficients = np.asarray(np.polynomial.Polynomial.fit(theta, rho, degree).convert().coef, dtype=np.float64)
-        apart = float(np.abs(inverse_radius(coefficients, theta) - rho).max())
-        if apart < least:
-            best, least = coefficients, apart
+        difference = float(np.abs(inverse_radius(coefficients, theta) - rho).max())
+        if difference < least:
+            best, least = coefficients, difference
         if least < 1e-3:
             break
     return best

@@ -1,4 +1,4 @@
-"""Where the cameras of a calibrated rig are."""
+"""The relative poses of the cameras of a calibrated rig."""
 
 import numpy as np
 
