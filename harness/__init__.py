@@ -201,7 +201,7 @@ _MODULES = {
     "runs.experiment": ("Experiment",),
     "simulation.scene": ("Scene",),
 }
-"""Where the public names come from; each is loaded when it is first asked for (PEP 562)."""
+"""The modules of the public names; each is loaded at its first use (PEP 562)."""
 
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -14,7 +14,7 @@ from _signal import (  # type: ignore[import-not-found]  # `signal` itself loads
 )
 
 EXIT_CODE = 130
-"""What a program that was ended by Ctrl-C exits with."""
+"""Exit code of a program that was ended by Ctrl-C."""
 
 _exit = os._exit  # the original, should other code replace it
 

@@ -52,11 +52,11 @@ class Picture(OneLine):
     """An image file's pixels."""
 
     levels: NDArray[Any]
-    """As in the file: `[height, width]`, or `[height, width, 3]` red, green, blue."""
+    """The levels in the file: `[height, width]`, or `[height, width, 3]` red, green, blue."""
     white: float
     """The level that is shown as 255."""
     scale: str
-    """How levels become grey, and whether the file's type or the user says so; for people."""
+    """The conversion of levels to grey, and whether it follows from the file's type or the user's choice; in words."""
 
     def grey(
         self, factor: tuple[float, float, float] = (1.0, 1.0, 1.0), *, linear: bool = False, weights: Weights = LUMA

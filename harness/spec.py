@@ -322,13 +322,13 @@ class _Problem:
     error: Any
     """pydantic's `ErrorDetails`."""
     location: Location
-    """Where in the file: `loc` without the names of union members."""
+    """Location in the file: `loc` without the names of union members."""
     parents: list[Any]
     """The annotations that the value around it may have."""
     members: list[Any]
     """The annotations that the value itself may have."""
     fork: int | None
-    """How far into `location` a union without a tag is, if one was on the way: pydantic tries all its members."""
+    """Depth in `location` of a union without a tag, if there is one: pydantic tries all its members."""
 
 
 def _locate(model: type[BaseModel], error: Any) -> _Problem:

@@ -39,7 +39,7 @@ class RangeEstimate(Estimate):
     """
 
     search: str = ""
-    """Where the limits of the search come from, if they were to come from the images."""
+    """The origin of the search limits, in words, if they were to be estimated from the images."""
 
     def write(self, folder: str | Path) -> None:
         """Write arrays, point cloud and a page, `range.html`, into a folder.

@@ -35,7 +35,7 @@ _BEND = 0.5
 _MIDDLE = 0.9
 """Share of a window's width within which saddle points count."""
 _SADDLES = 0.6
-"""How many of a board's corners must show as saddle points: some may be blurred."""
+"""Share of a board's corners that must be saddle points: some may be blurred."""
 _MOST_PX, _LEAST_PX = 1200, 480
 """Sides of a window, pixels."""
 

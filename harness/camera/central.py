@@ -50,7 +50,7 @@ class BestCentral(OneLine):
     rms_deg: float
     largest_deg: float
     pixels: int
-    """How many pixels were compared."""
+    """Number of pixels that were compared."""
     left_out: float
     """Share of the pixels, around the principal point, whose rays no polynomial has: of a cone's tip. They are outside
     the sensor's field."""

@@ -37,7 +37,7 @@ class Ring(OneLine):
     on_image: float
     """Share of the ring on the image, 0 .. 1."""
     sides: tuple[str, ...]
-    """Where it leaves the image: `left`, `right`, `top`, `bottom`."""
+    """Sides on which it leaves the image: `left`, `right`, `top`, `bottom`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,7 +46,7 @@ class Resolution(OneLine):
 
     angle_rad: Array
     elevation_rad: Array
-    """The same as an elevation, for a sensor that looks up or down; NaN for one that looks forward."""
+    """These angles as elevations, for a sensor that looks up or down; NaN for one that looks forward."""
     radial: Array
     """Along the angle off the axis; the median over azimuths around it."""
     tangential: Array

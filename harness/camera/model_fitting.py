@@ -56,7 +56,7 @@ class Conversion(OneLine):
     angles_rad: tuple[float, float]
     """The least and the largest angle off the optical axis at which they were compared."""
     pixels: int
-    """How many pixels were compared."""
+    """Number of pixels that were compared."""
 
 
 def convert(optics: Optics, pixels: Array, target: Target) -> Conversion:

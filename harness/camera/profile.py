@@ -17,7 +17,7 @@ class Profile(Spec):
     """Base of the profiles: the camera's distance, and the origin of the sensor's frame."""
 
     title: ClassVar[str]
-    """In captions: `spherical mirror`."""
+    """The profile's name in captions: `spherical mirror`."""
 
     camera_m: Positive
     """Height of the mirror's apex above the camera centre, metres."""

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 from harness.api.progress import duration
 
 SILENCE_S = 1.5
-"""How long a terminal may stay silent; people begin to wonder at about two seconds."""
+"""Longest silence on a terminal, seconds; people begin to wonder at about two seconds."""
 _EVERY_S = 0.25
 
 

@@ -36,7 +36,7 @@ from harness.runs.executors import Backend
 from harness.spec import as_table, dump_toml
 
 _GRACE_S = 1.0
-"""How long to wait after Ctrl-C for scenes that workers have begun."""
+"""Seconds to wait after Ctrl-C for scenes that workers have begun."""
 _CHUNK = 1 << 20
 
 
@@ -50,7 +50,7 @@ class Job:
     scene: int
     split: str
     folder: str | None
-    """Where the worker writes; None for one that may be on another machine and sends the contents."""
+    """The folder that the worker writes to; None for a worker that may be on another machine and sends the contents."""
     threads: int | None = 1
 
 
@@ -60,7 +60,7 @@ class Made:
 
     record: SceneRecord
     files: Files
-    """What is still to be written: all of it, or nothing."""
+    """The files that are still to be written: all of the scene's, or none."""
 
 
 def work(job: Job) -> Made:

@@ -44,7 +44,7 @@ class SceneRecord:
     number: int
     split: str
     files: Mapping[str, FileRecord]
-    """By path, relative to the set's folder."""
+    """Records of the scene's files by path, relative to the set's folder."""
 
     def line(self) -> str:
         """The record as a line of JSON."""

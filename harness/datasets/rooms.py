@@ -25,9 +25,9 @@ _GAP_M = 0.03
 """Least distance of things from each other and from walls."""
 _TRIES = 20
 _LAP_M = 0.01
-"""By how much walls reach beyond the room's edges, so that no ray slips out between them."""
+"""Overhang of walls beyond the room's edges, metres, so that no ray slips out between them."""
 _STEP_M = 0.002
-"""How far the strips above and below a window stand behind those beside it: nothing overlaps in one plane."""
+"""Offset of the strips above and below a window behind those beside it, metres: nothing overlaps in one plane."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class DrawnRoom:
     """A random scene, as a table and files, before anything is written."""
 
     table: dict[str, Any]
-    """As of a scene's file; files by their bare names."""
+    """The table of the scene's file, which refers to other files by their bare names."""
     files: dict[str, bytes]
     """Contents of the files that it refers to, by name."""
     size_m: tuple[float, float, float]

@@ -37,9 +37,9 @@ class Score(OneLine):
 
     pair: StoredPair
     measures: Measures
-    """By name, as in `METRICS`; `solid_angle_` before those that are weighted by it."""
+    """The figures by name, as in `METRICS`; weighted by solid angle under the prefix `solid_angle_`."""
     regions: list[dict[str, Any]]
-    """As of `measure_regions`."""
+    """The figures of parts of the picture, as from `measure_regions`."""
     range_m: Array
     """The estimate on the truth's pixels, metres."""
     truth_m: Array

@@ -126,13 +126,13 @@ class Rig(_Ranges):
     height_px: Annotated[int, Field(ge=24, le=4096)] = 480
     """Height of the images, pixels."""
     calibration_per: Literal["scene", "set"] = "scene"
-    """How often both calibrations are drawn: for each scene, or once."""
+    """Frequency of drawing both calibrations: for each scene, or once."""
     focal_percent: Annotated[float, Field(ge=0, le=20)] = 2.0
     """Standard deviation of the true focal length, percent; the calibration that is written has it."""
     centre_px: Annotated[float, Field(ge=0, le=100)] = 3.0
     """Standard deviation of the true principal point along u and v, pixels."""
     motion_per: Per = "pair"
-    """How often the motion from view 1 to view 2 is drawn."""
+    """Frequency of drawing the motion from view 1 to view 2: for each pair or scene, or once."""
     baseline_m: Lengths = (0.08, 0.8)
     """Distance of the viewpoints, metres; equal ratios are equally likely."""
     elevation_deg: Angles = (-10.0, 10.0)
@@ -183,13 +183,13 @@ class DatasetSpec(Spec):
     room: Room = Room()
     """The room."""
     furniture: Furniture = Furniture()
-    """What stands in it."""
+    """The furniture of the room."""
     surfaces: Surfaces = Surfaces()
-    """What it is covered with."""
+    """The textures of room and furniture."""
     rig: Rig = Rig()
     """The sensors and how they are placed."""
     noise: Noise = Noise()
-    """What is added to the images."""
+    """Noise and exposure of the images."""
 
     @property
     def pairs(self) -> int:

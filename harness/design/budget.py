@@ -32,7 +32,7 @@ class Budget(OneLine):
     points_m: Array
     """`[..., 3]`, in view 1's frame."""
     sigma_m: dict[str, Array]
-    """By cause, `[...]`; infinite where a view does not see the point."""
+    """Standard deviations by cause, `[...]`, metres; infinite where a view does not see the point."""
 
     @property
     def total_m(self) -> Array:

@@ -22,7 +22,7 @@ class RigDesign(Spec):
     """A rig of one sensor in two places."""
 
     name: str = ""
-    """What to call it."""
+    """The rig's name."""
     sensor: Sensor = Sensor()
     """The sensor of both views: a table, or the path of a TOML file."""
     baseline_m: Positive = 0.5
@@ -38,14 +38,14 @@ class RigDesign(Spec):
     chip: Chip = Chip()
     """The image sensor, whose noise comes on top; taken at a grey level of 110."""
     texture: Texture = BundledTexture(kind="bundled", name="gravel", tile_m=6.0)
-    """What surfaces look like."""
+    """The texture of surfaces."""
     window_px: Annotated[int, Field(ge=3, le=101)] = 17
     """Side of the matcher's window, pixels of mirror image 1."""
     fixed_error_px: Annotated[float, Field(ge=0, le=10)] = 0.002
     """The matcher's error without noise, standard deviation, pixels of the image: of aliasing, and of surfaces that
     are not as the matcher takes them to be. `slanted` has 0.003 to 0.016 in the shipped scenes."""
     uncertainty: Uncertainty = Uncertainty()
-    """How well the rig is known."""
+    """The uncertainty of the rig's parameters."""
 
     @model_validator(mode="after")
     def _has_a_mirror_to_align(self) -> "RigDesign":

@@ -67,7 +67,7 @@ class Bound(OneLine):
     alpha_2: Array
     """Radians."""
     disparity_px: Array
-    """The same in pixels of `2 pi / width`."""
+    """The bound of the disparity, pixels of `2 pi / width`."""
     range_m: Array
     """To first order in the noise."""
     pixels: Mask

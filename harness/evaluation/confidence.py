@@ -38,11 +38,11 @@ class Sparsification:
     oracle: Array
     """`[STEPS]`: the same when the largest errors are removed first, which no confidence can beat."""
     random: float
-    """The same, at any share, for a random confidence: that of all pixels."""
+    """The error of the rest for a random confidence, at any share: that of all pixels."""
     ause: float
     """Area between `remaining` and `oracle` over the shares removed (area under the sparsification error)."""
     ause_over_random: float
-    """The same over the area between `random` and `oracle`: 0 for the oracle, 1 for a random confidence."""
+    """`ause` over the area between `random` and `oracle`: 0 for the oracle, 1 for a random confidence."""
     pixels: int
     """With an error."""
 
@@ -95,9 +95,9 @@ class Calibration:
     bias: float
     """Median of error/sigma."""
     pixels: int
-    """With an error and a prediction that is finite and above zero."""
+    """Number of pixels with an error and a prediction that is finite and above zero."""
     predicted: float
-    """Those over all pixels with an error."""
+    """`pixels` over the number of all pixels with an error."""
 
 
 def calibration(error: ArrayLike, sigma: ArrayLike) -> Calibration:

@@ -16,7 +16,7 @@ from harness.evaluation.law_images import (
 )
 
 GROSS = 0.1
-"""Where more than this share of the estimates is off by over a pixel, errors are mismatches, not small errors."""
+"""Share of estimates off by over a pixel above which errors count as mismatches, not as small errors."""
 LEAST_R2 = 0.3
 """A slope off 1 that explains a smaller share of the variance than this is no law, however short its interval."""
 NO_LAW = "no law to be seen"

@@ -20,19 +20,19 @@ class Metric:
     """A figure that sums up the errors of a trial."""
 
     name: str
-    """As in rows, `trials.csv` and `summary.json`; with the unit that it has there."""
+    """Its name in rows, `trials.csv` and `summary.json`, which ends in the unit there."""
     quantity: str
     """The quantity: the first part of the heading."""
     statistic: str
     """The statistic: the second part of the heading; may be empty."""
     unit: str
-    """As shown."""
+    """The unit in which it is shown."""
     scale: float
     """Shown is `scale` times the value."""
     form: str
     """Format of what is shown."""
     better: Better
-    """Which direction is better."""
+    """The better direction."""
     of: Callable[[Tally], float] | None = None
     """Computes it from a trial's errors over the domain. None for the core figures, which also exist for parts of the
     picture; see `metrics.CORE`."""

@@ -45,7 +45,7 @@ class Errors(OneLine):
     alpha_2: Array
     """Radians."""
     disparity_px: Array
-    """The same in pixels of `2 pi / width`."""
+    """Errors of alpha_2 in pixels of `2 pi / width`."""
     range_m: Array
 
 

@@ -183,7 +183,7 @@ MOTION: tuple[Parameter, ...] = (
 """Rotation of view 2 about v1's axes; t turned upwards and sideways; its length, as a share."""
 
 ODOMETRY = tuple(replace(each, key=f"odometry.{each.key}") for each in MOTION)
-"""The same numbers of the motion, wrong by what grows with it: draws of their own, beside the constant ones."""
+"""The parameters of the motion, for errors that grow with it: drawn independently, in addition to the constant ones."""
 
 _CAMERA: tuple[Parameter, ...] = (
     Parameter("camera.focal_px", "", 1e-5, _of_both_sensors("camera", "focal_px", relative=True)),

@@ -79,7 +79,7 @@ class Uncertainty(Spec):
     alignment_deg: Misaligned = 0.0
     """Standard deviation of the camera's tilt against its mirror about each axis, degrees."""
     odometry: Odometry = Odometry()
-    """What grows with the motion between the views, beside the constant parts above."""
+    """Uncertainty that grows with the motion between the views, in addition to the constant parts above."""
     calibration: Calibrated = None
     """Path of the JSON file that `omnirange calibrate` wrote: errors of the calibration are drawn from its covariance,
     beside those above."""

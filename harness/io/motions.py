@@ -15,7 +15,7 @@ from harness.io.trajectories import Trajectory, is_trajectory, read_trajectory
 from harness.spec import load
 
 Frame = Literal["sensor", "lens"]
-"""What a trajectory moves: the sensor's frame, z up; or the lens's, X along u, Y along v, Z along the optical axis."""
+"""The frame whose poses a trajectory has: the sensor's, z up; or the lens's, X along u, Y along v, Z along the axis."""
 
 _UNKNOWN = (
     "holds no pose, no rig and no trajectory; known are view 2's pose as TOML (position_m, yaw_deg, ...), calibration "

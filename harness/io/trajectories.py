@@ -13,9 +13,9 @@ from harness.geometry.angles import Array
 from harness.io.calibrations.record import Content
 
 _KINDS = {8: "TUM", 12: "KITTI"}
-"""By numbers in a line: `time x y z qx qy qz qw`, or the 3 x 4 matrix [R | t], row by row."""
+"""Formats by count of numbers in a line: `time x y z qx qy qz qw`, or the 3 x 4 matrix [R | t], row by row."""
 _ORTHOGONAL = 1e-3
-"""How far a rotation's columns may be from orthonormal: KITTI's files have seven digits, others' four."""
+"""Tolerance of a rotation's orthonormality: KITTI's files have seven digits, others four."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -26,7 +26,7 @@ class Scan(Spec):
     high_m: Finite = 1.8
     """Upper edge of the band: height in the world, metres."""
     range_max_m: Positive = 30.0
-    """What is farther away is not looked at, metres."""
+    """Largest distance of obstacles that count, metres."""
     support_px: Annotated[int, Field(ge=1, le=1000)] = 8
     """Pixels that have to agree on an obstacle: fewer are taken for false matches."""
     clearance_sigmas: Annotated[float, Field(ge=0, le=10)] = 2.0

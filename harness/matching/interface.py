@@ -30,7 +30,7 @@ class Support:
     window_px: int
     """Side of a square around the pixel, odd."""
     model: Literal["slanted", "frontal"]
-    """What is fitted: see `evaluation.bound`."""
+    """The model that is fitted in the window: see `evaluation.bound`."""
     frame: Literal["panorama", "mirror"] = "panorama"
     """The image whose pixels make up the square."""
 

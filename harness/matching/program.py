@@ -91,8 +91,8 @@ class Program(Parametrised):
     """The program and its arguments. `{input}` and `{output}` stand for the folders that it reads and writes,
     `{name}` for the parameter of that name. A relative path to a file is relative to the experiment's file."""
     files: tuple[Annotated[str, Field(min_length=1)], ...] = ()
-    """What else the program depends on: paths or patterns such as `weights/*.bin`, `lib/**/*.jl`, relative to the
-    experiment's file. Their contents count as settings do."""
+    """Other files that the program depends on: paths or patterns such as `weights/*.bin`, `lib/**/*.jl`, relative to
+    the experiment's file. Their contents count as settings do."""
     timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 600.0
     """Seconds after which it is killed, with all processes that it has started."""
 

@@ -44,7 +44,7 @@ class Across(OneLine):
     delta: Array
     """The angle across, radians, from y towards n."""
     sigma: Array
-    """Its standard deviation from the tile's own residual, radians."""
+    """Standard deviation of `delta` from the tile's own residual, radians."""
     px_per_rad: Array
     """Pixels of view 2 per radian across."""
     aside: Array

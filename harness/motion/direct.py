@@ -42,7 +42,7 @@ BLURS_PX = (0.5, 0.7, 1.0)
 NOISY = 0.1
 """Share of noise in the squared gradients above which smoothed images are tried as well."""
 STILL_NOISY = 0.2
-"""The same of smoothed images, above which they are smoothed more: a smaller share costs less than lost texture."""
+"""Share of noise above which smoothed images are smoothed more: a smaller share costs less than lost texture."""
 _START_ITERATIONS = 3
 _ITERATIONS = 8
 _CORRELATION = 0.5
@@ -70,7 +70,7 @@ class DirectFit(OneLine):
     blur_px: float
     """Standard deviation, pixels, of the Gaussian with which both images were smoothed; 0 for none."""
     misfit_px: float = 0.0
-    """How far tiles lie off their epipolar curves beyond their noise, pixels; see `harness.motion.misfit`."""
+    """Distance of tiles from their epipolar curves beyond their noise, pixels; see `harness.motion.misfit`."""
 
     @property
     def sigma_rotation(self) -> float:

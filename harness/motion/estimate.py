@@ -27,7 +27,7 @@ class EstimatedMotion(OneLine):
 
     status: Status
     reasons: tuple[str, ...]
-    """Why the status is not `ok`."""
+    """The reasons why the status is not `ok`."""
     R_v2_from_v1: Array | None
     """`[3, 3]`; None when the estimation failed."""
     direction_v1: Array | None

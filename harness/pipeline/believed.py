@@ -47,8 +47,8 @@ class Believed(Spec):
     shape: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     """Error of the first number of the camera model: a share of a hyperboloid mirror's `a_m`, absolute for others."""
     alignment: Literal["nominal", "central"] = "nominal"
-    """What is believed of a mirror that is misaligned: `nominal`, that it is aligned; `central`, what the best
-    calibration of a central sensor makes of it."""
+    """The believed sensor of a misaligned mirror: `nominal`, an aligned one; `central`, the best calibration of a
+    central sensor."""
     sigma: Uncertainty = Uncertainty()
     """Standard deviations of errors that are drawn by the seed, beside the fixed ones. Those of the alignment belong to
     the true mirror, which is believed to be aligned."""

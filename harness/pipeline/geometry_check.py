@@ -36,7 +36,7 @@ MOST_SHARE = 0.02
 LEAST_COVERED = 0.5
 """Share of the ranges that have to be within one standard deviation of the matching alone; 0.68 of them should."""
 MOST_COVERED = 0.15
-"""The same share, below which a geometry is called wrong where it costs more than `MOST_SHARE`, too."""
+"""Share of covered ranges below which a geometry that also costs more than `MOST_SHARE` is called wrong."""
 _NEIGHBOURHOOD = 0.05
 """Share of the tiles that give the geometry's part about a tile."""
 _LEAST_NEIGHBOURS = 8
@@ -55,11 +55,11 @@ class Verdict(StrEnum):
     """The verdict on a geometry."""
 
     OK = "ok"
-    """Matches lie on their curves as far as the noise lets one see, or what is wrong costs less than the noise."""
+    """Matches lie on their curves within the noise, or the error costs less than the noise."""
     DOUBTFUL = "doubtful"
-    """Something is wrong that costs more than the noise."""
+    """An error costs more than the noise."""
     WRONG = "wrong"
-    """Something is wrong that costs more than 2 % of the range, and much more than the noise."""
+    """An error costs more than 2 % of the range, and much more than the noise."""
     UNKNOWN = "unknown"
     """There are too few matches to tell."""
 

@@ -103,7 +103,7 @@ class TrialMaps(OneLine):
     reason: NDArray[np.uint8]
     """The `Reason` for a missing range; 0 where there is a range."""
     domain: Mask
-    """Where errors are counted: the true point is visible, at least 30 degrees from the baseline."""
+    """Pixels whose errors count: the true point is visible, at least 30 degrees from the baseline."""
     visible: Mask
     """Whether view 2 sees the true point."""
 

@@ -28,7 +28,7 @@ LEAST_MOVED_PX = 1.0
 _LOOSE = 0.5
 """Weight of a tile that does not go with the rest."""
 _LEAST_BESIDE = 2
-"""How many of the eight tiles beside it have moved as well: single ones are borders of two surfaces."""
+"""Least number of a moved tile's eight neighbours that have moved too: single ones are borders of two surfaces."""
 
 
 def without_unlike(pair: Pair, matcher: MatcherSettings, matches: Matches) -> Matches:

@@ -87,7 +87,7 @@ class Estimate(OneLine):
     geometry: GeometryCheck
     """Whether motion and calibration agree with the images."""
     sharpness: Sharpness
-    """How sharp the images are; `pair.images` are equally sharp."""
+    """The sharpness of the images as read; `pair.images` are equally sharp."""
     reason: NDArray[np.uint8]
 
     @property

@@ -63,7 +63,7 @@ class RenderCache:
     def __init__(self, folder: Path | None = None, limit: int | None = None) -> None:
         cache = folder or cache_folder()
         self.folder = cache / "renders" if cache else None
-        """None where there is no home folder: nothing is stored then."""
+        """The cache's folder; None without a home folder: nothing is stored then."""
         self.limit = limit_bytes() if limit is None else limit
         self._room = 0
         """Bytes that may be written before the folder is checked again."""

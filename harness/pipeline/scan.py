@@ -49,11 +49,11 @@ class TrueScan(OneLine):
 
     @property
     def range_m(self) -> Array:
-        """`[bearings]`: at the middle of each."""
+        """`[bearings]`: the true distance at the middle of each bearing, metres; NaN without one."""
         return self.fine_m[self.fine // 2 :: self.fine]
 
     def profile(self, sigma_m: float = 0.0) -> RangeProfile:
-        """As a profile whose distances are exact."""
+        """The true profile as a range profile, all its distances with this standard deviation, metres."""
         range_m = self.range_m
         return RangeProfile(bearings(range_m.size), range_m, np.where(np.isfinite(range_m), sigma_m, np.nan))
 
@@ -66,7 +66,7 @@ class ScoredScan(OneLine):
     true: TrueScan
     score: ScanScore
     obstacles: tuple[Obstacle, ...]
-    """Those of the true profile, and whether they were found."""
+    """The obstacles of the true profile, and whether they were found."""
 
 
 def scan_of(outcome: Outcome) -> ScoredScan | None:

@@ -43,7 +43,7 @@ _ALIKE = 0.15
 _BLURS = np.array([0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0])
 _BLOCKS = 2, 8
 _SAME_SCALE = 1.1
-"""How many times as many pixels a radian may have in one view as in the other, for blurs to be comparable."""
+"""Largest ratio of the views' pixels per radian at which blurs are comparable."""
 
 Image = NDArray[np.float32]
 

@@ -109,7 +109,7 @@ class Unwrapping(Spec):
     """How the mirror image becomes a panorama."""
 
     interpolation: Interpolation = "bilinear"
-    """How grey levels between the mirror image's pixels are found."""
+    """Interpolation of grey levels between the mirror image's pixels."""
 
 
 class Filter(Spec):
@@ -169,7 +169,7 @@ class Trial(Spec):
     """Lens effects on the second image, if they differ. Keys that are not given have their defaults; a dotted key, as
     on an axis, changes a copy of the first view's."""
     exposure_2: Exposure = Exposure()
-    """How the second image differs from the first in exposure."""
+    """Exposure of the second image relative to the first."""
     noise: Noise = Noise()
     """Noise on the mirror images, beside the chip's own."""
     chip: Chip = Chip()
@@ -183,7 +183,7 @@ class Trial(Spec):
     motion: MotionGiven = MotionGiven()
     """The motion that the matcher is given."""
     believed: Believed = Believed()
-    """What the matcher is given less what is true: errors of the motion and the calibration."""
+    """Errors of the motion and the calibration that the matcher is given."""
     matching: Matcher = WindowMatcher()
     """The matcher and its settings."""
     novel_views: NovelViews = NovelViews()

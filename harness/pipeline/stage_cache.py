@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeVar, cast
 T = TypeVar("T")
 
 SIZES = dict.fromkeys(("render", "exposure", "noise", "colour", "unwrap", "filter", "project"), 4)
-"""How many results of a stage are held, two views per trial; `OTHERS` for all other stages, as they may be large."""
+"""Number of results kept for each stage, two views per trial; `OTHERS` for all other stages, as they may be large."""
 OTHERS = 2
 
 

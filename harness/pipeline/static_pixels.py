@@ -18,13 +18,13 @@ LEAST_CORRELATION = 0.9
 LEAST_CONTRAST = 3.0
 """Standard deviation of a window's grey levels: far above the noise of a photograph."""
 LEAST_MOVED_PX = 3.0
-"""How far any point of the scene has moved on the image, at least, for a pixel to be judged."""
+"""Least shift, pixels, of any point of the scene on the image for a pixel to be judged."""
 _RANGES = 6
 _BODY_PX = 9
 _BODY_SHARE = 1 / 60
 """Side of the smallest thing that is found: that many pixels, and this share of the image's height."""
 _AROUND_PX = 9
-"""By how much what is found is widened: a window's half, and soft edges."""
+"""Pixels by which the regions found are widened: half a window, and soft edges."""
 
 Image = NDArray[np.float32]
 

@@ -282,7 +282,7 @@ def _pair_settings(setup: Setup, _view: int) -> Hashable:
 
 
 PAIR = Stage("pair", _pair, _pair_settings, after=(NOISE, MOTION), cached=False)
-"""What the matcher is given: the images, and the sensor and motion that it assumes. Its parts are cached one by one."""
+"""The matcher's input: the images, and the sensor and motion that it assumes. Its parts are cached one by one."""
 
 MATCH = Stage(
     "match",

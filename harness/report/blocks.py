@@ -11,10 +11,10 @@ from harness.geometry.panorama import Grid
 from harness.report.data import Data
 
 BLOCKS = (20, 72)
-"""At most so many blocks down and across a panorama."""
+"""Most blocks down and across a panorama."""
 
 Fields = dict[str, tuple[NDArray[np.floating], NDArray[np.bool_], Callable[[Any], Any]]]
-"""By the name of a column: `[height, width]` values, which of them are known, and how a block is summed up."""
+"""Values `[height, width]` by column name, the mask of known ones, and the function that summarises a block."""
 
 
 def rms(values: Array) -> float:

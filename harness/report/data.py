@@ -64,13 +64,13 @@ class Cell:
 
     text: str
     value: float | str | None = None
-    """None sorts last."""
+    """The value to sort by; None sorts last."""
     colour: str = ""
     """The colour of a method's key beside the text."""
     below: str = ""
     """A second, smaller line."""
     faint: bool = False
-    """In the first column: the row is set in grey, as something that does not count."""
+    """Whether the row is set in grey, as one that does not count; in the first column only."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ class Named:
     """A method's name and colour."""
 
     key: str
-    """As in `summary.json`."""
+    """Its key in `summary.json`."""
     label: str
     colour: str
 

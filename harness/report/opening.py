@@ -24,7 +24,7 @@ _OF_RESULTS = (
     "figure-law-images",
     "figure-cases",
 )
-"""What a sweep that has such figures is about, before figures of its axes."""
+"""Figures that show a sweep's result, if it has them, before the figures of its axes."""
 
 
 @dataclass(frozen=True)

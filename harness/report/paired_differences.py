@@ -44,7 +44,7 @@ class Difference:
     difference: float
     """Mean of second minus first."""
     between: tuple[float, float] | None
-    """Its 95 % interval by bootstrap over seeds; None from one seed."""
+    """The 95 % interval of the difference by bootstrap over seeds; None from one seed."""
 
     @property
     def group(self) -> str:

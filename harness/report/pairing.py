@@ -32,7 +32,7 @@ class Pairs:
     """Settings that no trial of one run shares with any of the other; a value in words, or several. Cases of different
     names in the place of what they set."""
     why_none: str
-    """In words, when nothing could be paired."""
+    """The reason in words, if nothing could be paired."""
     left_out: list[str] = field(default_factory=list)
     """A phrase for each run with trials that have no partner: how many, and what sets them apart."""
 

@@ -13,7 +13,7 @@ from harness.report import theme
 from harness.report.theme import WIDE
 
 _LEFT, _PLOT = 50, 845
-"""Where panoramas begin and how wide they are, CSS pixels: all of them line up."""
+"""Left edge and width of panoramas, CSS pixels: all of them line up."""
 
 
 def panorama_axes(grid: Grid, *, top: int = 6, bar: bool = True, label: bool = True) -> tuple[Figure, Axes, Axes]:

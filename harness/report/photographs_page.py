@@ -22,7 +22,7 @@ from harness.report.words import images_of, kind_of_image
 from harness.spec import dump_toml
 
 _NOTHING = "#D4D4D4"
-"""Where there is no estimate."""
+"""The colour of pixels without an estimate."""
 
 
 def build_page(estimate: Estimate) -> str:

@@ -117,7 +117,7 @@ class TableBlock:
     table: Table
     caption: Markup
     full: bool = True
-    """As wide as the page."""
+    """Whether it is as wide as the page."""
 
 
 @dataclass(frozen=True)

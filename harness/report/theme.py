@@ -103,7 +103,7 @@ class Picture:
     failure: str = ""
     """The error with which drawing failed; the page shows it in place of the picture."""
     pdf: bytes = b""
-    """The same as a PDF file; only under `with_pdf`."""
+    """The picture as a PDF file; only under `with_pdf`."""
 
     @property
     def svg(self) -> str:

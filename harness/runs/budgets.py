@@ -20,7 +20,7 @@ _OVER: dict[str, tuple[str, Callable[[int], float]]] = {
     "range_bin": ("range_m", middle_of_range),
     "alpha_bin": ("alpha_1_deg", middle_of_alpha),
 }
-"""By what pixels are binned: the name of the bin's middle, and how it follows from the number."""
+"""The quantities by which pixels are binned: the name of the bin's middle, and its value from the bin's number."""
 
 
 def budget_of(
@@ -110,7 +110,7 @@ def _of_causes_alone(entry: dict[str, Any], entries: list[dict[str, Any]], middl
 
 
 _ALIKE = 1.3
-"""How many times one prediction may be another for causes of one size: the pixels that are matched differ a little."""
+"""Largest ratio of predictions for causes to count as of one size: the matched pixels differ a little."""
 
 
 def _alone(cause: str, entry: dict[str, Any], same: list[dict[str, Any]]) -> float | None:

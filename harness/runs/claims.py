@@ -39,7 +39,7 @@ class Measured:
 
 
 Rows = Sequence[Mapping[str, Any]]
-"""What `row.row_of` made of the trials of one method."""
+"""The rows, from `row.row_of`, of the trials of one method."""
 
 
 def claims_of(done: Iterable[tuple["Planned", dict[str, Any]]]) -> list[dict[str, Any]]:
@@ -248,7 +248,7 @@ CLAIMS: tuple[Callable[[_Trials], dict[str, Any] | None], ...] = (
     _one_degree,
     _other_rows,
 )
-"""In the order in which they are shown."""
+"""The claims in the order in which they are shown."""
 
 
 def _claim(

@@ -45,7 +45,7 @@ class Planned:
     key: str
     """`Trial.key`."""
     coordinates: Settings
-    """Its case's name, if there are cases, and the values of all axes, in the order of the columns."""
+    """The case's name, if there are cases, and the values of all axes, in the order of the columns."""
     trial: Trial
     method: MethodName
     """The name of its method in this experiment."""

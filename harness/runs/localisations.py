@@ -13,7 +13,7 @@ from harness.runs.methods import MethodName, in_words
 
 FIGURES = ("mean_m", "median_m", "nll")
 APPEARANCES = {"pca": "PCA of panoramas", "vlad": "VLAD of dense descriptors"}
-"""What descriptors are called."""
+"""Names of the descriptors in words."""
 WAYS_IN_WORDS = {
     "pairs": "pairs",
     "synthesised": "pairs and views made of them",

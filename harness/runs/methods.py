@@ -9,7 +9,7 @@ from harness.matching.interface import MatcherSettings
 MethodId = tuple[str, str, tuple[str, ...]]
 """The identity of a method: the matcher's kind, its sub-pixel step, and the command of a program."""
 MethodName = tuple[str, str]
-"""Its name in tables: the matcher and its sub-pixel step. Unique within an experiment."""
+"""The name of a method in tables: the matcher and its sub-pixel step. Unique within an experiment."""
 
 METHOD_KEYS = ("matching.kind", "matching.subpixel", "matching.command")
 """The keys of a trial that distinguish methods; they are neither axes nor conditions."""

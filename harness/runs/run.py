@@ -47,7 +47,7 @@ from harness.spec import as_table, dump_toml
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
-"""What `summary.json` and the report call the paper's two methods."""
+"""The keys of the paper's two methods in `summary.json` and the report."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from harness.simulation.fingerprint import fingerprint
 
 Trials = tuple[Planned, ...]
 _GRACE_S = 1.0
-"""How long to wait after Ctrl-C for trials that workers have begun."""
+"""Seconds to wait after Ctrl-C for trials that workers have begun."""
 
 Observer = Callable[[Sequence[Finished]], None]
 """Called with trials that have just been written."""

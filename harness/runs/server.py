@@ -6,7 +6,7 @@ from types import TracebackType
 import harness.runs.worker  # noqa: F401 - what takes time
 
 _ORPHANED = (EOFError, FileNotFoundError, ConnectionError)
-"""What a worker meets that is begun when its parent is gone, after Ctrl-C: a closed pipe, or a lock taken away."""
+"""Errors of a worker that starts when its parent has ended, after Ctrl-C: a closed pipe, or a lock that is gone."""
 
 
 def _say_unless_orphaned(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -52,12 +52,12 @@ class Setting:
     kinds: tuple[str, ...]
     """The values of `kind` beside it that have this key; empty for a key that is always there."""
     type: str
-    """What may be given, in words."""
+    """The type of its values, in words."""
     unit: str
     """Empty where there is none."""
     default: str
-    """As TOML; `required` where there is none, empty for a table whose keys have their own. A table that is not given
-    at all may be another one than a table without keys."""
+    """The default as TOML; `required` if there is none, empty for a table whose keys have their own. Leaving out a
+    table may differ from an empty table."""
     meaning: str
 
 

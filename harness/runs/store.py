@@ -18,7 +18,7 @@ from harness.errors import InputError
 from harness.pipeline.environment import code_hash
 
 DATABASE = "run.sqlite"
-"""Its name in the run's folder."""
+"""The file's name in the run's folder."""
 
 OTHER_CODE = "its trials were made by other code or libraries than today's, and are shown as they were made then"
 

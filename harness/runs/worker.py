@@ -38,7 +38,7 @@ class Batch:
     trials: tuple[tuple[str, str, dict[str, Any]], ...]
     """The key of each trial, its scene's fingerprint and its table."""
     scene_files: tuple[str, ...]
-    """Where the scene of each trial was read from, for messages."""
+    """The file of each trial's scene, for messages."""
     threads: int | None = 1
     """The threads of one trial; all available CPUs when None. No row depends on it."""
     maps: str | None = None

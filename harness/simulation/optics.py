@@ -20,7 +20,7 @@ Image = NDArray[np.float32]
 _LEVELS = 12
 """Gaussians between which a defocus that grows towards the edge is mixed."""
 _REACH = 4.0
-"""Where Gaussians are cut off, standard deviations: 6e-5 of their sum lies beyond."""
+"""Reach of the Gaussians, standard deviations: 6e-5 of their sum lies beyond."""
 
 
 class Optics(Spec):
@@ -32,8 +32,8 @@ class Optics(Spec):
     defocus_px: Annotated[float, Field(ge=0, le=50)] = 0.0
     """Standard deviation of the Gaussian point spread function at the principal point, pixels of the mirror image."""
     defocus_edge_px: Annotated[float, Field(ge=0, le=50)] | None = None
-    """The same at the pixel in use farthest from the principal point, between which the variance changes with the
-    squared distance; `defocus_px` all over the image when it is not given."""
+    """Standard deviation of the Gaussian at the pixel in use farthest from the principal point, pixels; in between, the
+    variance changes with the squared distance. By default `defocus_px` all over the image."""
     motion_px: Annotated[float, Field(ge=0, le=200)] = 0.0
     """Length of the path that the image moves along during the exposure, pixels."""
     motion_deg: Finite = 0.0

@@ -32,7 +32,7 @@ from harness.simulation.shading import Image, Shading, View, shaded
 _CLEAR_M = 1e-5
 """A plane so near to the point that faces are seen from costs five of sixteen digits."""
 _ASIDE_M = 1e-3
-"""How far that point is moved, if need be."""
+"""Distance by which that point is moved if necessary, metres."""
 
 
 def reflected_image(view: View, sensor: Sensor, samples: int, threads: int | None = None) -> Image:

@@ -67,7 +67,7 @@ class Band:
     maps: Array
     """`[faces, 2, 4]`, as of `maps_of_tiles`."""
     H: Array
-    """As `View.H`."""
+    """The maps from rays to tiles of this band, as `View.H`."""
     tiles: "Tiles"
 
 

@@ -44,7 +44,7 @@ class BundledTexture(Spec):
     kind: Literal["bundled"]
     """A texture that comes with scikit-image."""
     name: Literal["brick", "grass", "gravel"]
-    """Which photograph."""
+    """The photograph's name."""
     tile_m: Positive
     """Width of one tile on the surface, metres."""
 

@@ -34,7 +34,7 @@ from harness.testing.pairs import (
 from harness.testing.slips import FEWEST, slip_in
 
 TOLERANCE_PX = 0.1
-"""How far beyond a limit an angle may lie, in columns: rounding, and a sub-pixel step from the last candidate."""
+"""Tolerance of angles beyond a limit, in columns: rounding, and a sub-pixel step from the last candidate."""
 NEAR_PX = 2.0
 """A disparity larger than this, in columns, is a thing that is not there, when both views are one image: matchers are
 right to a fraction of a column where the texture is the same."""
@@ -67,7 +67,7 @@ class Finding:
 
     check: Check
     passed: bool | None
-    """None when it was not reached."""
+    """Whether the check was passed; None if it was not reached."""
     text: str
 
 
@@ -428,4 +428,4 @@ CHECKS: tuple[Check, ...] = (
     Check("turned", "the second view turned: still better", _turned_view),
     Check("sensors", "taken by another sensor than the first: still better", _two_sensors),
 )
-"""In the order in which they are carried out."""
+"""The checks in the order in which they are carried out."""

@@ -19,11 +19,11 @@ from harness.testing.pairs import Mask, Scenery
 FITS = 0.25
 """An answer looks like something if its distance from that is below this share of that one's own spread."""
 BETTER = 0.5
-"""And below this share of its distance from what it should be."""
+"""The answer's distance from a mix-up must also be below this share of its distance from the truth."""
 HALF_PX = (0.35, 0.65)
 """A shift between these is called half a pixel; matchers that lean with a slant reach 0.25."""
 LOOSELY_HALF_PX = (0.25, 0.75)
-"""And so it must be in either half of the picture: a shift is the same everywhere, an accident is not."""
+"""The limits for either half of the picture: a true shift is the same everywhere, a chance one is not."""
 MOST = 0.75
 """Share of pixels by which pictures are told apart, as a floor looks alike in all directions."""
 PICTURE_FITS = 0.5
@@ -49,7 +49,7 @@ class Facts:
     domain: Mask
     """Pixels that both views see, away from the epipoles."""
     smooth: Mask
-    """Those that are away from edges, too."""
+    """Pixels of the domain that are away from edges."""
 
     @property
     def point(self) -> Array:

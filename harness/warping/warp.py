@@ -53,7 +53,7 @@ STATES = {
     PixelState.OUTSIDE: "are beyond the panorama",
     PixelState.UNSAMPLED: "are in neither image",
 }
-"""In words, of pixels."""
+"""The states in words, as predicates of pixels."""
 
 
 def shares_in_words(state: NDArray[np.uint8]) -> list[str]:

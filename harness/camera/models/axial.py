@@ -13,8 +13,8 @@ from harness.camera.lens import Lens
 from harness.camera.models.model import CameraModel
 
 _MARGIN_PX = 1.0
-"""How far the field stays inside the domain: the corners of the outermost pixels, 0.71 from their centres, are
-unprojected too."""
+"""Margin of the field inside the domain: the corners of the outermost pixels, 0.71 from their centres, are unprojected
+too."""
 _MARGIN_RAD = math.radians(0.01)
 """The least such margin as an angle, for models whose radius grows without bound."""
 
@@ -27,7 +27,7 @@ class Domain(NamedTuple):
     radius: float
     """The radius there, in the model's own unit; infinite for an angle that no image reaches."""
     why: str
-    """What happens beyond it, for messages: `the image folds back on itself`."""
+    """The reason for the limit, for messages: `the image folds back on itself`."""
 
 
 class AxialModel(CameraModel):

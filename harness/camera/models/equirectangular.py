@@ -22,7 +22,7 @@ from harness.camera.mount import Looks
 from harness.compiled import kernel
 
 _SLACK_PX = 0.01
-"""How far an image may miss a whole turn, or reach beyond a pole, for the rounding of a focal length's digits."""
+"""Tolerance, pixels, for an image to miss a whole turn or to reach beyond a pole: a focal length's rounded digits."""
 
 
 class Equirectangular(CameraModel):

@@ -18,13 +18,13 @@ class CameraModel(Spec, ABC):
     """Base of the settings of central camera models, in which all rays meet in one viewpoint."""
 
     title: ClassVar[str]
-    """In captions: `hyperboloid mirror`."""
+    """The model's name in captions: `hyperboloid mirror`."""
     unused: ClassVar[tuple[str, ...]] = ()
     """The keys of `camera` that the model does not use."""
     has_lens: ClassVar[bool] = False
     """Whether the distortion terms of `lens` apply to the model."""
     looks: ClassVar[Looks] = "up"
-    """Where the optical axis points in the model's own frame."""
+    """Direction of the optical axis in the model's own frame."""
     mirrored: ClassVar[bool] = False
     """Whether the model's images are mirror images."""
     elevations_deg: ClassVar[tuple[float, float]] = (-75.0, 20.0)

@@ -34,7 +34,7 @@ MOST_COEFFICIENTS = 12
 
 _BEYOND_ANY_IMAGE = 1e9
 _FAR = 10.0
-"""How far beyond the farthest corner of the image, in its distances from the centre, the polynomial is still used."""
+"""Limit of the polynomial's use, as a multiple of the distance of the image's farthest corner from the centre."""
 
 
 class OCam(AxialModel):

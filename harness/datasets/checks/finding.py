@@ -30,7 +30,7 @@ class StoredSet(OneLine):
     layout: Layout
     pairs: tuple[StoredPair, ...]
     manifest: dict[str, Any] | None
-    """None for a set without one."""
+    """The manifest; None for a set without one."""
 
     def some(self, most: int) -> list[StoredPair]:
         """At most `count` pairs, spread evenly over the set."""

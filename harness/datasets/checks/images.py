@@ -24,7 +24,7 @@ _BETTER = 0.25
 """Part of what is missing to a correlation of 1 that another reading has to make good."""
 _LEAST_BETTER = 0.01
 _GAIN = 0.06
-"""By how much the differences have to fall before a small change is believed."""
+"""Least decrease of the squared differences, as a share, for a small change to be believed."""
 _LEAST_COSINE = 0.05
 _ACROSS_PX = 0.3
 _LEAST_PATCHES = 20

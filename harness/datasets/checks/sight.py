@@ -192,7 +192,7 @@ class Fit:
 
     numbers: Array
     gain: float
-    """By how much the weighted sum of squared differences is below that without the change, and below that of the
+    """Decrease of the weighted sum of squared differences against that without the change, and against that of the
     opposite change, as a share. A change that only smooths an image has no such gain."""
 
 

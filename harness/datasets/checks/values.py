@@ -11,7 +11,7 @@ from harness.datasets.layouts.layout import StoredPair, TruthMap
 from harness.datasets.pair import NOT_SEEN, OCCLUDED, OUTSIDE, SKY, VISIBLE
 
 _GAP = 0.9
-"""What stands out is a value beside which none lies nearer than this ratio."""
+"""Largest ratio of the second largest value to a largest value that stands out."""
 _MANY = 0.002
 """Share of a map's pixels with the very same value from which it is a sentinel's: 60 pixels of 200 x 150."""
 _SOME = 0.001

@@ -7,6 +7,6 @@ from harness.datasets.layouts.omnimvs import OMNIMVS
 from harness.datasets.layouts.own import OWN
 
 LAYOUTS: dict[str, Layout] = {each.name: each for each in (OWN, HELVIPAD, OMNIMVS, COLMAP)}
-"""By the name that a specification gives; in the order in which a folder is asked whose it is."""
+"""The layouts by their names in specifications; a folder is tested for each in this order."""
 
 __all__ = ["LAYOUTS", "Layout"]

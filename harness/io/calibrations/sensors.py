@@ -38,7 +38,7 @@ class Chosen:
     camera: int | None = None
     """The number of the camera, from 0."""
     looks: Looks | None = None
-    """Where the optical axis points; up by default."""
+    """Direction of the optical axis; up by default."""
     mirrored: bool | None = None
     """Whether the image is mirrored left to right, as a mirror's is."""
     size: tuple[int, int] | None = None
@@ -55,7 +55,7 @@ class SensorFile:
 
     sensor: Sensor
     calibration: Calibration | None
-    """None for a sensor's own TOML."""
+    """The calibration that the sensor was read from; None for a sensor's own TOML."""
     camera: CalibratedCamera | None
     notes: tuple[str, ...]
     """Notes on how the file was read, one sentence each."""

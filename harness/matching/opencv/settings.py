@@ -43,13 +43,13 @@ class Filtered(OpenCV):
     interpolation: Literal["linear", "cubic", "lanczos4"] = "linear"
     """How the rectified pair is interpolated; OpenCV itself rectifies with `linear`."""
     uniqueness_percent: Percent = 10
-    """By how many per cent the best cost must be below the next best."""
+    """Least margin of the best cost below the next best, per cent."""
     disp12_max_diff_px: Annotated[int, Field(ge=-1)] = 1
-    """How far a match back from view 2 may miss the pixel, rectified pixels; -1 to let any pass."""
+    """Largest miss of a match back from view 2, rectified pixels; -1 for no limit."""
     speckle_px: Annotated[int, Field(ge=0)] = 100
     """Connected regions of no more than this many pixels are dropped; 0 keeps them all."""
     speckle_range_px: Annotated[int, Field(ge=0)] = 32
-    """How far disparities of one connected region may differ from one pixel to the next, rectified pixels."""
+    """Largest difference of disparity between neighbouring pixels of one connected region, rectified pixels."""
 
 
 class StereoBM(Filtered):
@@ -70,7 +70,7 @@ class StereoBM(Filtered):
     texture_threshold: Annotated[int, Field(ge=0)] = 10
     """The sum of the absolute pre-filtered values over the block must reach this, grey levels."""
     uniqueness_percent: Percent = 15
-    """By how many per cent the best cost must be below the next best."""
+    """Least margin of the best cost below the next best, per cent."""
 
     def match(self, pair: Pair) -> Matches:
         """The matches of the rectified pair."""

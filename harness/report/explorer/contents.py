@@ -37,9 +37,9 @@ _ABSENT = -(2**15)
 _LARGEST = 2047
 """The largest whole number of a pixel, as in `matching/window/column.py`."""
 _SHADES_OF_GREY = 64
-"""In the images, which are for looking at: noise in the last bits would take a quarter of the page."""
+"""Grey levels of the images, which are for display: noise in the last bits would take a quarter of the page."""
 _MOST_EDGES = 1500
-"""What is shown of the scene, the longest ones: a mesh has one for each of its small triangles."""
+"""Most edges of the scene that are shown, the longest first: a mesh has some for each of its small triangles."""
 _COSTS = {"sad": "grey levels", "ssd": "grey levels²", "zncc": "1 − correlation"}
 """The costs that the page computes, with their units."""
 _SHADES = 41

@@ -60,5 +60,5 @@ SECTIONS: tuple[Declared, ...] = (
     trial_settings.section,
     provenance.section,
 )
-"""Those about all trials, the base trial and the run keep their order among themselves; see `section.About` for which
+"""The sections; those about all trials, the base trial and the run keep their order; see `section.About` for which
 come first."""

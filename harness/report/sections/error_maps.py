@@ -31,7 +31,7 @@ REASONS = {
     Reason.INCONSISTENT: ("inconsistent with view 2", "#0072B2"),
     Reason.OFF_CURVE: ("off its epipolar curve: it has moved", "#D55E00"),
 }
-"""In words, and the colour on the map."""
+"""The reasons in words, and their colours on the map."""
 _A_LINE = 4
 """Entries that fit side by side in a legend."""
 

@@ -18,7 +18,7 @@ from harness.report.sections.error_maps import REASONS, common_limit_mm
 _SCRIPTS = Path(contents.__file__).parent / "scripts"
 _ORDER = ("arrays", "geometry", "pixels", "costs", "layers", "pictures", "nearest", "chart", "cloud", "explorer")
 _OWN_BYTES = 150_000
-"""What the scripts, the style and the words take, generously; and the scene's edges."""
+"""Bytes of the scripts, the style, the words and the scene's edges, generously."""
 _LAYERS = {
     "picture": "picture",
     "range": "range",

@@ -94,7 +94,7 @@ class Curve:
     """Coefficients of the parabola in sample numbers from the best one, highest power first."""
     best_deg: float
     minimum_deg: float
-    """Where the fitted parabola is least; the best sample where the fit has no minimum among its samples."""
+    """The minimum of the fitted parabola; the best sample if the fit has no minimum among its samples."""
     true_deg: float
     step_deg: float
 

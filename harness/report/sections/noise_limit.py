@@ -57,7 +57,7 @@ class Limit:
     table: Table
     data: Data
     condition: str
-    """Which of several conditions the figures are about; empty when there is one."""
+    """The condition that the figures are about, in words; empty if there is one only."""
 
 
 def limit(sweep: Sweep, entries: list[Entry]) -> Limit:

@@ -25,7 +25,7 @@ BASELINE_M, RANGE_M, ERROR_DEG = 0.5, 3.0, 1.0
 EDGES_DEG = np.arange(30.0, 151.0, 10.0)
 """Edges of the bins of alpha_1."""
 _BESIDE_DEG = (np.arange(0.0, 31.0, 10.0), np.arange(150.0, 181.0, 10.0))
-"""Those within 30° of the baseline, which no figure counts."""
+"""Bins within 30° of the baseline, which no figure counts."""
 
 
 _ELSEWHERE = """
@@ -109,7 +109,7 @@ class Example:
     alpha_1_deg: float
     exact_m: float
     short_m: float
-    """By the paper's short form."""
+    """The error of the range by the paper's short form, metres."""
 
 
 def worked_example() -> list[Example]:
