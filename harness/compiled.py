@@ -40,7 +40,7 @@ included."""
 VERSIONS_ON_DISK = 8
 """Folders kept of other states of the sources; those used least recently go first."""
 LEAST_FREE_MB = 16
-"""All machine code together needs less than half of that."""
+"""Least free disk space, megabytes: all machine code together needs less than half of it."""
 
 _PACKAGE = Path(__file__).parent
 _DIGEST = hashlib.sha256().digest_size
@@ -61,7 +61,7 @@ def kernel(function: Any = None, *, inline: bool = False) -> Any:
 
 
 def folder() -> Path | None:
-    """Where the machine code of these sources is kept; None where nothing can be."""
+    """The folder of the machine code of these sources; None if none can be written."""
     return _store().folder
 
 
@@ -117,7 +117,7 @@ class _Store:
         return _sha("\n".join(parts).encode())[:32]
 
     def holds(self, source: Path) -> bool:
-        """Whether a file is among the sources, and as it was when they were hashed."""
+        """Whether a file is among the sources, and unchanged since they were hashed."""
         if source not in self.hashes:
             return False
         if self.folder is not None and self.hashes[source] != _sha(source.read_bytes()):
@@ -125,7 +125,7 @@ class _Store:
         return self.folder is not None
 
     def give_up(self, reason: str) -> None:
-        """Keep nothing from now on."""
+        """Stop writing and reading machine code."""
         self.folder = None
         self.tell(_again(reason))
 
@@ -136,7 +136,7 @@ class _Store:
         self._is_announced = True
 
     def read(self, name: str) -> bytes | None:
-        """What was written under this name; None if it is not there, or not as it was written."""
+        """The contents written under this name; None if there are none, or if they are damaged."""
         if self.folder is None:
             return None
         try:
@@ -147,7 +147,7 @@ class _Store:
         return content if hashlib.sha256(content).digest() == data[:_DIGEST] else None
 
     def write(self, name: str, content: bytes) -> None:
-        """Keep this; where that fails, say so and go on."""
+        """Write contents under a name; if that fails, tell the user and continue."""
         if self.folder is None:
             return
         try:
@@ -165,13 +165,13 @@ def _store() -> _Store:
 
 
 def _parents() -> list[Path]:
-    """Where machine code may be kept, the best first: numba's folder if one is set, the user's cache, or the renders'.
+    """Folders that may keep machine code, the best first: numba's if one is set, the user's cache, the renders' cache.
 
     The user's cache comes before `OMNIRANGE_CACHE`, as it is small and the same for all caches of renders.
     """
     numbas = getattr(config, "CACHE_DIR", "")
     given = [Path(numbas) / "omnirange"] if numbas else []
-    with suppress(InputError):  # said where renders are kept
+    with suppress(InputError):  # reported by the render cache
         given += [folder / "kernels" for folder in (user_cache_folder(), cache_folder()) if folder]
     return given
 
@@ -181,7 +181,7 @@ def _again(reason: str) -> str:
 
 
 def _not_writable(path: Path) -> str:
-    """Why nothing can be written to a folder that may not exist yet; empty if it can."""
+    """The reason why a folder, which may not exist yet, cannot be written to; empty if it can."""
     try:
         there = next(each for each in (path, *path.absolute().parents) if each.exists())
         if not there.is_dir():
@@ -196,7 +196,7 @@ def _not_writable(path: Path) -> str:
 
 
 def _prune(newest: Path) -> None:
-    """Remove the folders of other states of the sources but for the latest; a process that uses one compiles again."""
+    """Remove the folders of other states of the sources except the latest; a process that uses one compiles again."""
     with suppress(OSError):
         others = [each for each in newest.parent.iterdir() if each != newest and each.is_dir()]
         others.sort(key=lambda each: each.stat().st_mtime)
@@ -219,7 +219,7 @@ def _compiled(function: Callable[..., Any], inline: Literal["always", "never"]) 
 
 
 class _Cache(NullCache):
-    """What a numba dispatcher asks for machine code before it compiles, and gives it to afterwards."""
+    """The cache that a numba dispatcher asks for machine code before it compiles, and saves it to afterwards."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         module = function.__module__.rpartition("harness.")[2]
@@ -254,7 +254,7 @@ class _Cache(NullCache):
 
 
 def _described(types: Any) -> Iterator[str]:
-    """What tells types apart: their names, and the fields' names of named tuples, anywhere in them."""
+    """Texts that distinguish types: their names, and the fields' names of named tuples, anywhere in them."""
     for each in types:
         yield f"{each} {getattr(each, 'fields', '')}"
         yield from _described(each if isinstance(each, BaseTuple) else ())

@@ -27,9 +27,9 @@ from harness.camera._reflection_kernels import to_sensor
 from harness.compiled import kernel
 
 _SMALL = 1e-6
-"""A step of Halley's method on one piece, as a share of s, after which nothing is left: errors go with its cube."""
+"""Largest last step of Halley's method on one piece, as a share of s: the error that remains goes with its cube."""
 _BLOCK = 512
-"""Rays that go through the loops together: their numbers stay in the CPU's first cache."""
+"""Rays that pass through the loops together: their data stay in the CPU's first-level cache."""
 
 
 class ProfileCamera(NamedTuple):
@@ -56,7 +56,7 @@ class ProfileCamera(NamedTuple):
     knots: Any
     """`[n + 1]`: radii at which the pieces join."""
     cubics: Any
-    """`[4, n]`: their coefficients in the distance from the left knot, the highest power first."""
+    """`[4, n]`: coefficients of the pieces in the distance from the left knot, the highest power first."""
     first: Any
     """`[m]`, int32: the piece in which each of m equal parts of 0 .. rim begins, or the one before it."""
     sparse: bool
@@ -222,7 +222,8 @@ def _look_up(r, camera, piece):
 
 @kernel
 def meet_pieces(camera, rays, s, slope, met):
-    """The same for a profile of pieces; false also for rays that take more steps, or end on another piece.
+    """Write what `_meet_quadric` does, for a profile of pieces; false also for rays that take more steps, or end on
+    another piece.
 
     The loops without branches and look-ups are apart, so that the compiler makes vector instructions of them.
     """

@@ -1,4 +1,4 @@
-"""Where a camera sees a point in a hyperboloid mirror, from anywhere: Newton's method on Fermat's principle.
+"""The pixel of a point in a hyperboloid mirror, for a camera at any position: Newton's method on Fermat's principle.
 
 Light from X by way of P on the mirror to the camera centre C takes the path whose length `L = |P - C| + |P - X|` does
 not change with P. With (x, y) of P as unknowns, T = ∂P/∂(x, y) and `w_1 = (P - C)/|P - C|`, `w_2 = (P - X)/|P - X|`:
@@ -19,7 +19,7 @@ from harness.camera._reflection_kernels import ReflectingCamera, is_clear, to_mi
 from harness.compiled import kernel
 
 _LEAST = 1e-13
-"""|g| is a sine: below this only rounding is left."""
+"""Value of |g|, a sine, below which only rounding is left."""
 
 
 @kernel
@@ -118,7 +118,7 @@ def _moved_pixel(p_x, p_y, p_z, q_x_d, q_y_d, q_z_d, camera):
 
 @kernel
 def _moved_point(p_x, p_y, X_x, X_y, X_z, x_d, y_d, z_d, of_camera, camera):
-    """How P moves when X, or the camera centre, moves by (x_d, y_d, z_d); all in the mirror's frame."""
+    """The derivative of P for the motion (x_d, y_d, z_d) of X, or of the camera centre; all in the mirror's frame."""
     z, z_x, z_y, u_x, u_y, u_z, d_1, v_x, v_y, v_z, d_2 = _path(p_x, p_y, X_x, X_y, X_z, camera)
     w_x, w_y, w_z, distance = (u_x, u_y, u_z, d_1) if of_camera else (v_x, v_y, v_z, d_2)
     length = w_x * x_d + w_y * y_d + w_z * z_d
@@ -166,7 +166,7 @@ def project_reflected(points, camera, pixels, valid):
 
 @kernel
 def differentiate_reflected(points, axes, camera, by_point, by_camera):
-    """Write how the pixels of points `[n, 3]` move with them, `[n, 2, 3]`, and with the camera's place and turns,
+    """Write the derivatives of the pixels of points `[n, 3]` by the points, `[n, 2, 3]`, and by the camera's pose,
     `[n, 2, 6]`: pixels per metre and per radian.
 
     `axes` `[3, 3]`: a row for each of the three turns, its axis in the mirror's frame.
@@ -196,5 +196,5 @@ def differentiate_reflected(points, axes, camera, by_point, by_camera):
             _, _, by_camera[i, 0, 3 + k], by_camera[i, 1, 3 + k] = _moved_pixel(p_x, p_y, p_z, x, y, z, camera)
 
 
-# Of points, not of directions: no ray belongs to a pixel alone.
+# These project points, not directions: the rays of the pixels meet in no viewpoint.
 add_compiled_model(ReflectingCamera, CompiledModel(_project, _move, None))

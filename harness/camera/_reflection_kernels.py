@@ -17,7 +17,7 @@ from harness.compiled import kernel
 
 
 class ReflectingCamera(NamedTuple):
-    """Mirror, camera and lens as numbers, and what shades the mirror. Lengths in metres."""
+    """Mirror, camera and lens as numbers, and the body that shades the mirror. Lengths in metres."""
 
     fu: float
     fv: float

@@ -161,7 +161,7 @@ def _mirrored(index, size):
 
 @kernel
 def window_information(cells, pixels, half, directions, slanted, information, count):
-    """What one image's raw pixels in each window tell of the inverse range at the window's middle.
+    """Write the information on the inverse range at each window's middle from one image's raw pixels in the window.
 
     cells : `[height, width, 16]`. pixels : `[height, width]`, where it is wanted; windows there are whole. directions :
     `[height, width, 3]`. information : written, in (grey levels times metres)²; 0 where there is none. count : written,

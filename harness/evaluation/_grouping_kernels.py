@@ -13,7 +13,7 @@ COUNT, NEGATIVE, SQUARE_PX, GROSS, OFF_M, SQUARE_M, BIAS_M = range(7)
 KINDS = 8
 
 BLOCK = 2048
-"""Entries of an order that are counted together before looking whether a middle lies among them."""
+"""Entries of an order that are counted together before testing whether a middle lies among them."""
 
 
 @kernel

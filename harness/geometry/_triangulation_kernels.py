@@ -5,7 +5,7 @@ import math
 from harness.compiled import kernel
 
 PI_TAIL = 1.2246467991473532e-16
-"""What the double nearest to pi lacks of it."""
+"""pi minus the double nearest to it."""
 
 
 @kernel(inline=True)
@@ -50,7 +50,7 @@ def sine_rule(alpha_1, alpha_2, baseline, d_1, d_2):
 
 @kernel
 def sine_rule_1(alpha_1, alpha_2, baseline, d_1):
-    """The same for d_1 alone."""
+    """Write `d_1` alone, as `sine_rule` does."""
     for i in range(alpha_1.size):
         a_1, a_2 = alpha_1[i], alpha_2[i]
         meets = (a_1 > 0.0) & (a_2 > a_1) & (a_2 < math.pi)

@@ -1,11 +1,11 @@
-"""What the compiled loops of several matchers share: names of costs and results, and the distance of census codes."""
+"""Shared by the compiled loops of several matchers: names of costs and results, and the distance of census codes."""
 
 import numpy as np
 
 from harness.compiled import kernel
 
 PHI, ALPHA = 0, 1
-"""How samples lie along the curve: at equal steps of azimuth, or of alpha_2."""
+"""Sampling of the curve: at equal steps of azimuth, or of alpha_2."""
 SAMPLINGS = {"phi": PHI, "alpha": ALPHA}
 """By the name that users give them."""
 SAD, SSD, ZNCC, CENSUS = 0, 1, 2, 3

@@ -9,16 +9,16 @@ from harness.camera._projection_kernels import project
 from harness.compiled import kernel
 
 TRACE = -2
-"""In the map of pixel faces: the pixel must be traced sample by sample. -1 is the background."""
+"""Value in the map of pixel faces of a pixel that must be traced sample by sample; -1 is the background."""
 INVALID = -3
-"""In the map of pixel faces: outside the sensor's field."""
+"""Value in the map of pixel faces of a pixel outside the sensor's field."""
 REACH = 0.55
 """Pixels around an edge's sample that the edge may pass through before the next sample, with a margin."""
 
 NARROW = 1.5
 """Texels between neighbouring samples, above which a pixel is sampled twice as closely either way."""
 WIDE = 8.0
-"""The same, four times as closely."""
+"""Texels between neighbouring samples, above which a pixel is sampled four times as closely either way."""
 
 
 @kernel

@@ -46,7 +46,7 @@ def rows_of_samples(k_first, k_last, k_0, margin, first, end):
 
 @kernel
 def _gather(pairs, second, source, gain, offset, start, end):
-    """What stands in a column of the second image where rows start .. end are mapped to.
+    """Gather the values of a column of the second image at the rows that rows start .. end are mapped to.
 
     A loop of its own, because the compiler vectorises over rows only where there is no lookup.
     """
@@ -82,7 +82,7 @@ def _add_differences(
 
 @kernel
 def _add_hamming(total, stored, k, slot, first, column, pairs, image_first, image_end, start, end, absent):
-    """The same for census transforms: in how many bits two of them differ."""
+    """Add one column's Hamming distances of census transforms, as `_add_differences` does with differences."""
     for i in range(np.uint64(start), np.uint64(end)):
         row = np.int32(i)
         d = np.int32(bits_set(np.uint32(first[column, i] ^ pairs[i])))

@@ -13,14 +13,14 @@ from harness.compiled import kernel
 from harness.matching._matching_kernels import PHI
 
 STEPS = 4
-"""At most. From within half a sample, textures of the LoG's size are met to 1e-3 samples by the second or third."""
+"""Most steps. From within half a sample, textures of the LoG's size are met to 1e-3 samples by the second or third."""
 ENOUGH = 5e-3
-"""A step shorter than this, in samples, is the last one: what is left is about a tenth of it."""
+"""A step shorter than this, in samples, is the last one: the remaining error is about a tenth of it."""
 
 
 @kernel(inline=True)
 def _shift(number, i1, i11, i2, i12, s, s1, s2, ss, invariant):
-    """The shift that brings the windows together; NaN where nothing says how far.
+    """The shift that aligns the windows; NaN where the images do not determine it.
 
     i1, i11, i2, i12, s, s1, s2, ss : sums over the windows' `number` pixels of I_1, I_1², I_2, I_1 I_2, of the slope s
         of I_2, and of s I_1, s I_2 and s².

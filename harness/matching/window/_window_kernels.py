@@ -67,10 +67,10 @@ def parabola_minima(costs, offset, refined):
 
 @kernel(inline=True)
 def _least_of_three(shape, before, middle, after):
-    """Where the curve through three costs is least, in samples from the middle one, and whether that means anything.
+    """The minimum of the curve through three costs, in samples from the middle one, and whether it is valid.
 
     A parabola, or two lines of opposite slopes of which the steeper pair of neighbours gives the slope (the equiangular
-    fit). It does if the costs bend upwards and the minimum lies among the samples: never with NaN.
+    fit). It is valid if the costs bend upwards and the minimum lies among the samples: never with NaN.
     """
     bend = before - 2 * middle + after
     if shape == EQUIANGULAR:
