@@ -54,7 +54,7 @@ calibrate
 describe_rig, find_rigs
     `RigDescription`: what range errors to expect of a rig, by cause; and the rigs that reach an accuracy.
 run_trial
-    One trial with all that its stages made, an `Outcome`: what `harness.testing.assertions` takes.
+    One trial with all that its stages made, an `Outcome`, for `harness.testing.assertions`.
 settings
     What every key of an experiment means: a table.
 project, unproject, relative_motion

@@ -53,7 +53,7 @@ def kernel(function: Any = None, *, inline: bool = False) -> Any:
     Parameters
     ----------
     inline
-        Put into its callers by numba itself, before types are inferred. LLVM inlines what is small in any case.
+        Whether numba itself inlines it, before types are inferred. LLVM inlines small functions in any case.
     """
     if function is None:
         return lambda each: _compiled(each, "always" if inline else "never")

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 LONGEST = 160
-"""Characters of a repr; what is longer ends in dots."""
+"""Most characters of a repr; a longer one ends in dots."""
 
 
 _NESTED = 60
@@ -97,7 +97,7 @@ def grey(values: Any) -> bytes:
 
 
 def coloured(values: Any, low: float, high: float) -> bytes:
-    """A PNG of values `[height, width]`, dark at `low` and bright at `high`; what is missing is light grey."""
+    """A PNG of values `[height, width]`, dark at `low` and bright at `high`; missing values are light grey."""
     import matplotlib as mpl
     import numpy as np
 

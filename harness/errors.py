@@ -50,7 +50,7 @@ class Notice(UserWarning):
 
 
 def one_line(text: str) -> str:
-    """Text on one line that any terminal or file takes: what is no character of Unicode is written as an escape."""
+    """Text on one line that any terminal or file takes: invalid characters are written as escapes."""
     return printable(" ".join(text.split()))
 
 

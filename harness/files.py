@@ -130,7 +130,7 @@ def check_own(folder: Path, own: Collection[str]) -> None:
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write a file as `replace_file` does. Text becomes UTF-8; what is no text in Unicode is written as an escape.
+    """Write a file as `replace_file` does. Text becomes UTF-8; invalid characters are written as escapes.
 
     Raises
     ------
@@ -151,8 +151,8 @@ def encoded(text: str) -> bytes:
 def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file whole or not at all: a reader never sees half of it, and nothing half-written is left behind.
 
-    It is written under a name that nobody can guess, in the same folder, and renamed. So no link is followed: one that
-    stands at `path` is replaced, and what it points to stays as it is.
+    It is written under a random name in the same folder, and renamed. So no link is followed: a link at `path` is
+    replaced, and its target stays unchanged.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
 def clear_leftovers(folder: Path) -> None:
     """Remove what `replace_file` left half-written in a folder because the process was ended at once.
 
-    For a folder that nobody else is writing to.
+    For a folder that no other process writes to.
     """
     for path in folder.glob(f".*{PARTIAL}"):
         if _LEFTOVER.fullmatch(path.name):

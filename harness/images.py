@@ -211,7 +211,7 @@ def _turned(image: Image.Image) -> bool:
 
 @cache
 def _silence_libtiff() -> None:
-    """Keep libtiff from writing about damaged files to stderr: what is wrong is said once, and by us.
+    """Keep libtiff from writing about damaged files to stderr: this program reports the error, once.
 
     Pillow has no setting for it. Where its library cannot be reached, as on Windows, libtiff keeps printing.
     """

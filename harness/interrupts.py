@@ -2,7 +2,7 @@
 
 Python raises KeyboardInterrupt wherever the program happens to be. In the callback of a weak reference it is dropped,
 and libraries that catch everything drop it, or wrap it into an error of their own. So the signal is also remembered,
-and whoever is about to go on, or to call something a failure, looks at what is remembered first.
+and code that is about to continue, or to report a failure, checks that record first.
 """
 
 import signal
@@ -99,6 +99,6 @@ def _on_signal(_number: int, _frame: FrameType | None) -> None:
 
 
 def _silent_when_asked(unraisable: Any) -> None:
-    """Errors in destructors and callbacks, of Ctrl-C or of what it left half done: nobody need read of them then."""
+    """Silence errors in destructors and callbacks that follow from Ctrl-C."""
     if not _asked_at:
         sys.__unraisablehook__(unraisable)

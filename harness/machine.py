@@ -42,7 +42,7 @@ def cpu_model() -> str:
 
 
 def has_process_groups() -> bool:
-    """Whether a program can be ended together with all that it has started (not on Windows)."""
+    """Whether a program can be ended together with all processes that it has started (not on Windows)."""
     return hasattr(os, "killpg") and hasattr(signal, "SIGKILL")
 
 

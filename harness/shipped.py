@@ -14,7 +14,7 @@ _PACKAGE = Path(__file__).parent
 
 
 def folder(kind: Kind) -> Path:
-    """The folder of what is shipped of a kind: inside an installed package, beside it in a checkout."""
+    """The folder of the shipped files of a kind: inside an installed package, beside it in a checkout."""
     installed = _PACKAGE / "_shipped" / kind
     return installed if installed.is_dir() else _PACKAGE.parent / kind
 

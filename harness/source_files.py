@@ -84,7 +84,7 @@ def script_files(script: Path) -> list[Path]:
 
 
 def package_files(package: Path) -> list[Path]:
-    """All files of a package: source, compiled modules and data; but for caches and what is hidden."""
+    """All files of a package: source, compiled modules and data, except caches and hidden files."""
     return sorted(path for path in package.rglob("*") if path.is_file() and not _is_left_out(path.relative_to(package)))
 
 

@@ -1,4 +1,4 @@
-"""Specifications: small, frozen, hashable, JSON-able records read from TOML, and what is said when one is wrong."""
+"""Specifications: small, frozen, hashable, JSON-able records read from TOML, and the messages for wrong ones."""
 
 import math
 import re
@@ -24,7 +24,7 @@ single precision."""
 Positive = Annotated[float, Field(gt=0, ge=1 / LARGEST, le=LARGEST, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 LARGEST_COEFFICIENT = 1e60
-"""The limit of coefficients of powers, which are huge where what is raised to the power is small."""
+"""The limit of coefficients of powers, which are huge where the base is small."""
 Coefficient = Annotated[float, Field(ge=-LARGEST_COEFFICIENT, le=LARGEST_COEFFICIENT, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 
@@ -88,7 +88,7 @@ class Spec(BaseModel, metaclass=_SpecType):
         return [*filter(_is_shown, super().__dir__())]
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy, with some values changed; nothing that was worked out from the old ones (`cached_property`) stays."""
+        """A copy, with some values changed; results computed from the old ones (`cached_property`) are dropped."""
         copied = super().model_copy(update=update, deep=deep)
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
             del copied.__dict__[name]
@@ -213,7 +213,7 @@ _GIVEN = "given"
 
 
 def remember(spec: S, given: Mapping[str, Any]) -> S:
-    """The specification itself, which from now on knows what was given for keys whose values were worked out from it.
+    """The specification itself, with a record of the given values from which values of its keys were computed.
 
     Such as `"fit"` for a focal length, or `LEFT_OUT`. It is no part of the specification: copies, and what is written,
     have the values alone, and it makes no difference to equality.
@@ -242,7 +242,7 @@ def put_back(spec: Spec, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def as_given(spec: Spec) -> dict[str, Any]:
-    """A specification as plain data, as `as_table`, but with what was given where a value was worked out from it.
+    """A specification as plain data, as `as_table`, but with the given value in place of one computed from it.
 
     A table to be changed and read again: what follows from other keys then follows from the changed ones.
     """

@@ -37,7 +37,7 @@ class _Source:
 
 _known: dict[str, _Source] = {}
 _loaded: dict[str, tuple[ModuleSpec | None, str]] = {}
-"""Each module that was loaded: as what it was, and the code that it was made of."""
+"""The spec of each module that was loaded, and the hash of the code that it was made of."""
 
 
 def source_of(module: str, name: str) -> str:

@@ -288,7 +288,7 @@ def open_dataset(folder: str | Path) -> DataSet:
     Raises
     ------
     InputError
-        When the folder is laid out in no known way, or what says what there is cannot be read.
+        When the folder has no known layout, or the files that list its contents cannot be read.
 
     Examples
     --------
@@ -314,7 +314,7 @@ def make_dataset(
     workers: int | None = None,
     progress: bool | None = None,
 ) -> DataSet:
-    """Make a data set, or what is missing of one that was interrupted.
+    """Make a data set, or the missing part of one that was interrupted.
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ def grid_of(grid: Grid | Literal["auto"] | None, sensors: tuple[Sensor, Sensor],
     try:
         if grid == "auto":
             if not all(pixel_directions(each)[1].any() for each in sensors):
-                return Grid()  # the check of the sensors says what is wrong
+                return Grid()  # the check of the sensors reports the error
             return fitting_grid(sensors, motion.R_v2_from_v1)
         if not isinstance(grid, Grid | None):
             raise InputError(f"must be a Grid, 'auto' or None; found {brief(grid)}", key="grid")

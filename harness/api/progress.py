@@ -117,7 +117,7 @@ class Progress:
 
 
 class Steps:
-    """Shows on a terminal how many steps of something are done; elsewhere says what is begun."""
+    """Shows on a terminal how many steps are done; elsewhere prints each step as it begins."""
 
     def __init__(self, what: str) -> None:
         from rich import progress as bar

@@ -109,7 +109,7 @@ def warp_view(
     field_deg, width_px, height_px
         Horizontal field of view and size of a `perspective` view.
     fill
-        Whether holes are filled from what is around them.
+        Whether holes are filled from their surroundings.
 
     Returns
     -------

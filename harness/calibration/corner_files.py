@@ -47,7 +47,7 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
     Raises
     ------
     InputError
-        Names the file and what is wrong.
+        Names the file and the error.
     """
     suffix = file.suffix.lower()
     if suffix == ".npz":

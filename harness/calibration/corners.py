@@ -80,7 +80,7 @@ def check_size(size: tuple[int, int], *, file: str | None = None) -> None:
     Raises
     ------
     InputError
-        When one is not what a camera can have; it names the file or option.
+        When no camera has such a size; the error names the file or option.
     """
     if not all(_LEAST_PX <= each <= _MOST_PX for each in size):
         raise InputError(

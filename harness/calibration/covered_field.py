@@ -1,4 +1,4 @@
-"""The field of view of a calibrated sensor: what the boards covered, and a little beyond."""
+"""The field of view of a calibrated sensor: the part that the boards covered, and a little more."""
 
 import math
 

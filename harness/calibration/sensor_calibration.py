@@ -125,7 +125,7 @@ def calibrate_sensor(
     mount
         How the camera is mounted, which boards do not determine; by default as `start` or as usual for the model.
     field
-        The sensor's field of view; by default what the corners cover.
+        The sensor's field of view; by default the part that the corners cover.
     tell
         Called with a line of text to report progress.
 

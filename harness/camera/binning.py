@@ -9,7 +9,7 @@ from harness.camera.sensor import Sensor, used
 
 def binned_sensor(sensor: Sensor, side: int) -> Sensor:
     """The sensor whose pixels are squares of `side` x `side` of this one's; rows and columns that are left over at the
-    right and below are dropped. It has no mask: `binned` leaves out what it hides.
+    right and below are dropped. It has no mask: `binned` leaves out masked pixels.
     """
     if side == 1:
         return sensor

@@ -1,4 +1,4 @@
-"""A camera model with its image and lens, without mount and field: what a calibration file describes.
+"""A camera model with its image and lens, without mount and field, as a calibration file describes it.
 
 Directions are in the lens's own frame: X along u, Y along v, Z along the optical axis into the scene. A mirror's frame
 looks the other way, (X, Y, Z) = (x, y, -z); see `harness.camera.conversions`.

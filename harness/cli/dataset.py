@@ -1,4 +1,4 @@
-"""`omnirange dataset`: make a data set, or look for what is wrong with one."""
+"""`omnirange dataset`: make a data set, or check one for faults."""
 
 import os
 import shutil
@@ -53,7 +53,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Make what is missing of the set, or check one."""
+    """Make the missing part of the set, or check one."""
     if options.describe:
         _describe()
         return OK
@@ -104,7 +104,7 @@ def run(options: Namespace) -> int:
 
 
 def _check(folder: Path, names: list[str]) -> int:
-    """Print a line for each check, and what it found below it."""
+    """Print a line for each check, and its findings below it."""
     from harness.api.datasets import open_dataset
     from harness.cli.check import marks
 

@@ -1,4 +1,4 @@
-"""A sign of life on a terminal while a command is silent: libraries are loaded, or something is worked out."""
+"""A sign of life on a terminal while a command is silent, as it loads libraries or computes."""
 
 import sys
 import threading

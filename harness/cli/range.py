@@ -141,7 +141,7 @@ def run(options: Namespace) -> int:
 
 
 def _settings(options: Namespace) -> "tuple[tuple[Sensor, Sensor], OwnSettings]":
-    """The sensors with their masks, and what is set of matcher and panorama; says what large images cost."""
+    """The sensors with their masks, and the settings of matcher and panorama; prints the cost of large images."""
     from harness.runs.photograph_settings import own_settings
 
     sensor = first_sensor(options, central=True)
@@ -243,7 +243,7 @@ def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") ->
 
 
 def sequence_settings(options: Namespace) -> "tuple[Sensor, OwnSettings]":
-    """The sensor of a sequence with its mask, and what is set of matcher and panorama."""
+    """The sensor of a sequence with its mask, and the settings of matcher and panorama."""
     from harness.errors import InputError
 
     (sensor, _), settings = _settings(options)

@@ -1,4 +1,4 @@
-"""Options for sensors: a file of any known format, and what a calibration does not contain."""
+"""Options for sensors: a file of any known format, and values that calibrations do not contain."""
 
 import argparse
 from argparse import Namespace
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_sensor(command: Parser, what: str, *, required: bool = False, second: bool = False) -> None:
-    """`--sensor` with the options of `add_choices`, which of two sensors hold for those that are calibrations.
+    """Add `--sensor` and the options of `add_choices`, which apply to those of two sensors that are calibrations.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def add_sensor(command: Parser, what: str, *, required: bool = False, second: bo
 
 
 def add_choices(command: Parser) -> None:
-    """Add the options for what a calibration file does not contain, or to override a sensor file."""
+    """Add the options for values that a calibration file does not contain, or that override a sensor file's."""
     command.add_argument(
         "--camera", type=int, metavar="N", help="number of the camera in a calibration with several, from 0"
     )

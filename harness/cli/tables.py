@@ -44,7 +44,7 @@ def methods_table(summary: dict[str, Any]) -> "Table":
 
 
 def claims_table(summary: dict[str, Any]) -> "Table":
-    """A table of the paper's claims: a verdict for each, and the first line of what came out.
+    """A table of the paper's claims: a verdict for each, and the first line of the result.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ def _in_unit(raw: NDArray[Any], meaning: Meaning) -> Array:
 
 
 def _range_of(values: Array, quantity: Quantity, directions: Array, pair: StoredPair, file: str | Path) -> Array:
-    """Ranges from values of a quantity; those that are no ranges are NaN."""
+    """Ranges from values of a quantity; NaN for values that give no range."""
     if quantity == "range":
         return np.where(values > 0, values, np.nan)
     if quantity == "inverse-range":

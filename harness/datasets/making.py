@@ -96,7 +96,7 @@ def scene_files(spec: DatasetSpec, scene: int, split: str, threads: int | None =
 
 
 def write_files(folder: Path, files: Files) -> None:
-    """Write files, each whole or not at all, and remove what an earlier attempt left half-written beside them."""
+    """Write files, each whole or not at all, and remove half-written files of an earlier attempt."""
     for below in {(folder / path).parent for path in files}:
         make_folder(below)
         clear_leftovers(below)
@@ -172,7 +172,7 @@ def _has_size(path: Path, size: int) -> bool:
 
 
 def is_complete(spec: DatasetSpec, folder: Path) -> bool:
-    """Whether a folder has the manifest of this very set; then what is left of its journal is removed."""
+    """Whether a folder has the manifest of this very set; if so, a remaining journal is removed."""
     from harness.datasets.layouts.reading import read_json
 
     file = folder / MANIFEST
@@ -256,7 +256,7 @@ def _result(future: Future[Made], backend: Backend) -> Made:
 
 
 def _finish(spec: DatasetSpec, folder: Path, journal: Journal, splits: list[str]) -> None:
-    """Write what is about the whole set; the manifest last."""
+    """Write the files about the whole set, the manifest last."""
     scenes = [journal.done[number] for number in range(spec.scenes)]
     _refuse_alike(scenes)
     layout = LAYOUTS[spec.layout]

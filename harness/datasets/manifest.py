@@ -20,7 +20,7 @@ MANIFEST = "manifest.json"
 JOURNAL = "finished.jsonl"
 """One line for each scene that is done, while a set is being made."""
 _MAKERS = ("specification.py", "surfaces.py", "rooms.py", "rigs.py", "pair.py", "layouts/*.py")
-"""The files here that decide what is in a set's files."""
+"""The source files here that determine the contents of a set's files."""
 LICENCE = "CC0-1.0"
 PROVENANCE = (
     "All images and their truth are rendered by omnirange from dataset.toml; nothing was photographed or measured.",
@@ -83,7 +83,7 @@ def splits_of(spec: DatasetSpec) -> list[str]:
 
 @lru_cache(maxsize=1)
 def maker_hash() -> str:
-    """SHA-256 of all that decides what is in a set's files: the code, and the libraries that it computes with."""
+    """SHA-256 of all that determines the contents of a set's files: the code, and the libraries that it uses."""
     digest = hashlib.sha256(code_hash().encode())
     here = Path(__file__).parent
     for path in sorted({path for pattern in _MAKERS for path in here.glob(pattern)}):
@@ -97,7 +97,7 @@ def spec_hash(spec: DatasetSpec) -> str:
 
 
 def manifest_of(spec: DatasetSpec, scenes: Sequence[SceneRecord], others: Mapping[str, FileRecord]) -> bytes:
-    """The manifest as JSON: the same bytes for the same set, whoever made it in whatever order.
+    """The manifest as JSON: the same bytes for the same set, in whatever order its scenes were made.
 
     Parameters
     ----------

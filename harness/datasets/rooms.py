@@ -122,7 +122,7 @@ def draw_room(spec: DatasetSpec, number: int) -> DrawnRoom:
 
 
 def _shell(builder: _Builder, room: Room) -> float | None:
-    """Build the room itself; the grey of the sky, or None where none is seen."""
+    """Build the room itself, and return the grey level of the sky; None if no sky is visible."""
     windows, open_air = builder.count(room.windows), bool(builder.draws.random() < room.open_air)
     sky = builder.between(room.sky_grey)
     length, width, height = builder.size_m

@@ -95,7 +95,7 @@ def score_pair(pair: StoredPair, range_m: Array) -> Score:
 def _visibility(pair: StoredPair, truth_m: Array, x: Array) -> tuple[Mask, Mask]:
     """Pixels whose point both views see, and those whose point is hidden in view 2.
 
-    Of a set without states nothing is known of what hides what: all that is in view 2's image counts as seen.
+    A set without states does not tell which points are hidden: all points on view 2's image count as seen.
     """
     known = np.isfinite(truth_m)
     if pair.state is not None and pair.maps[0].is_image:

@@ -34,7 +34,7 @@ class Painter:
     surfaces: Surfaces
     colour: bool
     files: dict[str, bytes] = field(default_factory=dict)
-    """Contents by name, of what the scene refers to."""
+    """Contents, by name, of the files that the scene refers to."""
 
     def texture(self, *, small: bool = True, plain: bool = False) -> dict[str, Any]:
         """A texture's table, as of a scene's file.
@@ -88,7 +88,7 @@ class Painter:
         return self._tinted(grey, tile_m) if self.colour else self._kept(grey, tile_m)
 
     def _tinted(self, grey: NDArray[np.floating], tile_m: float) -> dict[str, Any]:
-        """An image of a colour of its own, whose luma is the grey but for what is clipped."""
+        """An image in a random colour whose luma is the grey, except for clipped pixels."""
         tint = self.draws.uniform(0.4, 1.0, 3)
         return self._kept(grey[..., None] * (tint / float(tint @ np.array(LUMA))), tile_m)
 

@@ -59,7 +59,7 @@ def verify(rig: RigDesign, range_m: float, *, draws: int = 4, seed: int = 0, thr
     Parameters
     ----------
     draws
-        Of noise and of all that is uncertain; each renders two images and matches them.
+        Draws of noise and of the uncertain parameters; each renders two images and matches them.
     threads
         All available CPUs when None.
     """

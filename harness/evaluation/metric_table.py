@@ -30,7 +30,7 @@ class Metric:
     scale: float
     """Shown is `scale` times the value."""
     form: str
-    """Format of what is shown."""
+    """Format of the shown value."""
     better: Better
     """The better direction."""
     of: Callable[[Tally], float] | None = None

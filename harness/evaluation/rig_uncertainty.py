@@ -25,7 +25,7 @@ from harness.spec import Spec
 Deviation = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 
 Misaligned = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
-"""Ten sigmas of 10 degrees are past what a camera beside a mirror's focus can be; so are 10 mm for most mirrors."""
+"""Standard deviation of a misalignment, degrees or millimetres: ten of the largest exceed any possible mounting."""
 
 Share = Annotated[float, Field(ge=0, le=0.1)]
 
@@ -58,7 +58,7 @@ class Odometry(Spec):
 
 
 class Uncertainty(Spec):
-    """Standard deviations of what is believed of the rig; zero for what is exact."""
+    """Standard deviations of the rig's believed parameters; zero for exact ones."""
 
     rotation_deg: Deviation = 0.0
     """Standard deviation of view 2's rotation about each axis, degrees."""

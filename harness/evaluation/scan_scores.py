@@ -18,7 +18,7 @@ from harness.mapping.settings import Scan
 Mask = NDArray[np.bool_]
 
 _IN_FRONT = 0.05
-"""An obstacle is nearer than what is on both sides of it by this share at least."""
+"""Least share by which an obstacle is nearer than the surfaces on both sides of it."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ScanScore:
     density: float
     """Share of these with an estimate."""
     bias_m: float | None
-    """Mean error of the right ones; None where there are none, as for all that follow."""
+    """Mean error of the right estimates; None if there are none, as for the following figures."""
     rms_m: float | None
     """Root of the mean squared error of the right ones."""
     median_abs_m: float | None
@@ -108,7 +108,7 @@ def score_scan(
 
 
 def obstacles_of(range_m: Array, which: NDArray[np.integer], names: tuple[str, ...]) -> list[Obstacle]:
-    """The obstacles of a finely sampled true profile: runs of one object that are nearer than what is on both sides.
+    """The obstacles of a finely sampled true profile: runs of one object nearer than the surfaces on both sides.
 
     Parameters
     ----------

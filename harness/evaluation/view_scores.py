@@ -2,8 +2,8 @@
 
 Peak signal-to-noise ratio 10 log10(255^2 / mean squared error), the same with pixels weighted by their solid angle
 (WS-PSNR: Y. Sun, A. Lu and L. Yu, Weighted-to-spherically-uniform quality evaluation for omnidirectional video, IEEE
-Signal Processing Letters 2017), and structural similarity (scikit-image's). Holes are counted apart; what is scored has
-them filled, so that no view is better for leaving out what is hard.
+Signal Processing Letters 2017), and structural similarity (scikit-image's). Holes are counted separately; the scored
+view has them filled, so that no view gains from leaving out difficult parts.
 """
 
 import math

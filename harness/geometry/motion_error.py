@@ -29,7 +29,7 @@ class MotionError(OneLine):
     length_by_motion: Array
     """`[6]`: how ln |t| changes with omega and tau; 0 where it was measured by itself."""
     length_share: float = 0.0
-    """Standard deviation of |t| over |t|, beyond what it has from the motion."""
+    """Standard deviation of |t| over |t|, in addition to its part from the motion."""
 
 
 def sensitivity_to_motion(directions: ArrayLike, range_m: ArrayLike, t_v1: ArrayLike) -> Array:

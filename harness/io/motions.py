@@ -76,7 +76,7 @@ def read_motions(file: Path, lens_from_sensor: Array, frame: Frame | None = None
     Raises
     ------
     InputError
-        When the file is no trajectory, or does not say all that is needed.
+        When the file is no trajectory, or lacks a value that is needed.
     """
     content = read_content(file)
     if not is_trajectory(content):

@@ -69,7 +69,7 @@ def learn(at_m: Array, described: Array, group: NDArray[np.integer], real: NDArr
         `[n]`: images of one group do not predict each other.
     real
         `[n]`: the images that are predicted. At least one has another group to be predicted from, or the widths are in
-        the middle of what is tried.
+        the middle of the widths that are tried.
     """
     squared = _squared(described[real], described)
     other = group[real][:, None] != group

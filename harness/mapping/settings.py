@@ -48,8 +48,8 @@ Point = tuple[Finite, Finite]
 
 
 class OccupancyMap(Spec):
-    """A map of what is occupied and what is free, from the range profiles of pairs along a path, scored against the
-    floor plan cut from the scene.
+    """A map of occupied and free cells, from the range profiles of pairs along a path, scored against the floor plan
+    that is cut from the scene.
 
     At each station the rig is turned as the path runs, so that the baseline keeps its direction to it: `view_2`'s
     azimuth is counted from there. The profiles are those that `scan` describes.
@@ -65,7 +65,7 @@ class OccupancyMap(Spec):
     prior: Annotated[float, Field(gt=0, lt=0.5)] = 0.2
     """Probability that a cell is occupied before anything was measured."""
     false_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.05
-    """Share of the profiles' answers that mean nothing: what one of them can say at most about a cell."""
+    """Share of the profiles' distances that are false: it limits the evidence of one distance about a cell."""
 
     def stations(self) -> list[tuple[float, float, float]]:
         """(x, y, heading) of each pair: metres, and radians from x towards y."""

@@ -125,7 +125,7 @@ class MatcherSettings(Spec, ABC):
         """Side of the square whose residuals give a match's uncertainty, panorama pixels; see `uncertainty`."""
         return 11
 
-    def match_seconds(self, image_mp: float, curve_mp: float) -> float | None:  # noqa: ARG002 - others go by images
+    def match_seconds(self, image_mp: float, curve_mp: float) -> float | None:  # noqa: ARG002 - for matchers whose time depends on the images
         """About how long a match takes on one thread, seconds, within a factor of two; None where that is not known.
 
         Parameters
@@ -249,7 +249,7 @@ class Fault:
     """A violated rule of the interface in a matcher's answer."""
 
     rule: Literal["form", "shape", "dtype", "angles", "missing"]
-    """The rule that it breaks: the form of what is returned, its shape or type, angles in range, or NaN exactly where
+    """The rule that it breaks: the form of the return value, its shape or type, angles in range, or NaN exactly where
     there is no match."""
     text: str
     """A description for people, with the first pixel concerned."""

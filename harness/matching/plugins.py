@@ -43,7 +43,7 @@ def find(kind: str) -> Callable[..., Any]:
     """
     module_name, attributes = _address(kind)
     target = module = _module(module_name, kind)
-    if not is_known(module_name):  # from now on, its files are known to be those that it was made of
+    if not is_known(module_name):  # record the files that it was made of
         source_of(module_name, kind)
     for name in attributes.split("."):
         if not hasattr(target, name):
@@ -161,7 +161,7 @@ def _address(kind: str) -> tuple[str, str]:
 def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], bool] | None:
     """The parameters after the pair and the limits, and whether any others are taken; None without a signature.
 
-    Those of a class are what it is made from; its instances take the pair and the limits.
+    The parameters of a class are those of its constructor; its instances take the pair and the limits.
 
     Raises
     ------

@@ -173,9 +173,9 @@ def check(program: Program) -> None:
 def digest(program: Program) -> str:
     """SHA-256 of the files that the settings name, by their contents.
 
-    They are the words of the command that name a file (of a Python script also what it imports from its own folder,
-    see `source_files.script_files`), `files`, and the parameters that name a file. A program that is found on the
-    search path counts by its contents too, unless another word names a file: then it is taken for an interpreter.
+    These are the words of the command that name a file (for a Python script also the modules that it imports from its
+    own folder, see `source_files.script_files`), `files`, and the parameters that name a file. A program on the search
+    path counts by its contents too, unless another word names a file: then it is taken for an interpreter.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The images that a matcher may ask for beside the panorama: from pixels to directions, and back.
 
 All of them are in view 1's orientation, so that two views differ by the translation t alone, and none is a mirror
-image: what is on the right of something is on its right. The centre of pixel [row, column] is at whole numbers.
+image: right in the scene is right in the image. The centre of pixel [row, column] is at whole numbers.
 """
 
 import math

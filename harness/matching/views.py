@@ -76,7 +76,7 @@ class Views(OneLine):
         confidence
             Higher is more confident, in any unit.
         sigma
-            Predicted standard deviation, in the unit of what is answered.
+            Predicted standard deviation, in the unit of the given quantity.
 
         Raises
         ------

@@ -29,7 +29,7 @@ _CAUCHY = 2.385
 _LAMBDAS = np.concatenate([[0.0], np.geomspace(1e-3, 30, 60)])
 _ROUNDS = 5
 _ALIKE = 0.97
-"""Causes that explain this share of what the best one explains are indistinguishable from it."""
+"""Causes that explain at least this share of the best one's gain are indistinguishable from it."""
 _ENOUGH = 0.9
 """Least share that a single likely cause explains."""
 _CLEAR = 0.35

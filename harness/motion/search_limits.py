@@ -26,7 +26,7 @@ _BESIDE = 0.6
 """Nearest range searched, of the nearest point's; the farthest likewise."""
 _WIDE_FAR_SHARE, _WIDE_BESIDE = 0.005, 1 / 3
 """The same two for the farthest range, where a small surface may be far off and have no keypoints, such as the end of a
-corridor: inverse ranges, which are what is searched, are hardly more for it."""
+corridor: the search is over inverse ranges, of which this adds hardly any."""
 _FARTHEST = 200.0
 """Farthest range that counts, baselines: beyond, the parallax is below a third of a degree."""
 

@@ -119,7 +119,7 @@ class GeometryCheck(OneLine):
 
     @property
     def likely(self) -> tuple[str, ...]:
-        """The likeliest cause, and those that cannot be told from it, by name; none where nothing is wrong."""
+        """The names of the likeliest cause and of those indistinguishable from it; none without an error."""
         if self.causes is None or not self.causes.significant:
             return ()
         best, *others = self.causes.likely

@@ -3,9 +3,9 @@
 Of the same number of real images there are four ways to learn:
 
 - `pairs`: the images of n/2 pairs;
-- `synthesised`: these, and what is made of them with the matcher's ranges;
+- `synthesised`: these, and views warped from them with the matcher's ranges;
 - `true ranges`: the same with the true ranges, which is the ceiling of any matcher;
-- `singles`: n images at n places of their own, without a pair: what the real images could have been spent on.
+- `singles`: n images at n places of their own, without a pair: the alternative use of the same number of real images.
 """
 
 from collections.abc import Iterator

@@ -1,6 +1,6 @@
 """Rejection of implausible matches of photographs: the views do not look alike there, or the point has moved.
 
-In an experiment a matcher answers for itself, and its outliers are counted. Here nobody counts them.
+In an experiment a matcher's outliers are its own, and are counted. Without ground truth they cannot be.
 """
 
 from dataclasses import replace

@@ -42,7 +42,7 @@ class NovelView(OneLine):
     expected: Grey
     """The rendered view, without noise; NaN where the sensor does not see."""
     compared: Mask
-    """The pixels that count: those that the sensor sees from there."""
+    """The pixels that are scored: those that the sensor sees from the new viewpoint."""
     disoccluded: Mask
     """The pixels that view 1 does not see, by the truth."""
     warped: WarpedView

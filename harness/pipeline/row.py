@@ -122,7 +122,7 @@ def _of_confidence(optional: dict[str, Any]) -> dict[str, float | None]:
 
 
 def _of_motion(outcome: Outcome) -> dict[str, float | None]:
-    """Errors of an estimated motion, and what they cost; none where it was given."""
+    """Errors of an estimated motion, and the range errors that they cause; none if the motion was given."""
     if outcome.estimated is None:
         return {}
     counted = outcome.reference.domain & outcome.valid

@@ -1,7 +1,7 @@
 """The range profile of a trial, and the true one that it is scored against.
 
 The true profile is cut from the scene itself: horizontal rays from the viewpoint's vertical, at many heights of the
-band. So it also has what the view cannot see, such as what stands low behind a high edge.
+band. So it also has what the view cannot see, such as a low object behind a high edge.
 """
 
 import math

@@ -146,7 +146,7 @@ def filled(matches: Matches, others: Matches) -> Matches:
 
 
 def _blurred(image: Image, sensor: Sensor, blur_px: float) -> Image:
-    """Smoothed; gaps stay gaps, and nothing of them, or of what the sensor does not see, gets in."""
+    """The image smoothed by a Gaussian; gaps stay gaps, and neither they nor invisible pixels contribute."""
     finite = np.isfinite(image)
     known = pixel_directions(sensor)[1] & finite
     smooth = ndimage.gaussian_filter(image[nearest_known(known)], blur_px, mode="nearest")

@@ -18,7 +18,7 @@ LITTLE = 0.05
 """A share of pixels below which there is a notice: figures over so few pixels mean little."""
 
 LITTLE_OF_FIELD = 0.25
-"""A share of what a sensor's field has of the panorama: less of it on the image, and there is a notice."""
+"""Share of the panorama's pixels in a sensor's field that should be on its image: with fewer there is a notice."""
 
 _CIRCLE = "camera.focal_px, camera.cx_px and camera.cy_px"
 """The keys that set the size and position of the mirror's circle on the image."""

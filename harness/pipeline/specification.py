@@ -191,7 +191,7 @@ class Trial(Spec):
     scan: Scan = Scan()
     """A range profile of view 1, as a robot uses it."""
     map: OccupancyMap = OccupancyMap()
-    """A map of what is occupied and what is free, from such profiles along a path."""
+    """A map of occupied and free cells, from such profiles along a path."""
     localisation: Localisation = Localisation()
     """Localisation by appearance, with real images and with others that are made of them."""
     scoring: Scoring = Scoring()
@@ -237,21 +237,22 @@ class Trial(Spec):
             When such a matcher cannot be found, or the source of one of these has changed since it was loaded.
         """
         settings = as_table(self, without="scene") | {"scene": fingerprint(self.scene)}
-        self._without_what_is_new(settings)
+        self._drop_new_defaults(settings)
         if matcher := self.matching.identity():
             settings["matcher"] = matcher
         if any(models := [sensor.model.identity() for sensor in self.sensors]):
             settings["camera_models"] = models
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
-    def _without_what_is_new(self, settings: dict[str, Any]) -> None:
-        """Take out of a key's settings what trials have had for less long, where it is at its default: a trial that
-        could be described before keeps its key.
+    def _drop_new_defaults(self, settings: dict[str, Any]) -> None:
+        """Remove newer keys from a trial key's settings where they are at their defaults.
+
+        So a trial that an earlier version could describe keeps its key.
         """
         if self.sensors[0] == self.sensors[1]:
             del settings["sensor_2"]  # the same trial, whether or not the key is given
         for sensor, specification in zip((settings["sensor"], settings.get("sensor_2", {})), self.sensors, strict=True):
-            _without_what_is_new_of_sensors(sensor, specification)
+            _drop_new_sensor_defaults(sensor, specification)
         for name in ("optics", "optics_2", "chip", "motion", "believed", "novel_views", "scan", "map", "localisation"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del settings[name]  # as in versions without this table
@@ -293,7 +294,7 @@ class Trial(Spec):
 
     @property
     def belief_draws(self) -> dict[str, float]:
-        """The errors of what is believed that the seed draws, by parameter."""
+        """The errors of the believed rig that the seed draws, by parameter."""
         return draws_of(self.sensor, self.believed.sigma, self.true_motion, self.seed)
 
     @property
@@ -330,8 +331,8 @@ class Trial(Spec):
         return relative_motion(*self.poses)
 
 
-def _without_what_is_new_of_sensors(settings: dict[str, Any], given: Sensor) -> None:
-    """Take out of a key's settings of a sensor what it has had for less long, where it is at its default."""
+def _drop_new_sensor_defaults(settings: dict[str, Any], given: Sensor) -> None:
+    """Remove newer keys of a sensor from a trial key's settings where they are at their defaults."""
     if given.misalignment.is_zero:
         settings.pop("misalignment", None)  # as in versions without this table
     if given.profile is None:

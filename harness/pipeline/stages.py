@@ -1,4 +1,4 @@
-"""Stages: what each step of a trial depends on and what it does, declared once.
+"""Stages: the dependencies and the work of each step of a trial, declared once.
 
 A stage's key is made of the settings that it reads itself and of the keys of the stages before it. From the
 declarations follow what trials can share (results with equal keys), the order in which trials are best run, and what
@@ -184,7 +184,7 @@ class Clock:
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Count the time of what is done inside for this stage."""
+        """A context whose time counts for this stage."""
         self._observe(stage)
         self._inside.append(0.0)
         begin = time.perf_counter()

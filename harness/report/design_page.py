@@ -107,7 +107,7 @@ def magnification(chosen: Sequence[Ellipsoid]) -> int:
 
 
 def _half_of_plan(chosen: Sequence[Ellipsoid]) -> float:
-    """Half the side of the plan, metres: enough for all points and what is drawn around them."""
+    """Half the side of the plan, metres: enough for all points and their ellipses."""
     farthest = max((float(np.abs(each.point_m[:2]).max()) for each in chosen), default=0.0)
     return max(_PLAN_M, 1.2 * farthest)
 

@@ -122,7 +122,7 @@ def build_comparison(*folders: Path) -> Comparison:
     Raises
     ------
     InputError
-        When a folder holds no run, or what it holds cannot be read or is not as it was written.
+        When a folder holds no run, or its files cannot be read or are damaged.
     """
     if len(folders) < 2:
         raise InputError("give at least two folders to compare")

@@ -198,5 +198,5 @@ def _by_settings(run: Run, without: set[str]) -> dict[Conditions, int]:
 
 
 def _conditions(settings: dict[str, str], without: set[str], prefix: str = "\0") -> Conditions:
-    """Settings except some, and those that begin so."""
+    """Settings without some keys, and without keys that begin with `prefix`."""
     return tuple(sorted(each for each in settings.items() if each[0] not in without and not each[0].startswith(prefix)))

@@ -37,7 +37,7 @@ class Context:
     trial: Trial
     """The base trial."""
     room: int = MOST_BYTES
-    """Bytes of the page that the other sections leave; for one that takes what is left."""
+    """Bytes of the page that the other sections leave, for a section that takes the rest."""
 
     @classmethod
     def of(cls, result: Result) -> "Context":
@@ -208,7 +208,7 @@ class Declared:
     title: str | Callable[[Context], str]
     about: About
     needs_pixels: bool
-    """Whether it cannot be made from rows and summary alone; where pixels are missing it says so."""
+    """Whether it cannot be made from rows and summary alone; without pixels it states that."""
     takes_the_rest: bool
     """Whether it is made after all others, and given the room that they leave (`Context.room`)."""
     make: Callable[[Context], Iterator[Block]]

@@ -76,7 +76,7 @@ def build_picture(coverage: Coverage, kind: str) -> bytes:
 
 @theme.panel
 def image_panel(coverage: Coverage) -> Picture:
-    """The image: what is used of it, and lines of equal elevation."""
+    """The image with its used part, and lines of equal elevation."""
     fig = theme.figure(HALF, _HEIGHT)
     _draw_image(coverage, fig, 0)
     camera = coverage.sensor.camera

@@ -37,7 +37,7 @@ def _named(settings: dict[str, str], keys: Iterable[str]) -> dict[str, str]:
 
 @lru_cache
 def _shipped(key: str) -> Mapping[frozenset[tuple[str, str]], str]:
-    """The names by what is written of their tables."""
+    """The shipped names by the settings that runs record for their tables."""
     names = {}
     for name in shipped.names(_KINDS[key]):
         experiment = load_experiment({"name": name, "trial": {key: name}})

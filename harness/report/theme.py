@@ -36,7 +36,7 @@ OCHRE = "#7A5C00"
 """One more, as dark as none of the others, for the eighth cause of an error budget."""
 INK, FAINT, PAPER = "#222222", "#8A8A8A", "#FFFFFF"
 OUTSIDE, UNMATCHED = "#DEDEDE", "#F1F1F1"
-"""Greys behind what is outside the domain, and behind what has no estimate."""
+"""Greys behind samples outside the domain, and behind samples without an estimate."""
 
 WIDE, HALF = 1040, 510
 """Widths of a figure and of one of two beside each other, CSS pixels."""

@@ -83,7 +83,7 @@ def read_run(folder: Path, name: str) -> Run:
     Raises
     ------
     InputError
-        When the folder holds no run, or what it holds cannot be read or is not as it was written.
+        When the folder holds no run, or its files cannot be read or are damaged.
     """
     for file in READ:
         if not (folder / file).is_file():

@@ -68,7 +68,7 @@ def value_at(table: Any, key: str) -> Any:
 
 
 def worked_out(value: Any, spec: Any, key: str) -> Any:
-    """The value at a dotted key of a specification: as it was given or, where a number was worked out from it, that."""
+    """The given value at a dotted key of a specification, or the number computed from it if it is text or None."""
     if value is not None and not isinstance(value, str):
         return value
     for part in key.split("."):

@@ -87,7 +87,7 @@ def _in_process() -> Iterator[Executor]:
 
 
 class _InProcess(Executor):
-    """Runs what is submitted immediately."""
+    """An executor that runs each call when it is submitted, in this process."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()

@@ -32,7 +32,7 @@ def load_experiment(
     """Read an experiment.
 
     `trial.scene` may be a table, a shipped name or a path; `trial.sensor` a table or a path. Paths are relative to the
-    experiment's file, or the working folder where there is none, and absolute in what is returned.
+    experiment's file, or the working folder where there is none, and absolute in the result.
 
     Parameters
     ----------

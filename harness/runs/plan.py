@@ -14,7 +14,7 @@ BATCH_S = 1.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Trials in an order in which those that share the most are neighbours."""
+    """Trials in an order in which neighbours share the most."""
 
     trials: tuple[Planned, ...]
     seconds: tuple[float, ...]
@@ -55,7 +55,7 @@ class Plan:
 
 
 def plan(trials: Sequence[Planned]) -> Plan:
-    """Order trials by what they share, in the order of the pipeline; else as they come."""
+    """Order trials by the results that they share, in the order of the pipeline; otherwise as they come."""
     keys = [sharing_keys(each.trial) for each in trials]
     ranks: list[dict[Hashable, int]] = []
     for stage in keys[0] if keys else ():

@@ -22,7 +22,7 @@ _EXPERIMENT, _PLAN = "experiment", "plan"
 
 
 class RecordedExperiment(Experiment):
-    """An experiment whose trials are those that were written down."""
+    """An experiment whose trials are those recorded in a run's file."""
 
     _planned: tuple[Planned, ...] = PrivateAttr(default=())
     _scenes: frozenset[str] = PrivateAttr(default=frozenset())

@@ -111,7 +111,7 @@ class RunStatus:
     """How far a run has come."""
 
     left: list[Planned]
-    """The trials that are still to be run; those that failed among them."""
+    """The trials that are still to be run, including failed ones."""
     total: int
     done: int
     failed: int
@@ -177,7 +177,7 @@ def run_plan(
     observe: Callable[[Sequence[Finished]], None] = lambda _: None,
     maps: Path | None = None,
 ) -> None:
-    """Run what is left to do; see `scheduler.run_batches`.
+    """Run the remaining trials; see `scheduler.run_batches`.
 
     Raises
     ------

@@ -64,7 +64,7 @@ class _Scheduler:
     retrying: bool = False
 
     def drain(self, executor: Executor) -> None:
-        """Run all that is waiting, or until the executor is broken."""
+        """Run all waiting batches, or until the executor is broken."""
         try:
             while self.waiting or self.retries or self.running:
                 interrupts.check()
@@ -127,7 +127,7 @@ class _Scheduler:
         self.running.clear()
 
     def _collect_finished(self, grace_s: float | None) -> None:
-        """Cancel what is running, and write what finishes within some seconds."""
+        """Cancel the running batches, and write those that finish within some seconds."""
         for future in self.running:
             future.cancel()
         done, _ = wait(self.running, timeout=grace_s)

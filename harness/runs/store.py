@@ -118,7 +118,7 @@ class Store:
         try:
             self._open(read_only=read_only)
         except BaseException as error:
-            self._connection.close()  # nobody else will: there is no store to leave
+            self._connection.close()  # there is no store that would close it
             if isinstance(error, _DAMAGE):
                 raise self._explained(error) from error
             raise
@@ -160,7 +160,7 @@ class Store:
     def read_earlier(self, keys: Iterable[str]) -> None:
         """Read the rows of other code if today's has made none of these trials: of the one that has made the most.
 
-        For reports. Rows of several codes are never mixed, and what is written is always today's.
+        For reports. Rows of several codes are never mixed, and new rows are always of the present code.
         """
         wanted = set(keys)
         codes = [code for key, code in self._rows("SELECT key, code FROM trials ORDER BY rowid") if key in wanted]

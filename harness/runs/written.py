@@ -53,7 +53,7 @@ def is_written(digest: str, store: Store, folder: Path) -> bool:
 
 
 def read_written(folder: Path, names: tuple[str, ...]) -> tuple[dict[str, bytes], bool]:
-    """Files that a run of any code wrote, by name; those that are not there are left out.
+    """Files that a run of any code wrote, by name; missing ones are left out.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def _stored_hashes(store: Store) -> dict[str, Any] | None:
 
 
 def _hashes(folder: Path) -> dict[str, str | None]:
-    """SHA-256 of the files made from the rows, by name; None for what is no regular file."""
+    """SHA-256 of the files made from the rows, by name; None for one that is no regular file."""
     hashes: dict[str, str | None] = dict.fromkeys(WRITTEN)
     for name in WRITTEN:
         path = folder / name

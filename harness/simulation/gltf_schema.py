@@ -1,4 +1,4 @@
-"""The parts of glTF 2.0's JSON that are read, and those that are rejected by name.
+"""The parts of glTF 2.0's JSON that are read, and the parts that are rejected by name.
 
 Property names are those of the specification; properties that are not listed are ignored, unless they are extensions.
 """
@@ -21,7 +21,7 @@ _NO_DIFFERENCE = {
     "KHR_materials_dispersion", "KHR_materials_emissive_strength", "KHR_materials_variants", "KHR_xmp_json_ld",
     "KHR_mesh_quantization", "KHR_animation_pointer", "EXT_lights_image_based",
 }  # fmt: skip
-"""Extensions that only affect shading, or offer alternatives to what is shown by default."""
+"""Extensions that only affect shading, or offer alternatives to the default appearance."""
 _APPLIED = {"KHR_texture_transform", "EXT_texture_webp"}
 
 Index = Annotated[int, Field(ge=0, lt=2**31)]

@@ -35,7 +35,7 @@ def read_mesh(path: Path, textured: bool = True, weights: Weights = LUMA) -> tup
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"not a mesh file; give one of {', '.join(FORMATS)}", file=path)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+    with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
         parts = [
             part for part in FORMATS[path.suffix.lower()](path, textured=textured, weights=weights) if len(part.corners)
         ]

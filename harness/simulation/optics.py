@@ -48,8 +48,7 @@ class Optics(Spec):
 def with_optics(image: Image, sensor: Sensor, optics: Optics) -> Image:
     """The image through a lens.
 
-    Beyond what the sensor sees, the nearest pixel that it does see continues the image, so that the black there does
-    not bleed in.
+    Beyond the field the image is continued by the nearest pixel inside, so that the black there does not bleed in.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ there is skew: they have to be so. The sensor's mask is not in the scene. For po
 
 
 def check_pov(sensor: Sensor) -> None:
-    """Check that POV-Ray can repeat what a sensor does.
+    """Check that POV-Ray can reproduce the images of a sensor.
 
     Raises
     ------

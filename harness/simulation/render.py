@@ -179,7 +179,7 @@ def _face_of_pixels(view: View, sensor: Sensor, threads: int | None, *, with_edg
     step = 0.9 * corners.finest_rad
     # Two pixels beyond the field, as the corners of pixels at the rim lie outside.
     field = field_of(sensor, margin_rad=2 * corners.coarsest_rad)
-    marks = corners.narrow.copy()  # those are traced, lest edges be sampled ever more closely on their account
+    marks = corners.narrow.copy()  # traced instead, so that edges need not be sampled too closely
     goes_round = seam_px(sensor) > 0
 
     def mark(start: int) -> None:

@@ -188,7 +188,7 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
     """Read a scene: a shipped name, the path of a TOML file, or a table like that of a file.
 
     Paths of meshes and images are relative to the scene's file, or the working folder where there is none, and
-    absolute in what is returned.
+    absolute in the result.
 
     Raises
     ------

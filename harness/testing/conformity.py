@@ -72,7 +72,7 @@ class Finding:
 
 
 class Broken(Exception):  # noqa: N818 - a verdict, not a failure of this program
-    """The matcher does not do what the check asks."""
+    """The matcher does not pass the check."""
 
 
 class NotReached(Exception):  # noqa: N818
@@ -360,7 +360,7 @@ def _blank_images(subject: Subject) -> str:
 
 
 def _judged(pair: Pair) -> Mask:
-    """Pixels away from the epipoles and from what the sensor does not see."""
+    """Pixels that are valid in both filtered panoramas, away from the epipoles."""
     return pair.filtered()[0].valid & pair.filtered()[1].valid & (np.sin(pair.alpha_1) >= 0.5)
 
 

@@ -121,7 +121,7 @@ def _rays(u, v, camera, x_out, y_out, z_out):
     for i in range(u.size):
         m, n = from_pixel(u[i], v[i], camera)
         r2 = m * m + n * n
-        # Either root is not a number where no direction is seen; for xi >= 1 all that is seen lies ahead.
+        # Either root is NaN outside the domain; for xi >= 1 every visible direction lies ahead.
         z_2 = (1.0 - alpha * alpha * r2) / (alpha * math.sqrt(1.0 - (2.0 * alpha - 1.0) * r2) + 1.0 - alpha)
         if xi >= 1.0 and not z_2 > 0.0:
             z_2 = math.nan

@@ -89,7 +89,7 @@ class EquirectangularCamera(NamedTuple):
     """The u at which the full turn begins of which the image is a part."""
     least: float
     most: float
-    """The bounds of u, lest a direction on the seam be rounded off the image."""
+    """The bounds of u, so that a direction on the seam is not rounded off the image."""
     highest: float
     """Latitude beyond which a pixel sees nothing, radians."""
 

@@ -108,7 +108,7 @@ def _rays(u, v, camera, x_out, y_out, z_out):
     for i in range(u.size):
         m, n = from_pixel(u[i], v[i], camera)
         r2 = beta * (m * m + n * n)
-        root = math.sqrt(1.0 - (2.0 * alpha - 1.0) * r2)  # not a number where no direction is seen
+        root = math.sqrt(1.0 - (2.0 * alpha - 1.0) * r2)  # NaN outside the domain
         x_out[i] = m
         y_out[i] = n
         z_out[i] = (1.0 - alpha * alpha * r2) / (alpha * root + 1.0 - alpha)

@@ -133,7 +133,7 @@ def _rays(u, v, camera, x_out, y_out, z_out):
         if has_lens:
             m, n = unbend(m, n, k1, k2, p1, p2, k3, fold)
         r2 = m * m + n * n
-        root = math.sqrt(1.0 - (xi * xi - 1.0) * r2)  # not a number where no direction is seen
+        root = math.sqrt(1.0 - (xi * xi - 1.0) * r2)  # NaN outside the domain
         k = (xi + root) / (1.0 + r2)
         x_out[i] = k * m
         y_out[i] = k * n

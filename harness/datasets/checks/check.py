@@ -90,7 +90,7 @@ def open_set(folder: Path) -> StoredSet:
     Raises
     ------
     InputError
-        When the folder is none, or laid out in no known way, or what says what there is cannot be read.
+        When there is no such folder, it has no known layout, or the files that list its contents cannot be read.
     """
     if not folder.is_dir():
         raise InputError("is no folder of a data set", file=folder)

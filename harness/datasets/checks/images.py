@@ -1,7 +1,7 @@
 """The images against the geometry: swapped views, wrong poses and calibrations, half-pixel shifts, wrong units.
 
-If what both images show at the points of a map agrees better under another geometry, that one says what is wrong.
-First come other readings of what the set states; then small changes, fitted to all pairs together.
+If both images agree better at the points of a map under another geometry, that geometry reveals the fault. First come
+other readings of the set's numbers; then small changes, fitted to all pairs together.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ _MOST_PAIRS = 10
 _AGREE = 0.45
 """Correlation below which the images do not show the same points: right ones have 0.8 and more, noisy ones 0.6."""
 _BETTER = 0.25
-"""Part of what is missing to a correlation of 1 that another reading has to make good."""
+"""Share of a correlation's deficit from 1 that another reading has to remove."""
 _LEAST_BETTER = 0.01
 _GAIN = 0.06
 """Least decrease of the squared differences, as a share, for a small change to be believed."""

@@ -1,7 +1,7 @@
 """The images of a pair at the points of its map, and the changes of geometry that make them agree better.
 
 Images are freed of brightness and contrast: smoothed, less their surroundings, over the local standard deviation.
-Points beside a jump in range are left out, as are those that are seen at an image's border.
+Points next to a jump in range, and points at an image's border, are left out.
 """
 
 from collections.abc import Callable, Sequence

@@ -97,7 +97,7 @@ def _pair_files(spec: DatasetSpec, split: str, pair: Pair) -> Files:  # noqa: AR
 
 
 def _levels(values: Array, steps: float) -> NDArray[np.uint16]:
-    """Levels of 16 bits; 0 for what is not known or does not fit."""
+    """Levels of 16 bits; 0 for values that are unknown or do not fit."""
     levels = np.rint(np.nan_to_num(values) * steps)
     return np.where((levels > 0) & (levels < _LARGEST), levels, 0).astype(np.uint16)
 

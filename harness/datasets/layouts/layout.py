@@ -147,7 +147,7 @@ class Layout:
     recognises: Callable[[Path], bool]
     """Whether a folder is laid out so."""
     read: Callable[[Path], list[StoredPair]]
-    """The pairs in a folder, by name; InputError when a file that says what there is is wrong."""
+    """The pairs in a folder, by name; InputError when a file that lists the contents is wrong."""
 
 
 # --- Files ------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Arrays and tables out of a data set's files, whoever wrote them, within limits and without trust."""
+"""Arrays and tables from a data set's files, which may be anybody's: read within limits and without trust."""
 
 import io
 import json

@@ -82,7 +82,7 @@ def _kind(sensor: Sensor) -> str:
 
 
 def _targets(sensor: Sensor, to: str, kind: str | None) -> list[Target]:
-    """The models that may be written; those that are likely to be exact come first."""
+    """The models that may be written, the likely exact ones first."""
     own = _kind(sensor)
     targets = [Target(each) for each in BUILT_IN if each != _NO_LENS] if to == TOML else list(FORMATS[to].targets)
     if to == TOML:

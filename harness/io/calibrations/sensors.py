@@ -33,7 +33,7 @@ _UNMOUNTED = (
 
 @dataclass(frozen=True)
 class Chosen:
-    """The user's choices: what a calibration file does not contain, or overrides of a sensor file."""
+    """The user's choices: values that a calibration file does not contain, or that override a sensor file's."""
 
     camera: int | None = None
     """The number of the camera, from 0."""

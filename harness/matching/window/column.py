@@ -286,7 +286,7 @@ def _maps(curves: Curves, parts: int, reach: int, *, half: bool) -> _Maps:
     image_end = np.clip(((grid.height_px - 1) * unit - offset) // gain + 1, image_first, grid.height_px)
     image_end = np.where(follows, image_end, image_first)
     sign = np.where(curves.step[0] < 0, -1, 1)
-    # Casting keeps the lower 32 bits, which is what the kernel computes with.
+    # Casting keeps the lower 32 bits, in which the kernel computes.
     gain, offset, image_first, image_end = (a.astype(np.int32) for a in (gain, offset, image_first, image_end))
     return _Maps(half, k_0, sign, gain, offset, image_first, image_end)
 

@@ -149,5 +149,5 @@ def _refine_on_images(
 def costs_along_curve(
     first: Panorama, second: Panorama, whole: WholePixelMatches, matcher: WindowMatcher, row: int, column: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """All samples k of one pixel's search interval, and their costs: what the paper's figure 3 draws."""
+    """All samples k of one pixel's search interval, and their costs, as in the paper's figure 3."""
     return _KINDS[matcher.kind].costs_along_curve(first, second, whole.curves, matcher, row, column)

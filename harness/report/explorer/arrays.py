@@ -1,6 +1,6 @@
 """Maps as text inside a page: whole numbers, as differences along rows and columns, in planes of bytes, deflated.
 
-Numbers are rounded to a stated step first, so that what the page shows is known to that step. `scripts/arrays.js` reads
+Numbers are rounded to a stated step first, so that the page's values are known to that step. `scripts/arrays.js` reads
 them back.
 """
 
@@ -45,7 +45,7 @@ def pack(values: ArrayLike) -> Packed:
 
 
 def in_steps(values: NDArray[np.floating], step: float) -> NDArray[np.floating]:
-    """Values as whole numbers of steps; what is missing repeats what is before it in its row, which takes no space."""
+    """Values as whole numbers of steps; a missing one repeats its predecessor in the row, which takes no space."""
     known = np.isfinite(values)
     before = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), axis=1)
     filled = np.take_along_axis(values, before, axis=1)

@@ -89,7 +89,7 @@ class Curve:
     """`[samples]`: phi_2, or alpha_2 when the curve is sampled in it; degrees, not wrapped."""
     costs: Array
     near: NDArray[np.bool_]
-    """`[samples]`: those that the parabola is fitted to."""
+    """`[samples]`: whether the parabola is fitted to the sample."""
     fit: NDArray[np.floating]
     """Coefficients of the parabola in sample numbers from the best one, highest power first."""
     best_deg: float

@@ -14,7 +14,7 @@ from harness.report.section import About, Block, Context, TableBlock, section_of
 from harness.report.sweep import Axis, MethodStyle, Sweep
 
 MOST_ROWS = 240
-"""The most rows of a table on the page; nobody reads more there, and all are in its data."""
+"""The most rows of a table on the page; all are in its data."""
 
 SHOWN = (
     *(name for name in METRICS if name != "refined"),
@@ -29,7 +29,7 @@ SHOWN = (
     "solid_angle_range_rmse_m",
     "refined",
 )
-"""The metrics of the columns; those that are not named here are in the data alone."""
+"""The metrics of the columns; all others are in the data alone."""
 
 _ON_PAPER = (
     "density",

@@ -105,7 +105,7 @@ def _numbers(name: str, methods: list[Method], rows: list[int], every: int = 1) 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the panorama and what is seen in it."""
+    """A row of the panorama, and the surfaces that it shows."""
 
     index: int
     elevation_deg: float
@@ -249,7 +249,7 @@ def _background(ax: Axes, outcome: Outcome, row: int, phi: Array) -> None:
 
 
 _PALE = 0.4
-"""Opacity of what no figure counts."""
+"""Opacity of pixels that no figure counts."""
 
 
 def _estimate(ax: Axes, method: Method, row: int, span: tuple[float, float], size: float) -> int:

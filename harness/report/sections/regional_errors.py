@@ -142,7 +142,7 @@ def _cell(figure: tuple[float, float, float] | None, form: str, scale: float) ->
 
 
 def _greyed(cells: list[Cell], part: str) -> list[Cell]:
-    """The cells of a part; of what no other figure counts, in grey."""
+    """The cells of a part; in grey for a part that no other figure counts."""
     return [replace(cells[0], faint=True), *cells[1:]] if part == NEAR_BASELINE else cells
 
 

@@ -47,7 +47,7 @@ The azimuth descends from left to right, as seen from inside; <i>z</i> is the he
 
 @section_of(About.BASE_TRIAL, "data", "From scene to filtered panorama", needs_pixels=True)
 def section(context: Context) -> Iterator[Block]:
-    """From the scene to what is matched."""
+    """The scene, a mirror image, the panorama, and the filtered panorama that is matched."""
     outcome, trial = context.methods[0].outcome, context.trial
     yield Figure(
         "figure-environment",
@@ -226,7 +226,7 @@ class _Overview:
 def _overview_image(
     geometry: Geometry, camera: _Overview, extent: tuple[float, float, float, float], width: int, height: int
 ) -> NDArray[np.uint8]:
-    """The scene without its near side: rays begin where they enter its bounds, a hair behind what is there."""
+    """The scene without its near side: rays begin just inside the bounds that they enter."""
     per_side = 2
     left, right, bottom, top = extent
     x = left + (np.arange(width * per_side) + 0.5) * (right - left) / (width * per_side)
