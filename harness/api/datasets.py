@@ -58,7 +58,7 @@ class DatasetPair(OneLine):
 
     @property
     def motion(self) -> Motion:
-        """From view 1 to view 2."""
+        """The motion from view 1 to view 2."""
         return self.stored.motion
 
     @property

@@ -22,7 +22,7 @@ def is_misalignment(key: str) -> bool:
 
 
 def significance(keys: Sequence[str], uncertainty: Uncertainty) -> float:
-    """How far from aligned the estimated numbers are together: `v^T C^-1 v` (Wald), no unit.
+    """The joint significance of the estimated misalignment, `v^T C^-1 v` (Wald), no unit.
 
     Chi-squared with as many degrees of freedom if camera and mirror are aligned, and the covariance holds as far as
     there: boards some 0.3 m away and more determine the numbers so weakly that it does not. NaN if one is not

@@ -183,7 +183,7 @@ def with_values(sensor: Sensor, values: Mapping[str, float]) -> Sensor:
 
 
 class Apex(NamedTuple):
-    """Where an undistorted camera of focal length 1 sees the apex of its mirror, and how much larger than aligned."""
+    """The image of a mirror's apex at focal length 1, undistorted: its position, and its scale over the aligned one."""
 
     x: float = 0.0
     y: float = 0.0

@@ -129,7 +129,7 @@ def heights(r, camera, z, slope):
 
 @kernel
 def _meet(d_x, d_y, d_z, camera):
-    """Where a ray from the camera centre meets the mirror: s, and the slope there; NaN where it does not."""
+    """The intersection of a ray from the camera centre with the mirror: s, and the slope there; NaN without one."""
     c_x, c_y, c_z = camera.c_x, camera.c_y, camera.c_z
     s, least, most = 0.0, 0.0, math.inf
     across = math.sqrt(d_x * d_x + d_y * d_y)

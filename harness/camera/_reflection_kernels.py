@@ -86,7 +86,8 @@ def to_mirror(x, y, z, camera):
 
 @kernel(inline=True)
 def meet_mirror(x, y, camera):
-    """Where the camera's ray through (x, y) of the undistorted normalised image meets the mirror, and where it goes.
+    """The point at which the camera's ray through (x, y) of the undistorted normalised image meets the mirror, and the
+    direction in which it leaves.
 
     Returns `p_x, p_y, p_z, r_x, r_y, r_z, hits` in the mirror's frame; r is of unit length.
     """

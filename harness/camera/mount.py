@@ -1,4 +1,4 @@
-"""How a camera is mounted: which way it looks, whether its image is a mirror image, and how it is turned."""
+"""The mount of a camera: the direction in which it looks, whether its image is a mirror image, and its rotation."""
 
 from typing import Literal
 
@@ -23,7 +23,7 @@ _CAMERA_FROM_SENSOR: dict[tuple[str, bool], list[list[float]]] = {
 
 
 class Mount(Spec):
-    """How the camera is mounted in the sensor's frame (z up): the direction of its optical axis, then a rotation."""
+    """The camera's mount in the sensor's frame (z up): the direction of its optical axis, then a rotation."""
 
     looks: Looks | None = None
     """Where the optical axis points before the sensor is turned: along z, against it, or along x. By default as the

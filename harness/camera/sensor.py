@@ -68,7 +68,7 @@ class Sensor(Spec):
 
     @property
     def looks(self) -> Looks:
-        """Where the optical axis points before the sensor is tilted."""
+        """Direction of the optical axis before the sensor is tilted."""
         return self.mount.looks or self.model.looks
 
     @property

@@ -124,7 +124,7 @@ def can_be_sampled(sensor: Sensor, directions: Array, order: int = 3) -> NDArray
 
 
 def _coordinates(sensor: Sensor, directions: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Where directions are sampled on the mirror image, continued across its seam if it has one, (rows, columns); and
+    """Sample positions of directions on the mirror image, continued across its seam if it has one, (rows, columns); and
     whether the sensor sees them.
     """
     pixels, in_view = project(sensor, directions)
@@ -135,7 +135,7 @@ def _coordinates(sensor: Sensor, directions: Array) -> tuple[Array, NDArray[np.b
 
 @lru_cache(maxsize=8)
 def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Where each pixel of the panorama is sampled on the mirror image, continued across its seam if it has one, (rows,
+    """Sample position of each panorama pixel on the mirror image, continued across its seam if it has one, (rows,
     columns); and whether it can be.
     """
     R = np.frombuffer(rotation).reshape(3, 3)

@@ -170,7 +170,7 @@ def mirror_diameter_m(sensor: Sensor) -> float:
 
 
 def height_m(sensor: Sensor) -> float:
-    """From the camera's centre to the farther of the mirror's rim and apex, metres; 0 without a mirror."""
+    """The height from the camera's centre to the farther of the mirror's rim and apex, metres; 0 without a mirror."""
     if not isinstance(sensor.model, Mirror):
         return 0.0
     return 2 * sensor.model.e_m + max(rim_m(sensor)[1], -(sensor.model.e_m - sensor.model.a_m))

@@ -92,7 +92,7 @@ def level_elevation_deg(rig: RigDesign) -> float:
 
 
 def ellipsoids(rig: RigDesign, points_m: Array) -> tuple[Ellipsoid, ...]:
-    """How well the positions of points are known, on surfaces that face view 1.
+    """The uncertainty of the positions of points, on surfaces that face view 1.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def calibration(error: ArrayLike, sigma: ArrayLike) -> Calibration:
 
 @dataclass(frozen=True)
 class Roc:
-    """How well a threshold on confidence separates bad pixels from good ones."""
+    """The receiver operating characteristic of thresholds on confidence that separate bad pixels from good ones."""
 
     caught: Array
     """`[thresholds + 1]`: share of the bad pixels below each threshold, ascending from 0 to 1 (true positives)."""
@@ -169,7 +169,7 @@ def roc(confidence: ArrayLike, bad: ArrayLike, *, among: ArrayLike | None = None
 
 
 def exceeding(error: ArrayLike, limit: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Where |error| is above a limit, and where there is an error at all: `bad` and `among` of `roc`."""
+    """The pixels whose |error| is above a limit, and those with an error at all: `bad` and `among` of `roc`."""
     error = np.asarray(error, dtype=np.float64)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(error) > limit), np.asarray(~np.isnan(error))

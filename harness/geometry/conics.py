@@ -69,7 +69,7 @@ class Conic(OneLine):
         return np.asarray(m @ A[:2, :2].T + A[:2, 2])
 
     def distance(self, points: ArrayLike) -> Array:
-        """How far points `[..., 2]` are from the plane's image, in their own unit; no sign.
+        """Distances of points `[..., 2]` from the plane's image, in the points' unit; not negative.
 
         The direction seen nearest is looked for: that leaves out a hyperbola's other branch, which shows nothing.
         """

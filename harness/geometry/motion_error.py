@@ -21,7 +21,7 @@ from harness.geometry.triangulation import exact_alpha_2, sensitivity_to_alpha_2
 
 @dataclass(frozen=True, repr=False)
 class MotionError(OneLine):
-    """How uncertain a motion is."""
+    """The uncertainty of a motion."""
 
     covariance: Array
     """`[6, 6]`, radians squared: of omega in `R exp([omega]x)` and of the change tau of the unit t, both in v1's
@@ -33,7 +33,7 @@ class MotionError(OneLine):
 
 
 def sensitivity_to_motion(directions: ArrayLike, range_m: ArrayLike, t_v1: ArrayLike) -> Array:
-    """How the range d_1 changes with omega and tau, `[..., 6]`, metres per radian; see this module.
+    """Derivatives of the range d_1 by omega and tau, `[..., 6]`, metres per radian; see this module.
 
     Parameters
     ----------

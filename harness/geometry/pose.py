@@ -32,7 +32,7 @@ class Pose(Spec):
 
 @dataclass(frozen=True, repr=False)
 class Motion(OneLine):
-    """From view 1 to view 2: `p_v2 = R_v2_from_v1 @ (p_v1 - t_v1)`.
+    """The motion from view 1 to view 2: `p_v2 = R_v2_from_v1 @ (p_v1 - t_v1)`.
 
     The paper's eq. 1, `R p + t`, contradicts its own eqs. 2 and 5-8, which need t as the position of viewpoint 2 seen
     from viewpoint 1.

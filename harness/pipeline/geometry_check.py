@@ -66,7 +66,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, repr=False)
 class GeometryCheck(OneLine):
-    """How well motion and calibration of a pair agree with its images."""
+    """The agreement of a pair's motion and calibration with its images."""
 
     verdict: Verdict
     tiles: Across

@@ -80,7 +80,7 @@ class RenderCache:
         return image
 
     def contents(self) -> Contents:
-        """How many images there are, and their size."""
+        """The number of images in the cache, and their size."""
         sizes = [size for _, _, size in self._files()]
         return Contents(len(sizes), sum(sizes))
 

@@ -52,7 +52,7 @@ def noise_grey(outcome: Outcome) -> float:
 
 
 def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
-    """How well the matcher's confidence ranks its errors and detects large ones; None without a confidence."""
+    """Figures of how well the matcher's confidence ranks errors and detects large ones; None without a confidence."""
     confidence = confidence_map(outcome)
     if confidence is None or not (outcome.valid & outcome.reference.domain).any():
         return None
@@ -71,7 +71,7 @@ def confidence_of(outcome: Outcome) -> dict[str, Any] | None:
 
 
 def calibration_of(outcome: Outcome) -> dict[str, Any] | None:
-    """How the predicted standard deviation compares with the errors; None when nothing is predicted."""
+    """Figures of the errors in units of their predicted standard deviation; None without a prediction."""
     sigma = outcome.matches.sigma_alpha_2
     if sigma is None:
         return None

@@ -50,7 +50,7 @@ class SecondView(Spec):
     """Rotation of the second view about x, degrees."""
 
     def pose(self, view_1: Pose) -> Pose:
-        """Where the second view stands, given the first."""
+        """The pose of the second view, given the first one's."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         moved = translated(
             view_1,
@@ -66,7 +66,7 @@ class SecondView(Spec):
 
 
 class Rendering(Spec):
-    """How a pixel is made: the mean of rays on a square grid inside it."""
+    """The sampling of pixels: each is the mean of rays on a square grid inside it."""
 
     samples: Annotated[int, Field(ge=1, le=1024)] = 16
     """Rays in each pixel, a square number, at least: where they are too wide for a texture or an outline there are 4 or
@@ -87,7 +87,7 @@ class Noise(Spec):
 
 
 class Exposure(Spec):
-    """How the second camera's response to light differs from the first one's: `gain * grey + offset`."""
+    """The second camera's response to light relative to the first one's: `gain * grey + offset`."""
 
     gain: Annotated[float, Field(ge=0.01, le=100)] = 1.0
     """Factor on the second view's grey levels, no unit."""
@@ -106,7 +106,7 @@ class Placement(Spec):
 
 
 class Unwrapping(Spec):
-    """How the mirror image becomes a panorama."""
+    """The resampling of mirror images to panoramas."""
 
     interpolation: Interpolation = "bilinear"
     """Interpolation of grey levels between the mirror image's pixels."""
@@ -327,7 +327,7 @@ class Trial(Spec):
 
     @property
     def true_motion(self) -> Motion:
-        """From view 1 to view 2."""
+        """The true motion from view 1 to view 2."""
         return relative_motion(*self.poses)
 
 

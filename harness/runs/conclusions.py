@@ -100,7 +100,7 @@ def _best_method(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str) -
 
 
 def _ratio(pivot: pd.DataFrame, above: Any, below: Any) -> tuple[float, float, float]:
-    """How many times the value of one column is that of another, with its interval."""
+    """The ratio of one column's values to another's, with its interval."""
     curve = mean_over_seeds((pivot[above] / pivot[below]).to_frame(), logarithmic=True)
     return float(curve.mean[0]), float(curve.low[0]), float(curve.high[0])
 
@@ -126,7 +126,7 @@ def _about_methods(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str,
 
 
 def _about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: str, who: str) -> Iterator[str]:
-    """How the error changes along an axis: from its smallest to its largest mean."""
+    """A sentence on the change of the error along an axis, from its smallest to its largest mean."""
     pivot = _pivot(table, key, axes, figure)
     if pivot.shape[1] < 2 or pivot.isna().any(axis=None):  # settings that change together
         return

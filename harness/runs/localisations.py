@@ -1,4 +1,4 @@
-"""How far a run's new images are placed from where they are, over seeds, and how many real images that is worth."""
+"""Localisation errors of a run's new images over seeds, and the number of real images that synthesised ones replace."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any

@@ -108,7 +108,7 @@ class Result(OneLine):
 
 @dataclass(frozen=True)
 class RunStatus:
-    """How far a run has come."""
+    """The progress of a run."""
 
     left: list[Planned]
     """The trials that are still to be run, including failed ones."""

@@ -194,7 +194,7 @@ class Store:
         return {key: state for key, state in rows if key in wanted}
 
     def unused_rows(self, keys: Iterable[str], scenes: Iterable[str]) -> UnusedRows:
-        """How many rows are from other code, or of none of these trials."""
+        """The numbers of rows that are from other code, or of none of these trials."""
         wanted, known = set(keys), set(scenes)
         rows = self._rows("SELECT key, code, scene FROM trials")
         strange = [scene for key, code, scene in rows if code == self._read and key not in wanted]

@@ -18,7 +18,7 @@ WHITE = 255.0
 
 
 class Chip(Spec):
-    """From light to grey levels by the linear model of EMVA 1288; by default an ideal chip, which changes nothing.
+    """The image sensor, by the linear model of EMVA 1288; by default an ideal one, which changes nothing.
 
     A rendered grey level stands for a mean number of photoelectrons, white (255) for `saturation_e`.
     """

@@ -101,7 +101,7 @@ class Image(_Part):
 
 
 class Sampler(_Part):
-    """How a texture repeats and is interpolated."""
+    """Wrap modes and filters of a texture."""
 
     magFilter: int | None = None
     wrapS: int = 10497

@@ -187,7 +187,7 @@ class Shading:
                 self._shade(some, np.arange(some.size), rays, face, finer)
 
     def _levels(self, pixels: NDArray[np.int64], face: Ints, per_side: int) -> NDArray[np.int64]:
-        """How many times the samples of pixels are doubled, if one face `[pixels]` fills each."""
+        """The number of times that the samples of pixels are doubled, if one face `[pixels]` fills each."""
         level = np.empty(pixels.size, dtype=np.int64)
         sampling_levels(
             pixels,

@@ -94,8 +94,8 @@ class RangeSurface(OneLine):
         return np.asarray(beyond <= np.hypot(self._slack, _moved(self._slack, rows, columns)))
 
     def _slope(self, rows: int, columns: int) -> Array:
-        """By how much 1/s grows to the next row or column on the same surface: the mean of both sides that are joined
-        to the pixel; 0 where none is.
+        """Growth of 1/s to the next row or column on the same surface: the mean over the sides that are joined to the
+        pixel; 0 if none is.
         """
         ahead, behind = self.joined(rows, columns), self.joined(-rows, -columns)
         to, back = _moved(self._inverse, rows, columns), _moved(self._inverse, -rows, -columns)

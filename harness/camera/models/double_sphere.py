@@ -48,7 +48,7 @@ class DoubleSphere(AxialModel):
         return sine / (self.alpha * math.hypot(sine, z_2) + (1 - self.alpha) * z_2)
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the radius becomes infinite, or folds back."""
+        """The limit at which the radius becomes infinite, or folds back."""
         angle = math.acos(self._lowest)
         if self.xi >= 1:
             # The outline of the first sphere, seen from the second's centre at an angle whose sine is 1/xi.

@@ -45,7 +45,7 @@ class ExtendedUnified(AxialModel):
         return sine / (self.alpha * math.sqrt(self.beta * sine**2 + cosine**2) + (1 - self.alpha) * cosine)
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the radius becomes infinite, or folds back."""
+        """The limit at which the radius becomes infinite, or folds back."""
         cosine = lowest_of(self.alpha)
         angle = math.atan2(math.sqrt((1 - cosine**2) / self.beta), cosine)
         if self.alpha <= 0.5:

@@ -59,7 +59,7 @@ class KannalaBrandt(AxialModel):
         return min(math.pi, 1 / math.sqrt(real.max())) if real.size else math.pi
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the polynomial stops growing."""
+        """The limit at which the polynomial stops growing."""
         last = self._last
         why = "r(theta) stops growing" if last < math.pi else "all azimuths are one direction"
         return Domain(last, self.radius(last, lens), why)

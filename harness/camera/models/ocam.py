@@ -105,7 +105,7 @@ class OCam(AxialModel):
         return min(self._last, _FAR * math.hypot(across, down) / self.unit_px(camera))
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the ray's angle stops growing."""
+        """The limit at which the ray's angle stops growing."""
         rim = self._rim(camera)
         why = "the ray's angle stops growing with r" if rim == self._last else "the radius is far off the image"
         return Domain(self.angle(rim), rim, why)

@@ -49,7 +49,7 @@ class Unified(AxialModel):
         return least_bent_radius(lens, math.sin(angle_rad) / (math.cos(angle_rad) + self.xi))
 
     def domain(self, camera: Camera, lens: Lens) -> Domain:  # noqa: ARG002
-        """Where the radius becomes infinite or folds back, or lens distortion folds back."""
+        """The limit at which the radius becomes infinite or folds back, or lens distortion folds back."""
         fold = fold_radius(lens)
         last = 1 / math.sqrt(self.xi**2 - 1) if self.xi > 1 else math.inf
         if fold < last:

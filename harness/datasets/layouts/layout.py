@@ -121,7 +121,7 @@ class StoredPair(OneLine):
 
     @property
     def motion(self) -> Motion:
-        """From view 1 to view 2."""
+        """The motion from view 1 to view 2."""
         first, second = self.views
         return Motion(
             R_v2_from_v1=second.R_view_from_map @ first.R_view_from_map.T,

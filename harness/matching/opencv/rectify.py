@@ -202,7 +202,7 @@ def around_gaps(
 def maps_to_view(
     sensor: Sensor, rectangle: Rectangle, frame: bytes, rotation: bytes, cv2: Any
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Where on a view's mirror image each pixel of the rectangle is, (u, v), and whether the sensor sees it.
+    """The pixel (u, v) on a view's mirror image for each pixel of the rectangle, and whether the sensor sees it.
 
     By OpenCV's own map for a hyperboloid that is mounted as mirrors are, whose lens OpenCV has too; by the sensor's
     projection for others. Of an image that is continued across its seam, u counts from the first of the columns before
