@@ -284,6 +284,8 @@ def test_a_mask_costs_nothing_elsewhere(masked, kind):
     (pair, with_mask), (_, free) = answer(kind, masked), answer(kind)
     away = away_from_mask(masked, pair, MATCHERS[kind])
     assert away.mean() > 0.3
+    if kind == "sgm":  # its planes reach further on the panorama
+        away = ndimage.minimum_filter(away, MATCHERS[kind].plane_px, mode=("nearest", "wrap"))
     if kind in {"window", "column", "sgm"}:
         assert np.array_equal(with_mask.alpha_2[away], free.alpha_2[away], equal_nan=True)
         assert np.array_equal(with_mask.reasons[away], free.reasons[away])

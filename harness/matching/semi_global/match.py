@@ -43,6 +43,7 @@ from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
 from harness.matching.semi_global.paths import LARGE_BYTES, Rules, aggregate, aggregate_in_bands, forget_reused, reused
+from harness.matching.semi_global.planes import fitted_to_planes, sine_and_cosine
 from harness.matching.window.subpixel import refine
 from harness.spec import Positive
 from harness.threads import in_bands
@@ -90,6 +91,10 @@ class SemiGlobal(MatcherSettings):
     subpixel: Literal["none", "parabola", "v"] = "v"
     """The sub-pixel step: `v`, two lines of opposite slopes through the best sum and its neighbours; `parabola`,
     through the same three, with a median error of 0.13 px; or `none`."""
+    plane_px: Annotated[int, Field(ge=1, le=31)] = 9
+    """Side of the square of panorama pixels whose sub-pixel matches a plane is fitted to; below 5 each match stays
+    as it is. On the box the median error is 0.065 px instead of 0.114, and all three scenes gain, with noise and
+    without. Larger squares have still smaller medians, and more pixels that are off by more than 1 px at edges."""
     consistency_px: Annotated[float, Field(ge=0)] = 2.0
     """A pixel whose match in view 2 is a better match of another pixel, with a parallax that differs by more than
     this many panorama pixels, is `INCONSISTENT`; 0 keeps all. At 2 nearly half of the room's wrong pixels are lost,
@@ -125,7 +130,7 @@ class SemiGlobal(MatcherSettings):
     @property
     def search(self) -> "SemiGlobal":
         """The search for the best label, which all sub-pixel steps and checks of consistency share."""
-        return self.model_copy(update={"subpixel": "none", "consistency_px": 0.0})
+        return self.model_copy(update={"subpixel": "none", "plane_px": 1, "consistency_px": 0.0})
 
 
 def match_semi_global(pair: Pair, matcher: SemiGlobal) -> Matches:
@@ -140,7 +145,7 @@ def match_semi_global(pair: Pair, matcher: SemiGlobal) -> Matches:
     views = pair.shared("about the baseline", settings, lambda: views_about_the_baseline(pair, geometry))
     searched = matcher.search
     result = pair.shared("match", searched, lambda: search(views, geometry, searched, pair.available_threads))
-    return pair.shared("sub-pixel", matcher, lambda: match(result, geometry, matcher))
+    return pair.shared("sub-pixel", matcher, lambda: match(result, geometry, matcher, pair.available_threads))
 
 
 _LARGE_PX = 1_000_000
@@ -152,6 +157,7 @@ def forget_large(grid: Grid) -> None:
     if grid.width_px * grid.height_px > _LARGE_PX:
         forget_curves()
         geometry_of.cache_clear()
+        sine_and_cosine.cache_clear()
         _sampling_table.cache_clear()
         forget_reused()
 
@@ -375,8 +381,10 @@ def jumps(grey: Array | None, shape: tuple[int, int], matcher: SemiGlobal) -> ND
 # -- Answer ------------------------------------------------------------------------------------------------------------
 
 
-def match(result: SearchResult, geometry: Geometry, matcher: SemiGlobal) -> Matches:
-    """Check whether matches agree with each other, apply the sub-pixel step, and turn samples into angles."""
+def match(result: SearchResult, geometry: Geometry, matcher: SemiGlobal, threads: int = 1) -> Matches:
+    """Check whether matches agree with each other, apply the sub-pixel step and fit planes, and turn samples into
+    angles.
+    """
     curves = geometry.curves
     reason = np.full(curves.grid.shape, Reason.MATCHED, dtype=np.uint8)
     reason[result.second == result.nearby[..., 1]] = Reason.NO_MATCH
@@ -405,6 +413,10 @@ def match(result: SearchResult, geometry: Geometry, matcher: SemiGlobal) -> Matc
     # Between d_max and d_min, as the search itself: finite limits keep every range finite.
     refined &= matched & (k >= curves.k_far) & (k <= curves.k_near)
     k = np.where(matched, np.where(refined, k, sample), np.nan)
+    if matcher.subpixel != "none" and matcher.plane_px > 4:
+        fitted = fitted_to_planes(k, curves, matcher.plane_px, threads)
+        on_plane = (fitted >= curves.k_far) & (fitted <= curves.k_near)
+        k, refined = np.where(on_plane, fitted, k), refined | on_plane
     alpha_2 = alpha_2_at(curves, k)
     # Where there is a match, the rival costs more, and so more than nothing.
     confidence = np.where(matched, 1 - result.nearby[..., 1] / np.maximum(result.second, 1), np.nan)

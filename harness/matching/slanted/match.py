@@ -9,7 +9,7 @@ from harness.matching.slanted.settings import Slanted
 
 def match_slanted(pair: Pair, matcher: Slanted) -> Matches:
     """Match the mirror images; shared with trials that need the same."""
-    start = SemiGlobal(d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m)
+    start = SemiGlobal(d_min_m=matcher.d_min_m, d_max_m=matcher.d_max_m, plane_px=1)
 
     def refined() -> Matches:
         alpha_2 = pair.shared("start", start, lambda: start.match(pair)).alpha_2
