@@ -9,8 +9,23 @@ import numpy as np
 
 from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
-from harness.camera._spline_kernels import cubic_spline
 from harness.compiled import kernel
+from harness.matching.slanted._sample_kernels import (
+    AT_ONCE,
+    GREY,
+    MOTION,
+    SIZE,
+    SLOPE,
+    W,
+    X,
+    Y,
+    Z,
+    gather_patch,
+    misfit,
+    project_samples,
+    sample_with_slopes,
+    turn_samples,
+)
 
 # -- A point of view 1, in view 2 --------------------------------------------------------------------------------------
 
@@ -41,21 +56,25 @@ def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value,
     w : `[height, width]`, 1/m; NaN where it is not known.
     known, value, slope, motion : written; whether there is a sample, I_2, dI_2/dw, and (du/dw)² + (dv/dw)².
     """
+    table, column = np.empty(SIZE), np.empty(AT_ONCE, np.int64)
     for i in range(first, end):
-        for j in range(valid.shape[1]):
-            known[i, j] = False
-            if not (valid[i, j] and math.isfinite(w[i, j])):
-                continue
-            u, v, u_w, v_w, inside = _in_view_2(x[i, j, 0], x[i, j, 1], x[i, j, 2], w[i, j], R, s, camera)
-            if not inside:
-                continue
-            grey, along_u, along_v = cubic_spline(coefficients, u, v)
-            if math.isnan(grey):
-                continue
-            known[i, j] = True
-            value[i, j] = grey
-            slope[i, j] = along_u * u_w + along_v * v_w
-            motion[i, j] = u_w * u_w + v_w * v_w
+        for begin in range(0, valid.shape[1], AT_ONCE):
+            n = 0
+            for j in range(begin, min(begin + AT_ONCE, valid.shape[1])):
+                known[i, j] = False
+                if valid[i, j] and math.isfinite(w[i, j]):
+                    column[n] = j
+                    table[X + n], table[Y + n], table[Z + n] = x[i, j, 0], x[i, j, 1], x[i, j, 2]
+                    table[W + n] = w[i, j]
+                    n += 1
+            turn_samples(table, n, R, s)
+            project_samples(table, n, s, camera)
+            sample_with_slopes(table, n, coefficients)
+            for k in range(n):
+                if not math.isnan(table[GREY + k]):
+                    j = column[k]
+                    known[i, j] = True
+                    value[i, j], slope[i, j], motion[i, j] = table[GREY + k], table[SLOPE + k], table[MOTION + k]
 
 
 @kernel
@@ -90,31 +109,6 @@ def median_rows(first, end, reach, valid, w, smooth):
 
 
 @kernel
-def _misfit(i, j, reach, m, a, b, limit, valid, x, R, s, camera, first_image, coefficients):
-    """Mean square of I_1 - a I_2 - b over a patch about (i, j), for plane m; infinite where less than half is valid.
-
-    Stops, infinite, as soon as it must be above `limit`.
-    """
-    size = float((2 * reach + 1) * (2 * reach + 1))
-    total, n = 0.0, 0.0
-    for row in range(max(0, i - reach), min(valid.shape[0], i + reach + 1)):
-        for column in range(max(0, j - reach), min(valid.shape[1], j + reach + 1)):
-            if not valid[row, column]:
-                continue
-            x_0, x_1, x_2 = x[row, column, 0], x[row, column, 1], x[row, column, 2]
-            w = m[0] * x_0 + m[1] * x_1 + m[2] * x_2
-            u, v, _, _, inside = _in_view_2(x_0, x_1, x_2, w, R, s, camera)
-            grey, _, _ = cubic_spline(coefficients, u, v)
-            if inside and not math.isnan(grey):
-                difference = first_image[row, column] - a * grey - b
-                total += difference * difference
-                n += 1.0
-        if total > limit * size:
-            return math.inf
-    return total / n if n >= 0.5 * size else math.inf
-
-
-@kernel
 def choose_rows(
     first, end, half, reach, apart, centre_bonus, residual_weight, w_far, w_near, valid, x, t, R, s, camera,
     first_image, coefficients, plane, residual, gain, offset, w, chosen, rival,
@@ -131,6 +125,7 @@ def choose_rows(
     """
     height, width = valid.shape
     window, w_there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
+    table, size = np.empty(SIZE), float((2 * reach + 1) * (2 * reach + 1))
     for i in range(first, end):
         for j in range(width):
             w[i, j], chosen[i, j], rival[i, j] = math.nan, -1, math.inf
@@ -161,6 +156,7 @@ def choose_rows(
                 # Planes that agree here are tried once: the best of their windows, or the own one.
                 pick, least, second = -1, math.inf, math.inf
                 left = n
+                pixels = gather_patch(i, j, reach, valid, x, first_image, table) if reach >= 0 else 0
                 while left > 0:
                     k = own
                     if k < 0 or left < n:
@@ -173,9 +169,9 @@ def choose_rows(
                     row, column = window[k] // width, window[k] % width
                     tried = score[k]
                     if reach >= 0:
-                        tried += _misfit(
-                            i, j, reach, plane[row, column], gain[row, column], offset[row, column],
-                            1.5 * least + 1.0, valid, x, R, s, camera, first_image, coefficients,
+                        tried += misfit(
+                            table, pixels, size, plane[row, column], gain[row, column], offset[row, column],
+                            1.5 * least + 1.0, R, s, camera, coefficients,
                         ) * (centre_bonus if k == own else 1.0)  # fmt: skip
                     if tried < least:
                         pick, least, second = k, tried, least
