@@ -18,6 +18,11 @@ def available_cpus() -> int:
     return os.cpu_count() or 1
 
 
+def can_be_copied() -> bool:
+    """Whether a copy of this process can help it: on Linux, with more than one CPU. (Forks elsewhere are not safe.)"""
+    return hasattr(os, "fork") and platform.system() == "Linux" and available_cpus() > 1
+
+
 def give_back_memory() -> bool:
     """Whether memory of a megabyte or more goes back to the system as soon as it is free.
 

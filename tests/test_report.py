@@ -152,7 +152,9 @@ def test_the_page_says_its_language_and_fits_small_screens(report):
 @pytest.mark.long
 @pytest.mark.slow
 def test_same_result_same_report(small):
-    assert build_report(small) == build_report(small)
+    page = build_report(small)
+    assert build_report(small) == page
+    assert build_report(small, may_copy=True) == page
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def write(
         gc.freeze()  # millions of long-lived rows: no garbage collection while figures are drawn
         try:
             with Steps("writing report") as steps:
-                page = build_report(result, not_drawn, observe=steps.update)
+                page = build_report(result, not_drawn, observe=steps.update, may_copy=True)
             write_report(result, page, store, folder)
         finally:
             gc.unfreeze()

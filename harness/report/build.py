@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from harness import interrupts
 from harness.report import theme, words
+from harness.report.copies import made_with_a_copy
 from harness.report.markup import html, template
 from harness.report.opening import opening
 from harness.report.section import MOST_BYTES, About, Context, Declared, Paragraph, Section
@@ -17,6 +18,8 @@ def build_report(
     failures: list[str] | None = None,
     sections: Sequence[Declared] | None = None,
     observe: Callable[[int, int], None] = lambda _done, _all: None,
+    *,
+    may_copy: bool = False,
 ) -> str:
     """The report of a finished experiment as HTML text, the same for the same result.
 
@@ -31,9 +34,11 @@ def build_report(
         What the page is made of, instead of `SECTIONS`; those about the same keep their order.
     observe
         Called with the number of sections that are made, and of all, as each is begun.
+    may_copy
+        Whether a copy of this process may make some of the sections, see `copies`.
     """
     context = Context.of(result)
-    page_sections = sections_of(context, failures, sections, observe)
+    page_sections = sections_of(context, failures, sections, observe, may_copy=may_copy)
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
@@ -51,21 +56,31 @@ def sections_of(
     failures: list[str] | None = None,
     sections: Sequence[Declared] | None = None,
     observe: Callable[[int, int], None] = lambda _done, _all: None,
+    *,
+    may_copy: bool = False,
 ) -> list[Section]:
     """The sections of a report in their order, without those that have nothing to show; see `build_report`."""
     ordered = _in_order(SECTIONS if sections is None else sections, context)
-    by_number: dict[int, Section] = {}
+    last = [number for number, each in enumerate(ordered) if each.takes_the_rest]
+    first = [number for number in range(len(ordered)) if number not in last]
+
     with theme.style() as missing:
-        # Sections that take the remaining room are made last.
-        for begun, number in enumerate(sorted(range(len(ordered)), key=lambda number: ordered[number].takes_the_rest)):
-            observe(begun, len(ordered))
-            room = MOST_BYTES - sum(section.size for section in by_number.values())
+
+        def make(number: int, room: int = MOST_BYTES) -> tuple[Section | None, list[str]]:
+            missing.clear()
             section = _made(ordered[number], replace(context, room=room), missing)
-            if section:
-                by_number[number] = section
+            return section, missing[:]
+
+        def begun(before: int) -> None:
+            observe(before, len(ordered))
+
+        made = made_with_a_copy(make, first, begun, may_copy=may_copy)
+        for before, number in enumerate(last, start=len(first)):
+            begun(before)
+            made[number] = make(number, MOST_BYTES - sum(section.size for section, _ in made.values() if section))
     if failures is not None:
-        failures.extend(missing)
-    return [by_number[number] for number in sorted(by_number)]
+        failures.extend(line for number in (*first, *last) for line in made[number][1])
+    return [section for _, (section, _) in sorted(made.items()) if section]
 
 
 def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:
