@@ -56,7 +56,7 @@ def shortened_labels(texts: Sequence[str], most: int = 60) -> list[str]:
     Parameters
     ----------
     texts
-        What the things are called; two may be alike.
+        The names of the things; two may be equal.
     most
         Characters of what comes back, at least 16.
     """

@@ -12,7 +12,7 @@ class InputError(Exception):
     Parameters
     ----------
     problem
-        What is wrong and what would be right.
+        The error, and what would be right.
     file
         The file it was found in, if any.
     key

@@ -48,7 +48,7 @@ def source_of(module: str, name: str) -> str:
     Parameters
     ----------
     name
-        What to call it in messages.
+        Its name in messages.
 
     Raises
     ------

@@ -132,7 +132,7 @@ def test_an_experiment_names_the_file(tmp_path, monkeypatch):
         (("camera.focal_px",), [[-1.0]], "variances of 0 or more"),
         (("camera.focal_px", "camera.cx_px"), [[1.0, 0.5], [0.4, 1.0]], "must be symmetric"),
         (("camera.focal_px", "camera.cx_px"), [[1.0, 2.0], [2.0, 1.0]], "no negative eigenvalue"),
-        (("camera.focal_px", "camera.cx_px"), [[1.0, 0.1], [0.1, 0.0]], "beside a variance of 0"),
+        (("camera.focal_px", "camera.cx_px"), [[1.0, 0.1], [0.1, 0.0]], "in the row and column of a variance of 0"),
     ],
 )
 def test_what_is_no_covariance_is_refused(keys, matrix, said, tmp_path, capsys):

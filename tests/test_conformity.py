@@ -109,13 +109,16 @@ BAD = {
     "missing": ("alpha_2[:] = np.nan", "confidence must be NaN where there is no match"),
     "repeats": (
         "calls.append(1)\nalpha_2 += 1e-9 * len(calls)",
-        "called again, it returns another alpha_2 at 15840 of 15840",
+        "called again, it returns a different alpha_2 at 15840 of 15840",
     ),
     "memory": (
         "calls.append(pair.motion.R_v2_from_v1.tobytes())\nalpha_2 += 1e-9 * len(set(calls))",
-        "after another pair, it returns another alpha_2",
+        "after another pair, it returns a different alpha_2",
     ),
-    "threads": ("confidence *= pair.available_threads", "with 2 threads instead of 1, it returns another confidence"),
+    "threads": (
+        "confidence *= pair.available_threads",
+        "with 2 threads instead of 1, it returns a different confidence",
+    ),
     "inputs": (
         "image = pair.images[1].base\nimage.flags.writeable = True\nimage[3, 4] += 1",
         "it has changed image 2, which other matchers get too",

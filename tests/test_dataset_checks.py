@@ -34,8 +34,8 @@ def test_a_good_set_passes(small_set, name, capsys):
     code, said = check(small_set(name), capsys)
     assert code == 0, said
     count = {"rooms": 8, "panoramas": 8, "fisheyes": 6, "reconstructions": 8}[name]
-    assert f"nothing is wrong by any of {count} checks" in said
-    assert said.count("the set has nothing to tell it by") == 9 - count
+    assert f"no fault was found by {count} checks" in said
+    assert said.count("the set has no data for this check") == 9 - count
     assert "4 pairs" in said
 
 
@@ -114,12 +114,12 @@ OWN = {
     "range is depth along the axis": (
         "planes",
         lambda f: each_npy(f, "range_1.npy", lambda r, here: r * np.abs(rays(here)[..., 2])),
-        "planes say that the maps have the depth along the camera's axis, not the range",
+        "the maps have the depth along the camera's axis, not the range",
     ),
     "range is distance from the vertical axis": (
         "planes",
         lambda f: each_npy(f, "range_1.npy", lambda r, here: r * np.hypot(*np.moveaxis(rays(here)[..., :2], -1, 0))),
-        "planes say that the maps have the distance from the camera's vertical axis",
+        "the maps have the distance from the camera's vertical axis",
     ),
     "images swapped": ("images", swap_images, "the images of a pair are swapped"),
     "pose inverted": (
@@ -378,7 +378,7 @@ class TestDuplicates:
         Image.open(stream).save(second)
         code, said = check(folder, capsys, "duplicates")
         assert code == 1
-        assert "an image is in two parts of the split, if not bit by bit" in said
+        assert "two parts of the split have the same image, in files that differ" in said
         assert said.count("two images are the same file") == 0
 
     def test_a_scene_in_two_parts(self, spoilt, capsys):
@@ -406,7 +406,7 @@ class TestDuplicates:
         (["check"], "DIR: is missing"),
         (["check", "nowhere"], "nowhere: is no folder of a data set"),
         (["check", "."], "laid out in no known way; known are omnirange's own, Helvipad's"),
-        (["rooms", "there"], "A set is made with --out there"),
+        (["rooms", "there"], "a set is made with --out there"),
     ],
 )
 def test_what_is_no_set(arguments, said, tmp_path, monkeypatch, capsys):

@@ -153,9 +153,9 @@ def test_a_point_that_a_view_does_not_see_has_none():
 @pytest.mark.parametrize(
     ("points", "said"),
     [
-        ([[0, 0, 0]], "points_m: must be up to 1e+06 m from view 1, and not in it; found [0. 0. 0.]"),
-        ([[np.nan, 0, 1]], "points_m: must be up to 1e+06 m from view 1"),
-        ([[1e9, 0, 1]], "points_m: must be up to 1e+06 m from view 1"),
+        ([[0, 0, 0]], "points_m: must be within 1e+06 m of view 1, but not at it; found [0. 0. 0.]"),
+        ([[np.nan, 0, 1]], "points_m: must be within 1e+06 m of view 1"),
+        ([[1e9, 0, 1]], "points_m: must be within 1e+06 m of view 1"),
         ([1, 2, 3], "points_m: must be numbers [n, 3]"),
         ([["a", "b", "c"]], "points_m: must be numbers [n, 3]"),
     ],
@@ -205,4 +205,4 @@ def test_the_command_prints_and_draws_them(tmp_path, capsys):
 @pytest.mark.parametrize(("point", "said"), [(["0", "0", "0"], "found 0 0 0"), (["0", "nan", "1"], "found 0 nan 1")])
 def test_a_point_of_the_command_that_is_none_is_named(capsys, tmp_path, point, said):
     assert main(["design", "--out", str(tmp_path / "d.html"), "--point", *point]) == 2
-    assert f"--point: must be three numbers, a place other than view 1's; {said}" in capsys.readouterr().err
+    assert f"--point: must be three numbers, a point other than view 1's; {said}" in capsys.readouterr().err

@@ -169,7 +169,7 @@ def test_views_stand_where_there_is_room():
         assert (np.abs(at) <= [1.8, 1.3]).all()
         assert (np.maximum(*(np.abs(at - [0.5, 0.0]).T)) > 0.5).all()  # outside of the block
     closed = trial.model_copy(update={"localisation": Localisation(images=(2,), area_m=((0.3, -0.1), (0.6, 0.1)))})
-    with pytest.raises(InputError, match=r"localisation.area_m: has hardly any place"):
+    with pytest.raises(InputError, match=r"localisation.area_m: has hardly any free position"):
         _places(closed, 2, generator(1, "test"), with_pair=False)
 
 
@@ -251,7 +251,7 @@ def test_without_it_a_trial_keeps_its_key():
     ("change", "said"),
     [
         ({"images": [3]}, "images[0]"),
-        ({"images": [4, 4]}, "each number is to be there once"),
+        ({"images": [4, 4]}, "each number may occur only once"),
         ({"area_m": [[0, 0], [0, 1]]}, "these are on one line"),
     ],
 )

@@ -172,9 +172,7 @@ def test_a_mask_is_its_contents_wherever_it_lies(tmp_path, masked):
 
 def test_a_mask_that_hides_everything_is_blamed(tmp_path):
     blind = SENSOR.with_mask(write_mask(tmp_path / "black.png", np.s_[:]))
-    with pytest.raises(
-        InputError, match=r"sensor: no pixel.*; sensor\.mask hides it all: pixels that are used are white"
-    ):
+    with pytest.raises(InputError, match=r"sensor: no pixel.*; sensor\.mask hides it all: pixels in use must be white"):
         check_sensor(blind, GRID)
 
 

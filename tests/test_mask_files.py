@@ -217,7 +217,7 @@ def test_masked_photographs(photographs, capsys):
     capsys.readouterr()
     write_mask(folder / "black.png", np.s_[:, :], (160, 160))
     assert ranged(folder, "black", "--mask", folder / "black.png") == 2
-    assert "sensor.mask hides it all: pixels that are used are white in it" in capsys.readouterr().err
+    assert "sensor.mask hides it all: pixels in use must be white in it" in capsys.readouterr().err
     pictures = [str(folder / f"{name}.png") for name in ("left", "right")]
     black = ["--sensor", str(folder / "left" / "sensor.toml"), "--mask", str(folder / "black.png")]
     assert main(["range", *pictures, *black, "--baseline", "1", "0", "0", "--out", str(folder / "black")]) == 2

@@ -131,7 +131,9 @@ def test_the_matcher_is_given_the_estimated_motion():
 @pytest.mark.slow
 def test_a_motion_that_cannot_be_told_fails_the_trial_by_its_key():
     still = trial(motion={"source": "estimated"}, view_2={"baseline_m": 1e-4, "yaw_deg": 20.0})
-    with pytest.raises(InputError, match=r"trial.motion.source: the images do not tell the motion \(no parallax\)"):
+    with pytest.raises(
+        InputError, match=r"trial.motion.source: the images do not determine the motion \(no parallax\)"
+    ):
         run_trial(still, threads=1)
 
 

@@ -209,10 +209,10 @@ def test_a_confidence_without_a_match_is_refused(pair: Pair, tmp_path: Path) -> 
         ("ln -s /nowhere $2/alpha_2.npy", "alpha_2.npy is not a file"),
         ("cp {huge} $2/alpha_2.npy", "alpha_2.npy cannot be read as a .npy file of plain numbers"),
         ("rm -r $1 $2", "removed the output folder"),
-        ("echo one >&2; echo two >&2; exit 3", "ended with exit code 3; its last words: one two"),
+        ("echo one >&2; echo two >&2; exit 3", "ended with exit code 3; its last output: one two"),
         ("exit 3", "ended with exit code 3; it wrote nothing to stderr"),
         ("kill -SEGV $$", "was ended by SIGSEGV"),
-        ("yes abcdefg | head -c 100000 >&2; exit 1", "ended with exit code 1; its last words: ... "),
+        ("yes abcdefg | head -c 100000 >&2; exit 1", "ended with exit code 1; its last output: ... "),
     ],
 )
 def test_whatever_goes_wrong_is_one_line(script: str, said: str, pair: Pair, tmp_path: Path) -> None:
@@ -231,7 +231,7 @@ def test_the_time_limit_ends_all_that_was_started(pair: Pair, tmp_path: Path) ->
     """The grandchild holds on to stderr, ignores what can be ignored, and is gone all the same."""
     script = f"(trap '' TERM INT HUP; echo here >&2; echo $$ > {tmp_path}/pid; sleep {SLEEP}) &\nsleep {SLEEP}\n"
     text = complaint(pair, fast(tmp_path, script, timeout_s=1.0))
-    assert text == "program matcher.sh: did not finish within timeout_s = 1 s, and was killed; its last words: here"
+    assert text == "program matcher.sh: did not finish within timeout_s = 1 s, and was killed; its last output: here"
     assert not _sleepers()
 
 

@@ -67,7 +67,7 @@ SAID: dict[str, tuple[str, Callable[[Scenery, np.ndarray], np.ndarray], str]] = 
     "the disparity half a pixel off": (
         "disparity_deg",
         lambda t, d: disparity_deg(t, d) + 0.5 * np.degrees(t.pair.grid.phi_pitch),
-        "px beside: are both images sampled at pixel centres?",
+        "px: are both images sampled at pixel centres?",
     ),
     "half a row": ("disparity_deg", lambda t, d: displaced(disparity_deg(t, d), (0.5, 0)), "displaced by +0.5"),
     "half a column": (
@@ -122,7 +122,7 @@ def test_on_pixels_of_its_own(there: Scenery) -> None:
         (pixels, ""),
         (pixels / 2, "the disparity in pixels of an image of half the size"),
         (-pixels, "the disparity in pixels with its sign turned over"),
-        (pixels - 0.5, "px beside: are both images sampled"),
+        (pixels - 0.5, "px: are both images sampled"),
         (displaced(pixels, (0, 0.5)), "columns: are its pixel centres"),
         (displaced(pixels, (-0.5, 0)), "rows: are its pixel centres"),
     ):

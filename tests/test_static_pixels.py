@@ -75,7 +75,7 @@ def test_a_view_that_hardly_moved_is_not_judged(parallel):
 
 
 def test_images_of_two_sizes_are_refused(parallel):
-    with pytest.raises(ValueError, match="one size"):
+    with pytest.raises(ValueError, match="the same size"):
         static_pixels((parallel[0].image, np.zeros((10, 10), np.float32)), (SENSOR, SENSOR), None, 1.0, 10.0)
 
 

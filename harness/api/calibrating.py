@@ -114,7 +114,7 @@ def calibrate(
     start
         An initial sensor of that kind: a file, a table or a sensor.
     mount
-        How the camera is mounted, which boards do not determine: `{"looks": "down", "mirrored": True}`.
+        The camera's mount, which boards do not determine: `{"looks": "down", "mirrored": True}`.
     field
         The sensor's field of view; by default what the boards cover.
     tell

@@ -133,9 +133,7 @@ def _points(points_m: ArrayLike) -> Array:
     points = points.astype(np.float64)
     for point in points:
         if not (np.isfinite(point).all() and 0 < np.linalg.norm(point) <= FARTHEST_M):
-            raise InputError(
-                f"must be up to {FARTHEST_M:g} m from view 1, and not in it; found {point}", key="points_m"
-            )
+            raise InputError(f"must be within {FARTHEST_M:g} m of view 1, but not at it; found {point}", key="points_m")
     return points
 
 
@@ -155,7 +153,7 @@ def find_rigs(
     Parameters
     ----------
     accuracy_m, range_m
-        What is asked for, metres.
+        The required accuracy, metres.
     rig
         Whose sensor is resized, and whose noise, texture and uncertainties hold, as for `describe_rig`.
     baseline_max_m, height_max_m
@@ -163,9 +161,9 @@ def find_rigs(
     width_px
         The image's width, where it is given.
     cost
-        What pixels, mirrors and baselines cost.
+        The costs of pixels, mirrors and baselines.
     most
-        How many rigs, at most.
+        Most rigs to return.
 
     Returns
     -------

@@ -82,17 +82,17 @@ def range_scan(
     Parameters
     ----------
     estimate
-        What `estimate_range` returned, in metres.
+        The result of `estimate_range`, in metres.
     height_m
         Height of viewpoint 1 above the floor, metres.
     bearings
-        How many, evenly spaced around the view.
+        Number of bearings, evenly spaced around the view.
     low_m, high_m
         The band: heights above the floor, metres. What lies lower is floor.
     pitch_deg, roll_deg
-        How view 1 is tilted against the vertical, about y, then x; positive pitch turns x down.
+        The tilt of view 1 against the vertical, about y, then x, degrees; positive pitch turns x down.
     range_max_m
-        What is farther away is not looked at, metres.
+        Largest distance of obstacles that count, metres.
     support_px
         Pixels of the panorama that have to agree on an obstacle.
 
@@ -204,16 +204,16 @@ def range_map(
     Parameters
     ----------
     scans
-        What `range_scan` returned.
+        The results of `range_scan`.
     places
-        Where each was taken: x and y, metres, and how its frame is turned against the map's, degrees,
+        The pose of each: x and y, metres, and the rotation of its frame against the map's, degrees,
         counter-clockwise.
     cell_m
         Side of a cell, metres.
     prior
         Probability that a cell is occupied before anything was measured.
     false_share
-        Share of the scans' answers that mean nothing.
+        Share of the scans' distances that are false.
 
     Returns
     -------

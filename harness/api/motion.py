@@ -114,7 +114,7 @@ class MotionEstimate(EstimatedMotion):
         return float(self.baseline_m * np.sqrt(variance))
 
     def _nothing(self) -> str:
-        return f"there is no motion to go on with: {self.status}; {'; '.join(self.reasons)}"
+        return f"no motion was estimated: {self.status}; {'; '.join(self.reasons)}"
 
     def summary(self) -> dict[str, Any]:
         """All results except those of single pairs, as plain values, as written by `--json`."""
@@ -243,7 +243,7 @@ def estimate_motion(
     baseline_m
         Distance of the viewpoints, metres, which images do not determine; taken as 1 when None.
     camera_height_m
-        How high view 1's viewpoint is above the floor, metres, along the floor's normal; the distance of the viewpoints
+        Height of view 1's viewpoint above the floor, metres, along the floor's normal; the distance of the viewpoints
         follows from it. The floor is looked for below the sensor's horizon, within 20 degrees of level.
     direct
         After the keypoints, fit the motion to the grey levels: several times more accurate, and two seconds slower.

@@ -47,7 +47,7 @@ def in_metres(
     motion
         From view 1 to view 2, metres.
     estimated
-        The same as it was estimated from the images, with the points of the scene; None where it was given.
+        The motion as estimated from the images, with the points of the scene; None if it was given.
     """
     if {"d_min_m", "d_max_m"} <= settings.model_fields_set:
         return settings, ""

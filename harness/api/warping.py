@@ -96,11 +96,11 @@ def warp_view(
     Parameters
     ----------
     estimate
-        What `estimate_range` returned.
+        The result of `estimate_range`.
     position_m
         The new viewpoint (x, y, z) in view 1's frame, metres, or baselines where the scale is not known.
     yaw_deg, pitch_deg, roll_deg
-        How the new view is turned against view 1's frame, about z, then y, then x.
+        The rotation of the new view against view 1's frame, about z, then y, then x, degrees.
     projection
         `panorama`: on the estimate's grid. `mirror`: as a sensor sees it. `perspective`: a pinhole camera that looks
         along x of its frame, z up.

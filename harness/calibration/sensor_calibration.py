@@ -302,7 +302,7 @@ def _notes(
     count = len(corners.image) - len(used.image)
     gone = [name for name in corners.images if name not in used.images]
     if gone:
-        yield f"No corner of {', '.join(gone)} was used: hardly any there agrees with the others."
+        yield f"No corner of {', '.join(gone)} was used: hardly any of them agree with the others."
     if count > 0.05 * len(corners.image):
         yield (
             f"{count / len(corners.image):.0%} of the corners are outliers, too many for mistakes alone. "

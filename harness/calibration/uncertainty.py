@@ -98,7 +98,7 @@ def ray_grid(sensor: Sensor, step_px: float | None = None, distance_m: float = 1
     Parameters
     ----------
     distance_m
-        How far out on its rays a misaligned sensor is looked at; directions alone tell nothing there.
+        Distance along its rays at which a misaligned sensor is evaluated, as its rays meet in no viewpoint.
     """
     camera = sensor.camera
     step = step_px or max(camera.width_px, camera.height_px) / 60

@@ -31,7 +31,7 @@ def fitting_grid(sensors: tuple[Sensor, ...], R_v2_from_v1: Array | None = None)
     Parameters
     ----------
     sensors
-        Of view 1, or of both views.
+        The sensors of view 1, or of both views.
     R_v2_from_v1
         `[3, 3]`; turns directions of view 1, whose panorama it is, into view 2's. The identity when None.
 

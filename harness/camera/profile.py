@@ -118,7 +118,7 @@ class Table(Profile):
     @model_validator(mode="after")
     def _ascending(self) -> "Table":
         if len(self.r_mm) != len(self.z_mm):
-            raise ValueError(f"r_mm has {len(self.r_mm)} numbers and z_mm {len(self.z_mm)}: give as many")
+            raise ValueError(f"r_mm has {len(self.r_mm)} numbers and z_mm {len(self.z_mm)}: give equally many")
         if self.r_mm[0] != 0:
             raise ValueError(f"r_mm: the first point is the apex, at 0; found {self.r_mm[0]:g}")
         for key in ("r_mm", "z_mm"):

@@ -35,7 +35,7 @@ def with_rows(grid: Grid, sensors: tuple[Sensor, ...], R_v2_from_v1: Array | Non
     Parameters
     ----------
     sensors
-        Of view 1, or of both views.
+        The sensors of view 1, or of both views.
     R_v2_from_v1
         `[3, 3]`; turns directions of the panorama's frame, which is view 1's, into view 2's.
 

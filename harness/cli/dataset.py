@@ -62,7 +62,7 @@ def run(options: Namespace) -> int:
             raise InputError("is missing: the folder of the set to be checked", file="DIR")
         return _check(options.folder, options.only.split(",") if options.only else [])
     if options.folder is not None:
-        raise InputError(f"what is it for? A set is made with --out {options.folder}", file=str(options.folder))
+        raise InputError(f"is not expected; a set is made with --out {options.folder}", file=str(options.folder))
     from harness.runs.executors import ONE_THREAD, backend_for
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
@@ -114,7 +114,7 @@ def _check(folder: Path, names: list[str]) -> int:
     for check, findings in data.checks(names):
         interrupts.check()
         if findings is None:
-            print(f"{mark[None]} {check.title}: the set has nothing to tell it by", flush=True)
+            print(f"{mark[None]} {check.title}: the set has no data for this check", flush=True)
             continue
         print(f"{mark[not findings]} {check.title}", flush=True)
         done += 1
@@ -124,7 +124,7 @@ def _check(folder: Path, names: list[str]) -> int:
     if faults:
         print(f"{faults} finding{'s' * (faults != 1)}")
         return FAILED
-    print(f"nothing is wrong by any of {done} checks")
+    print(f"no fault was found by {done} checks")
     return OK
 
 

@@ -143,7 +143,7 @@ def _points(options: Namespace) -> "list[list[float]] | None":
     for point in options.point or ():
         if not (all(map(math.isfinite, point)) and any(point)):
             text = " ".join(f"{each:g}" for each in point)
-            raise InputError(f"must be three numbers, a place other than view 1's; found {text}", key="--point")
+            raise InputError(f"must be three numbers, a point other than view 1's; found {text}", key="--point")
     points: list[list[float]] | None = options.point
     return points
 
@@ -189,8 +189,8 @@ def _find(options: Namespace) -> int:
     )
     if not rigs:
         print(
-            f"no rig reaches {1000 * accuracy_m:g} mm at {range_m:g} m with what is uncertain of it; "
-            "state smaller uncertainties, or allow a longer baseline"
+            f"no rig reaches {1000 * accuracy_m:g} mm at {range_m:g} m with these uncertainties; "
+            "give smaller ones, or allow a longer baseline"
         )
         return FAILED
     _print_found(rigs, accuracy_m, range_m)

@@ -111,7 +111,7 @@ def _range_of(values: Array, quantity: Quantity, directions: Array, pair: Stored
     tilted = np.abs(motion.R_v2_from_v1 - np.eye(3)).max() + np.hypot(*motion.t_v1[:2]) / motion.baseline_m
     if tilted > _UPRIGHT or motion.t_v1[2] < 0:
         raise InputError(
-            "a disparity is of two cameras that are turned alike, view 2 straight above view 1, which these are not; "
+            "a disparity needs two cameras of one orientation, view 2 straight above view 1, which these are not; "
             "give range or alpha-2",
             file=file,
         )

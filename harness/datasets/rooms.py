@@ -99,7 +99,7 @@ def draw_room(spec: DatasetSpec, number: int) -> DrawnRoom:
     Parameters
     ----------
     number
-        Of the scene, from 0.
+        The scene's number, from 0.
     """
     draws = generator(spec.seed, "dataset", "scene", str(number))
     painter = Painter(draws, spec.surfaces, spec.colour)

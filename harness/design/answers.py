@@ -105,7 +105,7 @@ def candidates(
     width_px
         The image's width, where it is given.
     most
-        How many are returned at most.
+        Most rigs that are returned.
     """
     price = cost or Cost()
     priced = sorted(

@@ -72,7 +72,7 @@ class CalibrationCovariance(Spec):
             raise ValueError("covariance must be symmetric")
         exact = sigma == 0
         if np.abs(correlation[exact]).max(initial=0.0) > 0:
-            raise ValueError("covariance must be 0 beside a variance of 0")
+            raise ValueError("covariance must be 0 in the row and column of a variance of 0")
         correlation[exact, exact] = 1.0
         try:
             lower = np.linalg.cholesky(correlation + _ROUNDING * np.eye(len(unit)))
@@ -92,7 +92,7 @@ class CalibrationCovariance(Spec):
             part, _, name = key.partition(".")
             if not isinstance(getattr(getattr(sensor, part), name, None), float):
                 raise InputError(
-                    f"the calibration has '{key}', and the sensor, {sensor.model.title}, has no such number",
+                    f"the calibration has '{key}', and the sensor, {sensor.model.title}, has no such parameter",
                     key="calibration",
                 )
         columns = self.factor().T

@@ -110,7 +110,7 @@ def medians(
     count, negative
         `[groups]`: pixels of each group that are in the order, and how many of them have a negative value.
     order
-        Of the absolute values.
+        The order of the absolute values.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def sorted_parts(parts: NDArray[np.int64], number: int, values: Array) -> Sorted
     parts
         `[n]`: the part of each value, -1 for none.
     number
-        Of the parts.
+        Number of parts.
     values
         `[n]`; not negative.
     """

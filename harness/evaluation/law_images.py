@@ -44,7 +44,7 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
     Returns
     -------
     list
-        Of `matcher`, `subpixel`, `surface`, `law`, `slope`, `slope_ci95`, `r2`, `cells`, `by_alpha_1`: as in
+        Tables of `matcher`, `subpixel`, `surface`, `law`, `slope`, `slope_ci95`, `r2`, `cells`, `by_alpha_1`: as in
         `summary.json`; the last with slopes of its own over cells whose baseline is `short` for their range. Slopes
         that cannot be fitted (fewer than three cells, or one law value) are None.
     """
@@ -94,7 +94,7 @@ def fit_law_and_bound(cells: pd.DataFrame) -> list[dict[str, Any]]:
     Returns
     -------
     list
-        Of `matcher`, `subpixel`, `surface`, `law`, `law_ci95`, `bound`, `bound_ci95`, `r2`, `cells`.
+        Tables of `matcher`, `subpixel`, `surface`, `law`, `law_ci95`, `bound`, `bound_ci95`, `r2`, `cells`.
     """
     fits = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
@@ -156,7 +156,7 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
     Returns
     -------
     list
-        Of `matcher`, `subpixel`, `surface`, `range_m`, `baseline_m`, `baseline_m_ci95`, `naive_baseline_m`, and
+        Tables of `matcher`, `subpixel`, `surface`, `range_m`, `baseline_m`, `baseline_m_ci95`, `naive_baseline_m`, and
         `flat_from_m`, `flat_to_m`: the baselines whose error is within 10 % of the best one's.
     """
     best_of_range = []

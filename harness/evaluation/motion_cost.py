@@ -24,7 +24,7 @@ def motion_figures(true: Motion, estimated: Motion, error: MotionError, x_1: Arr
     true, estimated
         Motions of one length.
     error
-        How uncertain the estimated one says it is.
+        The estimated motion's own uncertainty.
     x_1
         `[n, 3]`, unit directions.
     range_m

@@ -158,7 +158,7 @@ def with_error(sensor: Sensor, part: str, name: str, by: float, *, relative: boo
     Raises
     ------
     InputError
-        When it has no such number, as one of two sensors of different models may.
+        When it has no such parameter, as one of two sensors of different models may.
     """
     inner = getattr(sensor, part)
     old = getattr(inner, name, None)
@@ -238,7 +238,7 @@ def sensitivities(
     rig
         Believed, and central.
     believed_of
-        What is believed of a true rig, where that follows it; `rig` itself when None.
+        Gives the believed rig for a true one, if it depends on that; `rig` itself when None.
     """
     columns = []
     for each in parameters:

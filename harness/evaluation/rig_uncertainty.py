@@ -91,7 +91,7 @@ def covariances(sensor: Sensor, known: Uncertainty, motion: Motion) -> list[tupl
     Parameters
     ----------
     sensor
-        Of both views.
+        The sensor of both views.
     motion
         Between them, with which the odometry's errors grow.
     """

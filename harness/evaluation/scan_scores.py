@@ -79,7 +79,7 @@ def score_scan(
     obstacles
         See `obstacles_of`.
     fine
-        How many of their fine bearings make one of the profile's.
+        Number of their fine bearings per bearing of the profile.
     """
     there, known = np.isfinite(true_m), profile.known
     error = profile.range_m - true_m
@@ -117,7 +117,7 @@ def obstacles_of(range_m: Array, which: NDArray[np.integer], names: tuple[str, .
     which
         `[fine bearings]`: the object that is met; -1 for none.
     names
-        Of all objects.
+        Names of all objects.
     """
     count = range_m.size
     starts = np.flatnonzero(which != np.roll(which, 1))

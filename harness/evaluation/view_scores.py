@@ -64,9 +64,9 @@ def score_view(
     compared
         The pixels that count; at least one.
     holes
-        Where `grey` was filled.
+        The pixels of `grey` that were filled.
     disoccluded
-        What view 1 has not seen, by the truth.
+        The pixels that view 1 does not see, by the truth.
     """
     squared = np.square(np.where(compared, np.asarray(grey, np.float64) - expected, 0.0))
     unseen = compared & disoccluded

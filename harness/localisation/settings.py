@@ -40,7 +40,7 @@ class Localisation(Spec):
         if a == c or b == d:
             raise ValueError("area_m must be opposite corners of an area; these are on one line")
         if len(set(self.images)) < len(self.images):
-            raise ValueError("images: each number is to be there once")
+            raise ValueError("images: each number may occur only once")
         return self
 
     @property

@@ -69,7 +69,7 @@ def read_map(file: Path) -> tuple[NDArray[np.uint8], GridFrame]:
     except (yaml.YAMLError, OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"is no map of map_server's: {error}", file=file) from error
     if yaw:
-        raise InputError("a map that is turned is not read; give one with a yaw of 0", file=file, key="origin")
+        raise InputError("rotated maps are not supported; give one with a yaw of 0", file=file, key="origin")
     probability = grey / 255 if negate else (255 - grey) / 255
     state = np.full(grey.shape, np.uint8(Cell.UNKNOWN))
     state[probability > occupied] = Cell.OCCUPIED

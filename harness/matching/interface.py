@@ -263,7 +263,7 @@ def as_matches(answer: Any, grid: Grid, name: str) -> Matches:
     answer
         `Matches`, an array `alpha_2`, a pair of arrays `(alpha_2, confidence)`, or an `Answer` on pixels of its own.
     name
-        What to call the matcher in a message.
+        The matcher's name in messages.
 
     Raises
     ------

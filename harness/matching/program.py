@@ -36,7 +36,7 @@ from harness.source_files import hash_of, is_python, named_files, script_files
 _MOST_FILES = 10_000
 """The most files that `files` may name."""
 
-_LAST_WORDS = 400
+_LAST_OUTPUT = 400
 """Characters of stderr that a message quotes: its last lines."""
 
 README = f"""\
@@ -300,14 +300,14 @@ def _run(command: list[str], timeout_s: float, folder: Path, name: str) -> None:
             code = process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             raise InputError(
-                f"did not finish within timeout_s = {timeout_s:g} s, and was killed{_last_words(log)}", file=name
+                f"did not finish within timeout_s = {timeout_s:g} s, and was killed{_last_output(log)}", file=name
             ) from None
         finally:
             machine.kill(process, group)
     if code < 0:
-        raise InputError(f"was ended by {_signal(-code)}{_last_words(log)}", file=name)
+        raise InputError(f"was ended by {_signal(-code)}{_last_output(log)}", file=name)
     if code:
-        raise InputError(f"ended with exit code {code}{_last_words(log)}", file=name)
+        raise InputError(f"ended with exit code {code}{_last_output(log)}", file=name)
 
 
 @contextlib.contextmanager
@@ -340,13 +340,13 @@ def _signal(number: int) -> str:
         return f"signal {number}"
 
 
-def _last_words(log: Path) -> str:
+def _last_output(log: Path) -> str:
     with log.open("rb") as stream:
-        stream.seek(max(0, log.stat().st_size - 4 * _LAST_WORDS))
+        stream.seek(max(0, log.stat().st_size - 4 * _LAST_OUTPUT))
         text = " ".join(stream.read().decode("utf-8", "replace").split())
     if not text:
         return "; it wrote nothing to stderr"
-    return f"; its last words: {text if len(text) <= _LAST_WORDS else '... ' + text[-_LAST_WORDS:]}"
+    return f"; its last output: {text if len(text) <= _LAST_OUTPUT else '... ' + text[-_LAST_OUTPUT:]}"
 
 
 def _read_answer(folder: Path, grid: Grid, name: str) -> Matches:

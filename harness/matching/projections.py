@@ -313,7 +313,7 @@ def perspective(
         across = towards - (towards @ right) * right
         if np.linalg.norm(across) < 1e-3:
             raise InputError(
-                "the camera would look along the baseline, where there is no disparity; look aside of it",
+                "the camera would look along the baseline, where there is no disparity; look in another direction",
                 key="azimuth_deg",
             )
         forward = normalise(across)

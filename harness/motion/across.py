@@ -84,9 +84,9 @@ def fit_across(
     across
         The tiles that look alike in both views.
     tried
-        How many were tried: those with texture and inverse ranges.
+        Number of tiles that were tried: those with texture and inverse ranges.
     textured
-        How many of view 1 have texture.
+        Number of tiles of view 1 with texture.
     """
     prepared = views(images, sensors)
     laid = lay_tiles(prepared)

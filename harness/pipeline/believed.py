@@ -80,7 +80,7 @@ def misaligned(sensor: Sensor, draws: dict[str, float]) -> Sensor:
     Raises
     ------
     InputError
-        Where the standard deviations are so large that what was drawn is no misalignment.
+        If the standard deviations are so large that the draw is no valid misalignment.
     """
     drawn = {key.partition(".")[2]: error for key, error in draws.items() if key.startswith("misalignment.")}
     if not drawn or not isinstance(sensor.model, Mirror):

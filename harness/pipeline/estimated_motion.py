@@ -45,7 +45,9 @@ def motion_of_images(
     except InputError as error:
         raise InputError(error.problem, key=key) from error
     if result.R_v2_from_v1 is None or result.direction_v1 is None or result.covariance is None:
-        raise InputError(f"the images do not tell the motion ({result.status}): {'; '.join(result.reasons)}", key=key)
+        raise InputError(
+            f"the images do not determine the motion ({result.status}): {'; '.join(result.reasons)}", key=key
+        )
     return MotionOfImages(
         Motion(result.R_v2_from_v1, baseline_m * result.direction_v1),
         MotionError(result.covariance, np.zeros(6)),

@@ -240,7 +240,7 @@ def _places(trial: Trial, count: int, rng: np.random.Generator, with_pair: bool)
             positions.append(position)
         if len(positions) == count:
             return positions
-    raise InputError("has hardly any place with room for the views", file=trial.scene.name, key="localisation.area_m")
+    raise InputError("has hardly any free position for the views", file=trial.scene.name, key="localisation.area_m")
 
 
 def _has_room(trial: Trial, position_m: Array) -> bool:

@@ -129,7 +129,7 @@ def view_of(
     samples
         Rays in each pixel, a square number, at least; more where they are too wide for a texture or an outline.
     grid
-        Of the panorama.
+        The pixels of the panorama.
     colour
         Render red, green and blue.
 

@@ -167,10 +167,10 @@ def _remedy(sensor: Sensor, grid: Grid, name: str) -> str:
     if sensor.mask is not None:
         sensor = sensor.model_copy(update={"mask": None})
         if _shares(sensor, grid)[1] > LITTLE:
-            return f"{name}.mask hides it all: pixels that are used are white in it"
+            return f"{name}.mask hides it all: pixels in use must be white in it"
     plain = sensor.model_copy(update={"lens": Lens()})
     if plain != sensor and _shares(plain, grid)[1] > LITTLE:
-        return f"its lens bends the picture away; use weaker coefficients in {name}.lens"
+        return f"the lens distortion moves the picture off the image; use weaker coefficients in {name}.lens"
     square = plain.model_copy(update={"camera": plain.camera.model_copy(update={"aspect": 1.0})})
     if square != plain and _shares(square, grid)[1] > LITTLE:
         return f"{name}.camera.aspect = {sensor.camera.aspect:g} stretches the picture off the image; it is about 1"

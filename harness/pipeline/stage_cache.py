@@ -24,7 +24,7 @@ class StageCache:
     Parameters
     ----------
     sizes
-        How many results are held of the stages named; `OTHERS` of all others.
+        Number of results kept for the stages named; `OTHERS` for all others.
     backing
         By stage, a store that is searched before a result is made.
     """

@@ -128,7 +128,7 @@ class Work:
     observe
         Called with the name of each stage as it begins.
     threads
-        How many may be used; all available CPUs when None. No result depends on it.
+        Most threads to use; all available CPUs when None. No result depends on it.
     scene_file
         Where the scene was read from, for messages.
     """

@@ -45,7 +45,7 @@ def static_pixels(
         When the images differ in size.
     """
     if images[0].shape != images[1].shape:
-        raise ValueError("both images have to be of one size")
+        raise ValueError("both images must have the same size")
     alike = _alike(images) & _would_move(sensors, motion, d_min_m, d_max_m)
     side = max(_BODY_PX, round(_BODY_SHARE * images[0].shape[0]))
     body = ndimage.binary_opening(alike, np.ones((side, side), bool))

@@ -413,9 +413,9 @@ def run_trial(
     observe
         Called with the name of each stage as it begins.
     threads
-        Of one trial; all available CPUs when None. No figure depends on it.
+        Threads of one trial; all available CPUs when None. No figure depends on it.
     answer
-        What the matcher answered to these settings before; it is not run then.
+        The matcher's stored answer to these settings; it is not run then.
     scene_file
         Where the scene was read from, for messages.
 

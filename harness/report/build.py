@@ -31,7 +31,7 @@ def build_report(
         Gets a line for each figure that could not be drawn and each section that could not be made; the page says so
         in its place.
     sections
-        What the page is made of, instead of `SECTIONS`; those about the same keep their order.
+        The sections of the page instead of `SECTIONS`; those about the same subject keep their order.
     observe
         Called with the number of sections that are made, and of all, as each is begun.
     may_copy

@@ -37,13 +37,13 @@ def build_page(
     Parameters
     ----------
     facts
-        What is said of its sensor.
+        The description of its sensor, by name.
     expected
-        What to expect at some ranges.
+        The expected errors at some ranges.
     covered
-        What its sensor sees, in figures.
+        Its sensor's field of view, in figures.
     chosen
-        How well the positions of some points are known.
+        The uncertainty of the positions of some points.
     """
     magnified = magnification(chosen)
     with theme.style():

@@ -57,7 +57,7 @@ def looks(pairs: list[tuple[str, str]], labels: Mapping[MethodName, str] | None 
     Parameters
     ----------
     labels
-        What methods are called by the cases that name them.
+        The names that cases give to methods.
     """
     by_case = labels or {}
     drawn_as = [step if matcher in _WINDOWS else f"{matcher} {step}" for matcher, step in pairs]

@@ -35,13 +35,13 @@ def build_page(
     Parameters
     ----------
     title
-        What the sensor is, on a line.
+        Camera model and size, in one line.
     facts
-        What is said of it: names and values.
+        The description: values by name.
     warnings
-        What does not fit.
+        Warnings, a sentence each.
     notes
-        How its file was read.
+        Notes on how its file was read.
     """
     with theme.style():
         pictures = [image_panel(coverage), resolution_panel(coverage)]

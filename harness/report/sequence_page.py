@@ -31,7 +31,7 @@ def build_page(pairs: Sequence[_Pair], positions_m: Array | None) -> str:
     Parameters
     ----------
     pairs
-        What came of each.
+        The results of each pair.
     positions_m
         `[views, 3]`: the viewpoints in the first view's frame; None where they are not known.
     """

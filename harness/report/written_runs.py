@@ -78,7 +78,7 @@ def read_run(folder: Path, name: str) -> Run:
     Parameters
     ----------
     name
-        What it is called in the comparison.
+        Its name in the comparison.
 
     Raises
     ------

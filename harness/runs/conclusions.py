@@ -41,7 +41,7 @@ def conclusions(
     law
         The test of the law, if there is one.
     labels
-        What methods are called by the cases that name them.
+        The names that cases give to methods.
     further
         Sentences on what else the trials were scored by, such as warped views.
     """

@@ -51,7 +51,7 @@ def backend_for(work_s: float, trials: int, workers: int | None = None, dask: st
     work_s
         Seconds on one thread, a guess.
     trials
-        How many there are to run.
+        Number of trials to run.
     workers
         As requested; None for as many as save time.
     dask

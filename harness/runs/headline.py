@@ -31,7 +31,7 @@ def headline(
     law
         The test of the law, if there is one.
     labels
-        What methods are called by the cases that name them.
+        The names that cases give to methods.
     """
     return _of_the_law(law, labels or {}) or _of_the_best(rows, labels or {})
 

@@ -57,9 +57,9 @@ def localisations_conclusions(entries: list[dict[str, Any]], labels: Mapping[Met
     Parameters
     ----------
     entries
-        Those of `localisations_of`; the first condition's are spoken of.
+        The entries of `localisations_of`; the sentences are about those of the first condition.
     labels
-        What methods are called by the cases that name them.
+        The names that cases give to methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
     return [_said(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine if each["gains"]]

@@ -41,9 +41,9 @@ def views_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName,
     Parameters
     ----------
     entries
-        Those of `novel_views_of`; the first condition's are spoken of.
+        The entries of `novel_views_of`; the sentences are about those of the first condition.
     labels
-        What methods are called by the cases that name them.
+        The names that cases give to methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["gain_ci95_db"]]
     methods = dict.fromkeys((each["matcher"], each["subpixel"]) for each in mine)

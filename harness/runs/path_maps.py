@@ -46,9 +46,9 @@ def path_maps_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodN
     Parameters
     ----------
     entries
-        Those of `path_maps_of`; the first condition's are spoken of.
+        The entries of `path_maps_of`; the sentences are about those of the first condition.
     labels
-        What methods are called by the cases that name them.
+        The names that cases give to methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
     return [

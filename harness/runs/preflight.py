@@ -26,9 +26,9 @@ def preflight(planned: Sequence[Planned], total: int, given: str | Path) -> None
     Parameters
     ----------
     planned
-        Those that are still to be run.
+        The trials that are still to be run.
     total
-        How many trials there are.
+        Number of all trials.
     given
         The experiment as the user gave it, for messages.
 

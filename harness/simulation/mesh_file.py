@@ -25,7 +25,7 @@ def read_mesh(path: Path, textured: bool = True, weights: Weights = LUMA) -> tup
     textured
         Whether its materials and textures are read; otherwise no part has any.
     weights
-        Of red, green and blue in the textures: luma, or another band.
+        Weights of red, green and blue in the textures: luma, or another band.
 
     Raises
     ------

@@ -142,7 +142,7 @@ def maps_of_tiles(geometry: Geometry, tiles: Tiles, uv_maps: Array | None = None
     Parameters
     ----------
     uv_maps
-        Of another band; the geometry's when None.
+        The texture maps of another band; the geometry's when None.
     """
     size = tiles.layout[geometry.texture_of_face]
     maps = (geometry.uv_maps if uv_maps is None else uv_maps) * np.array([1.0, -1.0])[:, None]

@@ -231,10 +231,10 @@ def _same(one: Matches, other: Matches, what: str) -> None:
     for name in ("alpha_2", "confidence", "sigma_alpha_2", "reason"):
         a, b = getattr(one, name), getattr(other, name)
         if (a is None) != (b is None):
-            raise Broken(f"{what} returns {name} once, and once not")
+            raise Broken(f"{what} returns {name} in one call, and not in the other")
         if a is not None and not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
             differ = np.count_nonzero((a != b) & ~(np.isnan(a) & np.isnan(b)))
-            raise Broken(f"{what} returns another {name} at {differ} of {a.size} pixels")
+            raise Broken(f"{what} returns a different {name} at {differ} of {a.size} pixels")
 
 
 def _leaves_inputs(subject: Subject) -> str:

@@ -274,6 +274,6 @@ def _half_pixel(disparity: Array, facts: Facts) -> str:
         if any(not LOOSELY_HALF_PX[0] < each * np.sign(whole) < LOOSELY_HALF_PX[1] for each in halves):
             continue
         if name == "disparity":
-            return f"disparities that are all {whole:+.2f} px beside: are both images sampled at pixel centres?"
+            return f"disparities that are all off by {whole:+.2f} px: are both images sampled at pixel centres?"
         return f"a picture that is displaced by {whole:+.2f} {name}: are its pixel centres where the views' are?"
     return ""

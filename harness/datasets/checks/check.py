@@ -113,7 +113,7 @@ def check_set(data: StoredSet, names: Sequence[str] = ()) -> Iterator[tuple[Chec
     Parameters
     ----------
     names
-        Of the checks; all of them when there are none.
+        Names of the checks; all of them when empty.
 
     Raises
     ------

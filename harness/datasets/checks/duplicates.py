@@ -43,7 +43,7 @@ def check_duplicates(data: StoredSet) -> Iterator[Finding]:
     if twice:
         yield Finding("duplicates", listed(twice), "two images are the same file")
     if across := list(_across(names, splits_of_image, np.array(thumbnails), set(twice))):
-        yield Finding("duplicates", listed(across), "an image is in two parts of the split, if not bit by bit")
+        yield Finding("duplicates", listed(across), "two parts of the split have the same image, in files that differ")
 
 
 def _thumbnail(grey: NDArray[np.float32]) -> NDArray[np.float32]:

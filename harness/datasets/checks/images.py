@@ -223,7 +223,7 @@ def check_images(data: StoredSet) -> Iterator[Finding]:
     likely = [both for small in _SMALL if (both := _fitted(sights, small)) is not None]
     if likely:
         said, gain = max(likely, key=lambda both: both[1])
-        yield Finding("images", where, f"{said}: so changed the images differ by {gain:.0%} less")
+        yield Finding("images", where, f"{said}: with this change the images differ by {gain:.0%} less")
         return
     yield from _unexplained(sights, stated, where)
 

@@ -41,7 +41,7 @@ def check_planes(data: StoredSet) -> Iterator[Finding]:
         yield Finding(
             "planes",
             f"{len(misfits)} pairs",
-            f"planes say that the maps have {READINGS[best]}: they are flat to {median[best]:.1e} of the range if read "
+            f"the maps have {READINGS[best]}, as planes show: they are flat to {median[best]:.1e} of the range if read "
             f"so, to {median['range']:.1e} as ranges",
         )
 

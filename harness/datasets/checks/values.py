@@ -56,7 +56,7 @@ def _standing_out(values: NDArray[np.float64], raw: NDArray[Any]) -> Iterator[st
     if count > max(10, _MANY * values.size) and apart:
         level = raw.astype(np.float64)
         shown = float(np.nanmax(np.where(np.isfinite(level), level, np.nan)))
-        yield f"has its largest value, {shown:g}, many times and none near it: it may stand for no measurement"
+        yield f"has its largest value, {shown:g}, many times and none near it: it may stand for a missing measurement"
 
 
 def _against_states(pair: StoredPair) -> Iterator[str]:

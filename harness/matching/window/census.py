@@ -20,7 +20,7 @@ def census(
     values, valid
         `[height, width parts]`.
     parts
-        How far apart neighbours are in a row: an image with columns between its columns is compared at whole ones.
+        Distance of neighbours along a row: an image with columns between its columns is compared at whole ones.
 
     Returns
     -------

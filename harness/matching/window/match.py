@@ -67,7 +67,7 @@ def match_whole_pixels(
     t_v1
         `[3]`, metres.
     threads
-        How many parts of the panorama are matched at a time; all CPUs by default. The result does not depend on it.
+        Number of parts of the panorama that are matched at a time; all CPUs by default. No result depends on it.
     """
     if second.grid != first.grid:
         raise ValueError("both panoramas must lie on one grid")
