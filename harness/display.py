@@ -3,7 +3,8 @@
 import base64
 import html
 import io
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -42,6 +43,20 @@ def brief(value: Any) -> str:
         name = getattr(value, "name", None)
         return f"{type(value).__name__}({f'{name!r}, ' if isinstance(name, str) else ''}...)"
     return text
+
+
+def listed(words: Iterable[str], last: str = "and") -> str:
+    """Words in a row: `a, b and c`; `none` where there are none."""
+    words = list(words)
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else "none"
+
+
+_BEFORE_A_UNIT = re.compile(r"(?<=[\d\]]) (?=(?:%|dB|mm|m|px)(?!\w))")
+
+
+def unbroken(text: str) -> str:
+    """Text in which no line ends between a number, or its interval, and its unit."""
+    return _BEFORE_A_UNIT.sub("\u00a0", text)
 
 
 def shortened(text: str) -> str:

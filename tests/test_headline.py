@@ -8,33 +8,123 @@ from made_up_rows import luck, rows
 
 from harness.cli import heartbeat
 from harness.evaluation.law import NO_LAW, slope_verdict
-from harness.runs.headline import headline
+from harness.runs.headline import Findings, headline
 
 METHODS = (("column", "none"), ("column", "parabola"))
 
 
-def test_the_best_setting_is_named_beside_the_middle():
-    def error_m(method, settings, seed):
-        return 0.02 * luck(seed) * (2 if method[1] == "none" else 1) * (1.5 if settings["noise.sigma_grey"] else 1)
+WINDOWS = {"matching.window_px": [7, 11], "noise.sigma_grey": [0.0, 4.0]}
 
-    said = headline(rows(error_m, methods=METHODS), None)
+
+def error_of(method, settings, seed):
+    """Half as large with the parabola, 1.5 times as large with the small window, twice as large in noise."""
+    return (
+        0.02
+        * luck(seed)
+        * (2 if method[1] == "none" else 1)
+        * (1.5 if settings["matching.window_px"] == 7 else 1)
+        * (2 if settings["noise.sigma_grey"] else 1)
+    )
+
+
+def test_the_best_choice_is_named_beside_the_middle_over_all_conditions():
+    said = headline(rows(error_of, methods=METHODS, axes=WINDOWS))
     assert said.startswith(
-        "Best of 4 settings: column (parabola) with noise.sigma_grey = 0, at a median range error of "
+        "Best of 4 settings: column (parabola) with matching.window_px = 11. Its median range error on walls, "
+        "averaged over noise.sigma_grey, is "
     )
     low, high = (float(each) for each in said.partition("[")[2].partition("]")[0].split(", "))
-    assert low < 20 < high  # mm; the mean of the seeds' luck is within its interval
-    assert " mm on walls; half of the settings have more than " in said
+    assert low < 20 * 2**0.5 < high  # mm; the mean of the seeds' luck is within its interval
+    assert " mm; half of the settings have more than " in said
+
+
+def test_a_condition_that_comes_first_is_what_a_sweep_is_about():
+    axes = dict(reversed(WINDOWS.items()))
+    said = headline(rows(error_of, methods=METHODS, axes=axes))
+    assert said.startswith("noise.sigma_grey: the median range error (column (parabola), on walls) is ")
+    assert "at 0, and 2 [2, 2] times that, " in said
+    # Where cases name the methods, these are what it is about, whatever the conditions.
+    labels = {("column", "none"): "plain", ("column", "parabola"): "fine"}
+    assert headline(rows(error_of, methods=METHODS, axes=axes), labels=labels).startswith("Best of 4 settings: fine ")
+
+
+def test_a_name_with_a_comma_is_in_quotes():
+    names = {"case": ["8 bits, JPEG", "8 bits"]}
+    said = headline(rows(lambda _m, s, seed: 0.01 * luck(seed) * len(s["case"]), axes=names))
+    assert said.startswith("Best of 2 settings: 8 bits. ")
+    said = headline(rows(lambda _m, s, seed: 0.1 * luck(seed) / len(s["case"]), axes=names))
+    assert said.startswith("Best of 2 settings: “8 bits, JPEG”. ")
 
 
 def test_of_one_seed_it_says_that_there_is_no_interval():
-    said = headline(rows(lambda _m, s, _seed: 0.01 * (1 + s["noise.sigma_grey"]), seeds=[1]), None)
-    assert "10 mm (one seed, no interval) on walls" in said
+    said = headline(rows(lambda _m, s, _seed: 0.01 * (1 + s["noise.sigma_grey"]), seeds=[1]))
+    assert "on walls is 10 mm (one seed, no interval); half" in said
+
+
+def test_where_the_seed_changes_nothing_there_is_no_interval():
+    said = headline(rows(lambda _m, s, _seed: 0.001 * s["matching.window_px"], axes={"matching.window_px": [7, 11]}))
+    assert "is 7 mm (the same with every seed); half" in said
+
+
+def test_the_best_baseline_is_named_for_each_range_where_that_alone_varies():
+    best = [
+        {"matcher": "column", "subpixel": "parabola", "surface": "wall", "range_m": range_m, "baseline_m": baseline_m,
+         "baseline_m_ci95": ends}
+        for range_m, baseline_m, ends in ((1.2, 0.25, [0.25, 0.5]), (1.7, 0.25, [0.125, 0.25]), (3.4, 0.5, [0.5, 0.5]))
+    ]  # fmt: skip
+    axes = {"view_2.baseline_m": [0.125, 0.25, 0.5, 1.0]}
+    done = rows(lambda _m, s, seed: 0.01 * luck(seed) * s["view_2.baseline_m"], axes=axes)
+    assert headline(done, Findings(best_baseline=best)) == (
+        "The best baseline on walls, with column (parabola): 0.25 [0.125, 0.5] m at ranges of 1.2 to 1.7 m; "
+        "0.5 [0.5, 0.5] m at a range of 3.4 m."
+    )
+    of_one = Findings(best_baseline=[best[0] | {"baseline_m_ci95": None}])
+    assert "0.25 m (one seed, no interval) at a range" in headline(done, of_one)
+
+
+def test_spread_against_the_bound_is_of_the_method_that_comes_nearest():
+    def entry(matcher, noise_grey, ratio):
+        return {
+            "matcher": matcher, "subpixel": "own", "condition": "the base trial", "seeds": 16, "noise_grey": noise_grey,
+            "std_over_bound": ratio, "std_over_bound_quartiles": None if ratio is None else [ratio - 0.1, ratio + 0.1],
+        }  # fmt: skip
+
+    limit = [entry("slanted", 0, None), entry("slanted", 2.5, 1.0), entry("slanted", 20, 1.03), entry("sgm", 20, 6.0)]
+    assert headline(rows(lambda *_: 0.01), Findings(limit=limit)) == (
+        "Over 16 draws of the noise, errors of slanted spread 1.00 to 1.03 times as far as the Cramér-Rao bound of its "
+        "window, at noise of 2.5 to 20 grey levels (medians over pixels; their quartiles are within 0.90 to 1.13)."
+    )
+
+
+def test_a_budget_says_how_much_all_causes_make_and_which_most():
+    def entry(causes, range_m, predicted, ends):
+        return {
+            "matcher": "slanted", "subpixel": "own", "condition": " ".join(causes), "causes": causes,
+            "range_m": range_m, "predicted_m": predicted, "measured_m": 0.02 * range_m, "measured_ci95_m": ends,
+        }  # fmt: skip
+
+    both = ["rotation", "alignment"]
+    budget = [
+        entry(["rotation"], 1.0, {"matching": 0.001, "rotation": 0.01}, [0.01, 0.03]),
+        entry(both, 4.0, {"matching": 0.001, "rotation": 0.09, "alignment": 0.02}, None),
+        entry(both, 1.0, {"matching": 0.001, "rotation": 0.01, "alignment": 0.02}, [0.01, 0.03]),
+    ]
+    assert headline(rows(lambda *_: 0.01), Findings(budget=budget)) == (
+        "With all causes together, 68 % of the errors of slanted are within 20 [10, 30] mm at 1.0 m, "
+        "most of it by alignment; 80 mm (one seed, no interval) at 4.0 m, most of it by rotation."
+    )
+
+
+def test_a_further_score_comes_first_of_the_method_whose_ranges_are_best():
+    further = ["Maps made with column (whole pixels) agree.", "Maps made with column (parabola) agree."]
+    done = rows(error_of, methods=METHODS, axes=WINDOWS)
+    assert headline(done, Findings(further=further)) == further[1]
 
 
 def test_where_nothing_varies_there_is_none():
-    assert headline(rows(lambda *_: 0.01, axes={"noise.sigma_grey": [0.0]}), None) is None
-    assert headline([], None) is None
-    assert headline(rows(lambda *_: None), None) is None
+    assert headline(rows(lambda *_: 0.01, axes={"noise.sigma_grey": [0.0]})) is None
+    assert headline([]) is None
+    assert headline(rows(lambda *_: None)) is None
 
 
 def fit(slope, ends, r2, step="none"):
@@ -46,7 +136,7 @@ def fit(slope, ends, r2, step="none"):
 
 def test_of_a_test_of_the_law_it_is_about_the_law():
     law = {"images": [fit(0.94, [0.92, 0.96], 0.79), fit(-0.21, [-0.22, -0.2], 0.02, "parabola")]}
-    assert headline(rows(lambda *_: 0.01), law) == (
+    assert headline(rows(lambda *_: 0.01), Findings(law)) == (
         "On walls the range error grows as this power of the law, which says 1: 0.94 [0.92, 0.96] with column (whole "
         "pixels); no law to be seen with column (parabola)."
     )

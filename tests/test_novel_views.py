@@ -126,8 +126,15 @@ def test_they_stand_on_a_line_through_the_first_viewpoint():
 @pytest.mark.parametrize(
     ("entries", "said"),
     [
-        ([entry(0.1, 5.0, [4, 6]), entry(0.5, 3.0, [2, 4])], "at 0.1 and 0.5 m, by 3.0 to 5.0 dB."),
-        ([entry(0.5, 1.0, [-1, 3]), entry(0.1, 5.0, [4, 6])], "at 0.1 m, by 5.0 dB; at 0.5 m that is not certain."),
+        (
+            [entry(0.1, 5.0, [4, 6]), entry(0.5, 3.0, [2, 4])],
+            "are 3.0 [2.0, 4.0] to 5.0 [4.0, 6.0] dB better than the nearest image at 0.1 and 0.5 m.",
+        ),
+        (
+            [entry(0.5, 1.0, [-1, 3]), entry(0.1, 5.0, [4, 6])],
+            "are 5.0 [4.0, 6.0] dB better than the nearest image at 0.1 m; at 0.5 m that is not certain.",
+        ),
+        ([entry(d, 5.0, [4, 6]) for d in (1, 0.1, 0.5)], "dB better than the nearest image at 0.1 to 1 m."),
         ([entry(0.1, -1.0, [-2, 0.1])], "are not certain to be better than the nearest image at any distance."),
     ],
 )
@@ -153,5 +160,6 @@ def test_cases_that_are_methods_are_compared(tmp_path):
     )
     entries = result._result.summary["novel_views"]
     assert len({each["condition"] for each in entries}) == 1
-    said = [each for each in result._result.summary["conclusions"] if each.startswith("Views warped with ")]
-    assert [each.removeprefix("Views warped with ").split(" are ")[0] for each in said] == ["columns", "square windows"]
+    summary = result._result.summary
+    said = [summary["headline"], *(each for each in summary["conclusions"] if each.startswith("Views warped with "))]
+    assert {each.removeprefix("Views warped with ").split(" are ")[0] for each in said} == {"columns", "square windows"}

@@ -214,6 +214,17 @@ def test_a_run_of_the_version_before(tmp_path: Path) -> None:
     assert opened.report().is_file()
 
 
+def test_a_run_of_a_version_without_the_key_law_keeps_its_test(tmp_path: Path) -> None:
+    """Every run was tested then; one of today says itself whether it is."""
+    experiment = load_experiment({"name": "x", "trial": {"scene": "box"}})
+    with open_run(experiment, tmp_path) as store:
+        assert not recorded(store, tmp_path / DATABASE).law
+        fact = store.fact("experiment")
+        assert fact.pop("law") is False
+        store.set_fact("experiment", fact)
+        assert recorded(store, tmp_path / DATABASE).law
+
+
 @pytest.mark.slow
 def test_a_run_of_other_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its rows are reported as they were made, which is said, and they stay the other code's."""

@@ -21,7 +21,7 @@ from harness.report.sections import SECTIONS, error_curves, locking, measures, r
 from harness.report.sweep import Axis, sweep_of, value_text
 from harness.report.typography import symbols
 from harness.runs.experiment import Experiment
-from harness.runs.run import Result, run_experiment
+from harness.runs.run import Result, result_from, run_experiment
 from harness.simulation.scene import load_scene
 from harness.spec import parse
 
@@ -41,7 +41,7 @@ def run_law(**changes: Any) -> Result:
         "matching": {"kind": "column", "window_px": 7},
         **changes,
     }
-    return run_experiment(parse(Experiment, {"name": "small-law", "trial": trial, "axes": LAW_AXES}))
+    return run_experiment(parse(Experiment, {"name": "small-law", "law": True, "trial": trial, "axes": LAW_AXES}))
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +85,12 @@ def downloads(html: str) -> dict[str, list[dict[str, str]]]:
 def test_a_sweep_that_tests_the_law_has_all_sections(page):
     headings = re.findall(r'<h2 id="[a-z-]+">(\d+)\. ([^<]*)</h2>', page)
     assert [int(number) for number, _ in headings] == list(range(1, len(headings) + 1))
-    assert [title for _, title in headings][:8] == [
+    assert [title for _, title in headings][:9] == [
         "The law of the range error, tested",
         "The law: geometry alone",
         "The law: images",
         "The law: decomposition",
+        "The best baseline for each range",
         "Errors over every axis",
         "Pixel locking",
         "Errors by region",
@@ -109,6 +110,19 @@ def test_the_papers_own_experiment_has_regions_figures_and_pixel_locking_but_no_
     for section in ("verdict", "law-geometry", "law-images", "law-decomposition", "failures"):
         assert f'aria-labelledby="{section}"' not in html
     assert {"regions-base-trial", "measures", "pixel-locking", "sweep-range"} <= downloads(html).keys()
+
+
+@pytest.mark.slow
+def test_the_law_is_tested_only_where_it_is_asked_for(swept):
+    """The same rows without the key: no slopes and no sections, in a page that is a sweep's all the same."""
+    plain = result_from(swept.experiment.model_copy(update={"law": False}), swept.rows)
+    assert "law" not in plain.summary
+    assert "law" in swept.summary
+    assert plain.summary["headline"].startswith("Best of 6 settings: ")
+    page = build_report(plain)
+    assert 'aria-labelledby="sweeps"' in page
+    for section in ("verdict", "law-geometry", "law-images", "law-decomposition"):
+        assert f'aria-labelledby="{section}"' not in page
 
 
 @pytest.mark.slow

@@ -111,9 +111,13 @@ def test_the_guess_of_the_time_knows_the_matcher_and_what_is_scored():
     assert guess("motion.source=estimated") > usual + 3
     assert guess("sensor.misalignment.x_mm=1") > 1.3 * usual
     assert guess("panorama.width_px=1440", "panorama.height_px=400") > 3 * usual
+    assert guess("localisation.queries=1000") == usual  # nothing is localised
+    assert guess("localisation.images=[2, 8]") > 5 * usual
 
 
 def test_the_time_of_others_matchers_is_not_guessed():
-    assert Plan((), (), ()).is_known
-    mine = SimpleNamespace(trial=SimpleNamespace(matching=Program.model_construct(kind="program")))
-    assert not Plan((mine,), (0.0,), (True,)).is_known
+    assert not Plan((), (), ()).unknown
+    mine = SimpleNamespace(
+        trial=SimpleNamespace(matching=Program.model_construct(kind="program")), method=("program x", "own")
+    )
+    assert Plan((mine,), (0.0,), (True,)).unknown == ["program x"]

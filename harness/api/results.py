@@ -126,7 +126,9 @@ class RunResult:
 
     @property
     def law(self) -> dict[str, Any] | None:
-        """The test of the sensitivity law, as in `summary.json`; None if the trials do not differ enough for one."""
+        """The test of the sensitivity law, as in `summary.json`; None if the experiment does not ask for it, see the
+        key `law`, or its trials do not differ enough.
+        """
         return self._result.summary.get("law")
 
     @property

@@ -2,6 +2,7 @@
 
 import gc
 import sys
+import textwrap
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from harness import interrupts
 from harness.api.progress import Steps
 from harness.cli.exits import FAILED, OK
 from harness.cli.tables import cases_table, claims_table, law_tables, methods_table
+from harness.display import unbroken
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -94,13 +96,16 @@ def show(summary: dict[str, Any]) -> None:
     """Print the results: the conclusions of a sweep, or else the figures of the one trial by each method."""
     from rich.console import Console
 
+    from harness.runs.conclusions import leading
+
     console = Console()
-    claims, headline, sentences = (summary.get(name) for name in ("claims", "headline", "conclusions"))
+    claims, headline = (summary.get(name) for name in ("claims", "headline"))
+    sentences, more = leading(summary.get("conclusions", ()))
     if claims:
         console.print(claims_table(summary))
         console.print()
     if headline:
-        console.print(f"{summary['experiment']}: {headline}", highlight=False, markup=False, style="bold")
+        console.print(_wrapped(f"{summary['experiment']}: {headline}", console.width), style="bold", **_PLAIN)
     of_one_trial = bool(summary["comparison"]) and not (headline and sentences)  # a sweep is not summed up by one trial
     if of_one_trial:
         console.print(methods_table(summary))
@@ -109,13 +114,25 @@ def show(summary: dict[str, Any]) -> None:
         console.print(cases_table(summary))
     if sentences:
         console.print()
-    tested = bool(summary.get("law"))  # its slopes are a table of their own
-    for each in (line for line in sentences or () if not (tested and line.startswith("The law, "))):
-        console.print(f"- {each}", soft_wrap=False, highlight=False, markup=False)
+    for each in sentences:
+        console.print(_wrapped(each, console.width, "- "), **_PLAIN)
+    if more:
+        console.print(f"- {len(more)} more in the report", **_PLAIN)
     for table in law_tables(summary):
         console.print()
         console.print(table)
     console.print()
+
+
+_PLAIN: Any = {"soft_wrap": True, "highlight": False, "markup": False}
+"""For text that is wrapped already."""
+
+
+def _wrapped(text: str, width: int, bullet: str = "") -> str:
+    """Text in lines that end at spaces alone, and not between a number and its unit."""
+    indent = " " * len(bullet)
+    whole: Any = {"break_on_hyphens": False, "break_long_words": False}
+    return textwrap.fill(unbroken(text), width, initial_indent=bullet, subsequent_indent=indent, **whole)
 
 
 def show_report(folder: Path) -> None:

@@ -13,6 +13,7 @@ from harness.api.progress import Progress, duration
 from harness.cli import options as declare
 from harness.cli.exits import OK
 from harness.cli.results import say_unused_rows, show, show_report, write
+from harness.display import listed
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 _START_S = 1.5
 """Seconds until the first trial runs: libraries and compiled code are loaded."""
+_REPORT_S = 3.5
+"""Seconds that a report takes."""
 _MOST_CHECKED = 8
 """Most different sensors that a dry run checks."""
 
@@ -50,7 +53,8 @@ def add(commands: declare.Commands) -> None:
 
 def run(options: Namespace) -> int:
     """Run the trials that are not yet done, then write all output files."""
-    # Heavy libraries are loaded here, so that --help and a mistyped name answer at once.
+    shipped.find("experiments", options.experiment)  # a mistyped name is told at once
+    # Heavy libraries are loaded here, so that it and --help answer before that.
     from harness.runs.executors import ONE_THREAD, backend_for
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
@@ -63,7 +67,7 @@ def run(options: Namespace) -> int:
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
     if options.dry_run:
-        return _dry_run(experiment, options.experiment)
+        return _dry_run(experiment, options.experiment, with_report=not options.no_report)
     shown = options.out or Path("results") / experiment.name
     make_folder(shown)
     folder = shown.absolute()  # matchers of other people may change the working folder
@@ -99,7 +103,7 @@ def run(options: Namespace) -> int:
         )
 
 
-def _dry_run(experiment: "Experiment", given: str) -> int:
+def _dry_run(experiment: "Experiment", given: str, *, with_report: bool) -> int:
     from harness.machine import available_cpus
     from harness.pipeline.sight import check_sight
     from harness.runs.cases import CASE
@@ -115,11 +119,17 @@ def _dry_run(experiment: "Experiment", given: str) -> int:
         except InputError as error:
             warnings.warn(f"{error}: this trial will fail", Notice, stacklevel=1)
     whole = plan(experiment.planned)
-    seconds = _START_S + whole.total_s / available_cpus()
-    guess = "a guess from the sizes of images and the matchers" if whole.is_known else "without the matchers of others"
+    cpus = available_cpus()
+    seconds = _START_S + whole.total_s / cpus + (_REPORT_S if with_report else 0.0)
+    rounded = duration(float(f"{seconds:.2g}"))
+    time = (
+        f"about {rounded} on {cpus} CPU{'s' * (cpus != 1)} (a guess from sizes of images and the matchers)"
+        if not whole.unknown
+        else f"no estimate of the time: that of {listed(whole.unknown)} is not known"
+    )
     print(
-        f"{experiment.name}: {len(whole.trials)} trials, {whole.renders} distinct renders, "
-        f"about {duration(seconds)} on {available_cpus()} CPUs ({guess})"
+        f"{experiment.name}: {len(whole.trials)} trial{'s' * (len(whole.trials) != 1)}, "
+        f"{whole.renders} distinct render{'s' * (whole.renders != 1)}, {time}"
     )
     counts = Counter(each.coordinates.get(CASE) for each in experiment.planned)
     for name, count in counts.items():

@@ -1,5 +1,6 @@
 """Tables for the terminal."""
 
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,6 +12,9 @@ if TYPE_CHECKING:
 
 _SHOWN = ("density", "disparity_median_abs_px", "bad_1px", "range_median_abs_m", "range_rmse_m", "range_bias_m")
 """The metrics of the table that a run ends with."""
+_MAIN = "range_median_abs_m"
+_OF_CASES = ("density", "disparity_median_abs_px", "bad_1px", _MAIN, "range_rmse_m")
+"""The metrics of the table of cases, one of them with an interval."""
 
 
 def methods_table(summary: dict[str, Any]) -> "Table":
@@ -23,22 +27,33 @@ def methods_table(summary: dict[str, Any]) -> "Table":
     """
     from rich.markup import escape
 
+    from harness.evaluation.metric_table import METRICS
+
     count = len(summary["comparison"])
     who = {1: "the method", 2: "both methods"}.get(count, "all methods")
-    which = ", the base trial" if summary["trials"]["total"] > count else ""
-    title = f"{escape(summary['experiment'])}{which}: errors over the pixels that {who} matched"
-    table = _table(title)
-    table.add_column("\npixels", no_wrap=True)
-    table.add_column("\nmethod", overflow="fold")  # the only column that may wrap: names can be long
-    columns = _add_figures(table)
+    of_several = summary["trials"]["total"] > count
+    which = ", the base trial" if of_several else ""
+    table = _table(
+        f"{escape(summary['experiment'])}{which}: errors over the pixels that {who} matched",
+        caption="one trial of each method, without an interval",
+    )
     names = {"pixel": "whole pixels", "subpixel": "sub-pixel"} | summary.get("labels", {})
-    for key, where in (("comparison_wall", "walls"), ("comparison", "all")):
-        for method, m in summary[key].items():
-            table.add_row(
-                where,
-                escape(names.get(method, method)),
-                *(_figure(m[each.name], each) for each in columns),
-            )
+    parts = [(where, summary[key]) for key, where in (("comparison_wall", "walls"), ("comparison", "all"))]
+    columns = [METRICS[name] for name in _SHOWN]
+    figures = {
+        (where, method): [_figure(m[each.name], each) for each in columns]
+        for where, of_part in parts
+        for method, m in of_part.items()
+    }
+    heads = [_in_two_lines(each) for each in columns]
+    room = _room_for_names(heads, figures.values()) - len("walls ")
+    table.add_column("\npixels", no_wrap=True)
+    table.add_column("\nmethod")
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
+    for where, of_part in parts:
+        for method in of_part:
+            table.add_row(where, escape(_in_lines(names.get(method, method), room)), *figures[where, method])
         table.add_section()
     return table
 
@@ -80,25 +95,29 @@ def cases_table(summary: dict[str, Any]) -> "Table":
 
     cases = summary["cases"]
     methods = {(each["matcher"], each["subpixel"]) for each in cases}
-    table = _table(f"{escape(summary['experiment'])}: means over the trials of each case")
-    longest = max(len(word) for each in cases for word in each["case"].split())
-    table.add_column("\ncase", min_width=longest)  # names wrap between words, and never inside one
+    columns = [METRICS[name] for name in _OF_CASES]
+    between = next((each for each in cases if each[f"{_MAIN}_ci95"]), None) is not None
+    without = "" if between else ", one seed, without an interval"
+    heads = [_in_two_lines(each) + (" \\[95 %]" if between and each.name == _MAIN else "") for each in columns]
+    figures = [
+        [_figure(each[column.name], column, each.get(f"{column.name}_ci95")) for column in columns] for each in cases
+    ]
+    table = _table(f"{escape(summary['experiment'])}: means over the trials of each case{without}")
     by_method = len(methods) > 1 and not summary.get("labels")
-    if by_method:
-        table.add_column("\nmethod", overflow="fold")
-    columns = _add_figures(table)
-    for each in cases:
+    room = _room_for_names(heads, figures)
+    for heading in ("\ncase", *(["\nmethod"] if by_method else [])):
+        table.add_column(heading)
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
+    for each, cells in zip(cases, figures, strict=True):
         method = each["matcher"] if each["subpixel"] == "own" else f"{each['matcher']} {each['subpixel']}"
-        table.add_row(
-            escape(each["case"]),
-            *([escape(method)] if by_method else []),
-            *(_figure(each[column.name], METRICS[column.name]) for column in columns),
-        )
+        named = [each["case"], *([method] if by_method else [])]
+        table.add_row(*(escape(_in_lines(name, room // len(named))) for name in named), *cells)
     return table
 
 
 def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
-    """The test of the law: slopes and R² by method and surface, and the best baseline for each range; none untested.
+    """The test of the law: slopes and R² by method and surface; and the best baseline for each range, where tried.
 
     Parameters
     ----------
@@ -123,9 +142,10 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
             method = in_words((fit["matcher"], fit["subpixel"]), {})
             table.add_row(f"{fit['surface']}s", escape(method), _slope(fit), f"{fit['r2']:.2f}", slope_verdict(fit))
         yield table
-    best = [each for each in law.get("best_baseline", ()) if each["surface"] == "wall"]
+    best = [each for each in summary.get("best_baseline", ()) if each["surface"] == "wall"]
     if best:
-        table = _table("best baseline on walls, m [95 %], of those that were tried")
+        between = "[95 %]" if best[0]["baseline_m_ci95"] else "(one seed, without an interval)"
+        table = _table(f"best baseline on walls, m {between}, of those that were tried")
         methods = list(dict.fromkeys((each["matcher"], each["subpixel"]) for each in best))
         table.add_column("range m", justify="right")
         for each in methods:
@@ -145,18 +165,9 @@ def _slope(fit: dict[str, Any]) -> str:
 def _baseline(best: dict[str, Any] | None) -> str:
     if best is None:
         return "-"
-    low, high = best["baseline_m_ci95"]
-    return f"{best['baseline_m']:.3g} \\[{low:.3g}, {high:.3g}]"
-
-
-def _add_figures(table: "Table") -> list["Metric"]:
-    """Add the columns of the main figures."""
-    from harness.evaluation.metric_table import METRICS
-
-    columns = [METRICS[name] for name in _SHOWN]
-    for each in columns:
-        table.add_column(_in_two_lines(each), justify="right", no_wrap=True)
-    return columns
+    between = best["baseline_m_ci95"]
+    ends = f" \\[{between[0]:.3g}, {between[1]:.3g}]" if between else ""
+    return f"{best['baseline_m']:.3g}{ends}"
 
 
 def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
@@ -196,13 +207,34 @@ def plain_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> "Tabl
     return table
 
 
-def _table(title: str | None = None) -> "Table":
+def _table(title: str | None = None, caption: str | None = None) -> "Table":
     from rich import box
     from rich.table import Table
 
     return Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True
-    )
+        title=title, title_justify="left", caption=caption, caption_justify="left", box=box.SIMPLE_HEAD,
+        show_edge=False, pad_edge=False, collapse_padding=True,
+    )  # fmt: skip
+
+
+def _room_for_names(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> int:
+    """The characters that columns of figures leave for names on this terminal, at least a short word."""
+    from rich.console import Console
+
+    widths = [max(map(len, head.replace("\\[", "[").split("\n"))) for head in heads]
+    for row in rows:
+        widths = [max(width, len(cell.replace("\\[", "["))) for width, cell in zip(widths, row, strict=True)]
+    return max(12, Console().width - sum(widths) - 2 * len(widths))
+
+
+def _in_lines(name: str, width: int) -> str:
+    """A name in lines that end at a space or after a sign such as `/`, `:` and `_`, and never inside a word."""
+    lines = [""]
+    for part in re.findall(r".*?[\s/:_.(=-]+|.+", name):
+        if lines[-1] and len(lines[-1] + part.rstrip()) > width:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def _in_two_lines(metric: "Metric") -> str:
@@ -214,5 +246,10 @@ def _in_two_lines(metric: "Metric") -> str:
     return f"{above}\n{f'{below} {metric.unit}'.strip()}".replace("\u00a0", " ")
 
 
-def _figure(value: float | None, metric: "Metric") -> str:
-    return "none" if value is None else format(metric.scale * value, metric.form)
+def _figure(value: float | None, metric: "Metric", between: Sequence[float] | None = None) -> str:
+    """A figure, with its interval where it has one."""
+    if value is None:
+        return "none"
+    low_high = [format(metric.scale * each, metric.form) for each in between or ()]
+    ends = f" \\[{', '.join(low_high)}]" if low_high else ""
+    return format(metric.scale * value, metric.form) + ends

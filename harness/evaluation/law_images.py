@@ -156,8 +156,8 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
     Returns
     -------
     list
-        Tables of `matcher`, `subpixel`, `surface`, `range_m`, `baseline_m`, `baseline_m_ci95`, `naive_baseline_m`, and
-        `flat_from_m`, `flat_to_m`: the baselines whose error is within 10 % of the best one's.
+        Tables of `matcher`, `subpixel`, `surface`, `range_m`, `baseline_m`, `baseline_m_ci95` (None of one seed),
+        `naive_baseline_m`, and `flat_from_m`, `flat_to_m`: the baselines whose error is within 10 % of the best one's.
     """
     best_of_range = []
     for (matcher, subpixel, surface, range_bin), part in cells.groupby([*_METHOD, "surface", "range_bin"], sort=True):
@@ -174,13 +174,18 @@ def best_baselines(cells: pd.DataFrame) -> list[dict[str, Any]]:
                 "surface": surface,
                 "range_m": middle_of_range(range_bin),
                 "baseline_m": float(baselines[np.argmin(errors)]),
-                "baseline_m_ci95": [float(q) for q in np.quantile(best, [0.025, 0.975], method="nearest")],
+                "baseline_m_ci95": _ends_of(best) if len(part["seed"].unique()) > 1 else None,
                 "flat_from_m": float(flat.min()),
                 "flat_to_m": float(flat.max()),
                 "naive_baseline_m": float(baselines.max()),
             }
         )
     return best_of_range
+
+
+def _ends_of(best: Array) -> list[float]:
+    """The central 95 % of values that were tried: each end is one of them."""
+    return [float(q) for q in np.quantile(best, [0.025, 0.975], method="nearest")]
 
 
 def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:

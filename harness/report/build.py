@@ -10,6 +10,7 @@ from harness.report.markup import html, template
 from harness.report.opening import opening
 from harness.report.section import MOST_BYTES, About, Context, Declared, Paragraph, Section
 from harness.report.sections import SECTIONS
+from harness.runs.conclusions import leading
 from harness.runs.run import Result
 
 
@@ -39,6 +40,7 @@ def build_report(
     """
     context = Context.of(result)
     page_sections = sections_of(context, failures, sections, observe, may_copy=may_copy)
+    said, more = leading(result.summary.get("conclusions", ()))
     return template("report.html.j2").render(
         result=result,
         experiment=result.experiment,
@@ -46,6 +48,8 @@ def build_report(
         sweep=context.sweep,
         opening=opening(context, page_sections),
         abstract=list(words.abstract(result, context.trial, context.compared)),
+        said=said,
+        more=more,
         overview=list(words.overview(result, context.sweep)),
         sections=page_sections,
     )

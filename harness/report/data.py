@@ -3,7 +3,7 @@
 import csv
 import io
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -122,9 +122,3 @@ def interval(between: tuple[float, float] | Sequence[float], form: str, scale: f
 def count(value: int) -> Cell:
     """A cell of a whole number."""
     return Cell(f"{value:,}".replace(",", "\u202f"), value)
-
-
-def listed(names: Iterable[str], last: str = "and") -> str:
-    """Names in a row of words."""
-    names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}" if names else "none"

@@ -6,6 +6,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from harness.display import unbroken
 from harness.report import typography
 
 
@@ -48,6 +49,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["figure"] = typography.figure
+    environment.filters["unbroken"] = unbroken
     environment.filters["symbols"] = typography.symbols
     environment.filters["typeset"] = typography.typeset
     environment.filters["sentence"] = lambda text: f"{text[:1].upper()}{text[1:]}"

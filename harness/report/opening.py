@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from harness.report.section import Context, Figure, LineKey, Section
-from harness.report.sweep import Axis, Sweep
+from harness.report.sweep import Axis
 from harness.report.theme import Picture
+from harness.runs.headline import BASELINE
 
 FIGURES = {
     "discretisation": "figure-profile",
@@ -61,7 +62,7 @@ def opening(context: Context, sections: Sequence[Section]) -> Opening:
         Claim(each, FIGURES[each["id"]], number.get(FIGURES[each["id"]])) for each in context.summary.get("claims", ())
     )
     drawn = {each.id: each for each in figures if each.pictures and not each.pictures[0].failure}
-    shown = None if claims else next((drawn[each] for each in _wanted(context.sweep) if each in drawn), None)
+    shown = None if claims else next((drawn[each] for each in _wanted(context) if each in drawn), None)
     return Opening(
         claims=claims,
         headline=context.summary.get("headline"),
@@ -83,12 +84,14 @@ def _key_of(figure: Figure, sections: Sequence[Section]) -> Picture | None:
     return key
 
 
-def _wanted(sweep: Sweep) -> list[str]:
+def _wanted(context: Context) -> list[str]:
     """Figures that may show the conclusion of a sweep, the first one first; none of one trial."""
+    sweep, said = context.sweep, context.summary.get("headline") or ""
     if not sweep.several:
         return []
-    axes = sorted(sweep.axes, key=_interest, reverse=True)
-    return [*_OF_RESULTS, *(f"figure-{axis.slug}" for axis in axes), "figure-regions"]
+    axes = sorted(sweep.axes, key=lambda axis: (said.startswith(f"{axis.key}:"), *_interest(axis)), reverse=True)
+    best = ["figure-best-baseline"] if [axis.key for axis in axes] == [BASELINE] else []
+    return [*_OF_RESULTS, *best, *(f"figure-{axis.slug}" for axis in axes), "figure-regions"]
 
 
 def _interest(axis: Axis) -> tuple[bool, int]:

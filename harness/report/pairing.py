@@ -4,8 +4,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from harness.display import shortened_labels
-from harness.report.data import listed
+from harness.display import listed, shortened_labels
 from harness.report.shipped_names import with_names
 from harness.report.sweep import name_of, texts_of, value_text
 from harness.report.written_runs import NONE, Run

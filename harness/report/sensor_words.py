@@ -8,6 +8,7 @@ import numpy as np
 from harness.camera.central import best_central
 from harness.camera.coverage import HARDLY, Coverage, Ring, has_circle
 from harness.camera.sensor import Sensor, used
+from harness.display import listed
 from harness.errors import with_article
 
 _OFF_CENTRE = 0.03
@@ -79,7 +80,7 @@ def warnings_of(coverage: Coverage) -> list[str]:
     rim = coverage.rim
     if HARDLY < rim.on_image < 1 and rim.sides:
         warnings.append(
-            f"The edge of the field leaves the image at the {_listed(rim.sides)}: {1 - rim.on_image:.0%} of its "
+            f"The edge of the field leaves the image at the {listed(rim.sides)}: {1 - rim.on_image:.0%} of its "
             "directions are cut off there."
         )
     if coverage.used < _LITTLE_USED:
@@ -198,10 +199,6 @@ def _whither(offset: np.ndarray) -> str:
     across = f"{abs(offset[0]):.0f} px {'right' if offset[0] > 0 else 'left'}"
     down = f"{abs(offset[1]):.0f} px {'down' if offset[1] > 0 else 'up'}"
     return ", ".join(text for text, size in ((across, offset[0]), (down, offset[1])) if abs(size) >= 0.5)
-
-
-def _listed(words: tuple[str, ...]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _number(value: float) -> str:

@@ -8,11 +8,14 @@ import pandas as pd
 
 from harness.evaluation.efficiency import GROSS_PX, efficiency, within_without_bias
 from harness.evaluation.law import test_law
+from harness.evaluation.law_images import best_baselines
 from harness.runs.experiment import Planned
 from harness.runs.methods import METHOD_KEYS
 from harness.runs.values import Settings, shown
 
 _NOISE = "noise.sigma_grey"
+_LEAST_BASELINES = 4
+"""Fewer are compared by their figures alone: the best of three is the middle one or an end."""
 _NOT_A_CONDITION = ("seed", "view_2.baseline_m", *METHOD_KEYS)
 """Keys across which the law is tested (baseline, seed), or with a column of their own. All others are conditions."""
 
@@ -47,6 +50,22 @@ def law_of(cells: pd.DataFrame) -> dict[str, Any] | None:
     if cells.empty or cells["baseline_m"].nunique() < 3:
         return None
     return test_law(cells)
+
+
+def best_baseline_of(cells: pd.DataFrame, law: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """The `best_baseline` of `summary.json`: for each method, surface and range; empty where few baselines were tried.
+
+    Parameters
+    ----------
+    law
+        The test of the law, if there is one: they are a part of it.
+    """
+    if law is not None:
+        found: list[dict[str, Any]] = law["best_baseline"]
+        return found
+    if cells.empty or cells["baseline_m"].nunique() < _LEAST_BASELINES:
+        return []
+    return best_baselines(cells)
 
 
 def law_condition(planned: Planned) -> Settings:

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from harness.evaluation.law import LEAST_R2
+from harness.display import listed
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
 from harness.runs.cases import CASE
 from harness.runs.methods import METHOD_KEYS, MethodName, in_words
@@ -18,17 +19,19 @@ if TYPE_CHECKING:
 
 FIGURES = (("wall", "wall_range_median_abs_m"), ("all", "range_median_abs_m"))
 """Median |range error| of walls, where square windows fit; of everything where there are no walls."""
+_MOST = 4
+"""Sentences that a first screen has room for, beside the headline and its picture."""
+_FEW = "Intervals are over"
 _LEAST = 0.02
 """Least relative difference that is worth a sentence, however certain: 2 %."""
 
 
 def conclusions(
     rows: Sequence["Row"],
-    law: dict[str, Any] | None,
     labels: Mapping[MethodName, str] | None = None,
     further: Sequence[str] = (),
 ) -> list[str]:
-    """A sentence about the methods, one for each axis, and one for each slope of the law.
+    """What trials were scored by beside their ranges, a sentence about the methods, and one for each axis that matters.
 
     Each is about the median range error on walls (on all pixels where there are none), averaged as logarithms over
     seeds; ratios are between trials that are alike but for what is compared, with 95 % intervals over seeds. Empty
@@ -38,30 +41,55 @@ def conclusions(
     ----------
     rows
         The trials that are done.
-    law
-        The test of the law, if there is one.
     labels
         The names that cases give to methods.
     further
         Sentences on what else the trials were scored by, such as warped views.
     """
     table, axes = table_of(rows, labels or {})
-    measured = [(part, name) for part, name in FIGURES if not table.empty and (table[name] > 0).any()]
-    if not measured or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
+    what = measured(table)
+    if what is None or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
         return []
-    part, figure = measured[0]
-    where = "on walls" if part == "wall" else "over all pixels"
-    best = _best_method(table, axes, figure)
-    sentences = list(_about_methods(table, axes, figure, where))
+    where, figure = what
+    best = best_method(table, axes, figure)
+    sentences = [*further, *_about_methods(table, axes, figure, where)]
     of_best = table[table["method"] == best]
-    for key in axes:
-        sentences += _about_axis(of_best, key, axes, figure, f"{best}, {where}")
-    sentences += _about_law(law, labels or {})
-    sentences += further
+    compared = [each for key in axes if (each := _along(of_best, key, axes, figure)) is not None]
+    sentences += _about_axes(compared, f"{best}, {where}")
     seeds = table["seed"].nunique()
     if sentences and seeds < FEW_SEEDS:
-        sentences.append(f"Intervals are over {seeds} seeds, and come out too short.")
+        sentences.append(f"{_FEW} {seeds} seeds, and come out too short.")
     return sentences
+
+
+def leading(sentences: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The sentences that a first screen has room for, with the warning of few seeds, and the others."""
+    warning = [each for each in sentences if each.startswith(_FEW)]
+    said = [each for each in sentences if each not in warning]
+    return said[:_MOST] + warning, said[_MOST:]
+
+
+def measured(table: pd.DataFrame) -> tuple[str, str] | None:
+    """Where errors are compared, in words, and the figure's name; None where there is no error."""
+    known = [(part, name) for part, name in FIGURES if not table.empty and (table[name] > 0).any()]
+    if not known:
+        return None
+    part, name = known[0]
+    return ("on walls" if part == "wall" else "over all pixels"), name
+
+
+def about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: tuple[str, str]) -> str | None:
+    """How much the error of the best method differs along an axis; None where that is not certain.
+
+    Parameters
+    ----------
+    figure
+        See `measured`.
+    """
+    where, name = figure
+    best = best_method(table, axes, name)
+    along = _along(table[table["method"] == best], key, axes, name)
+    return next(_about_axes([along], f"{best}, {where}")) if along and _differs(along.ratio) else None
 
 
 def table_of(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
@@ -93,7 +121,8 @@ def _pivot(table: pd.DataFrame, columns: str, axes: dict[str, list[Any]], figure
     return balanced(positive.dropna(how="all").dropna(axis=1, how="all"))
 
 
-def _best_method(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str) -> str:
+def best_method(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str) -> str:
+    """The method with the smallest mean of a figure over alike trials."""
     pivot = _pivot(table, "method", axes, figure)
     means = mean_over_seeds(pivot, logarithmic=True)
     return str(means.x[int(np.nanargmin(means.mean))])
@@ -125,42 +154,55 @@ def _about_methods(table: pd.DataFrame, axes: dict[str, list[Any]], figure: str,
         yield f"{first} and {second} have the smallest median range errors, {error}, and alike ({_times(ratio)})."
 
 
-def _about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: str, who: str) -> Iterator[str]:
-    """A sentence on the change of the error along an axis, from its smallest to its largest mean."""
+@dataclass(frozen=True)
+class _Along:
+    """How the error changes along an axis: from its smallest to its largest mean."""
+
+    key: str
+    ratio: tuple[float, float, float]
+    """The largest over the smallest, with its interval."""
+    ends: tuple[str, str]
+    """The smallest and the largest, in words."""
+
+
+def _along(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: str) -> _Along | None:
+    """None where settings change together, or there is no interval."""
     pivot = _pivot(table, key, axes, figure)
-    if pivot.shape[1] < 2 or pivot.isna().any(axis=None):  # settings that change together
-        return
+    if pivot.shape[1] < 2 or pivot.isna().any(axis=None):
+        return None
     curve = mean_over_seeds(pivot, logarithmic=True)
     least, most = int(np.argmin(curve.mean)), int(np.argmax(curve.mean))
     ratio = _ratio(pivot, curve.x[most], curve.x[least])
     if not _has_interval(ratio):
-        return
+        return None
     values = [axes[key][int(i)] for i in curve.x]  # type: ignore[call-overload]
-    if not _differs(ratio):
-        sure = ratio[1] > 1
-        says = (
-            "changes the median range error by less than 2 %" if sure else "makes no difference that these seeds show"
+    low, high = (f"{length(curve.mean[i])} at {_quoted(value_text(values[i]))}" for i in (least, most))
+    return _Along(key, ratio, (low, high))
+
+
+def _about_axes(compared: Sequence[_Along], who: str) -> Iterator[str]:
+    """A sentence for each axis that matters, the one that matters most first, and one for all that do not."""
+    differing = [each for each in compared if _differs(each.ratio)]
+    for each in sorted(differing, key=lambda each: -abs(math.log(each.ratio[0]))):
+        low, high = each.ends
+        yield f"{each.key}: the median range error ({who}) is {low}, and {_times(each.ratio)} that, {high}."
+    alike = [each for each in compared if each not in differing]
+    small = [each for each in alike if each.ratio[1] > 1]  # sure, but small
+    unsure = [each for each in alike if each not in small]
+    if small:
+        yield (
+            f"{listed([each.key for each in small])} {'change' if len(small) > 1 else 'changes'} the median range "
+            f"error by less than 2 % ({who}: {_at_most(small)})."
         )
-        yield f"{key} {says} ({who}: at most {_times(ratio)})."
-        return
-    low, high = (f"{length(curve.mean[i])} at {value_text(values[i])}" for i in (least, most))
-    yield f"{key}: the median range error ({who}) is {low}, and {_times(ratio)} that, {high}."
+    if unsure:
+        yield (
+            f"{listed([each.key for each in unsure])} {'make' if len(unsure) > 1 else 'makes'} no difference that "
+            f"these seeds show ({who}: {_at_most(unsure)})."
+        )
 
 
-def _about_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> Iterator[str]:
-    if law is None:
-        return
-    for fit in law["images"]:
-        slope, ends = fit["slope"], fit["slope_ci95"]
-        if fit["law"] != "exact" or slope is None or fit["surface"] != "wall":
-            continue
-        method = in_words((fit["matcher"], fit["subpixel"]), labels)
-        interval = f"{slope:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]" if ends and None not in ends else f"{slope:.2f}"
-        if fit["r2"] is not None and fit["r2"] < LEAST_R2:
-            yield f"The law, {method} on walls: none to be seen (slope {interval}, R² {fit['r2']:.2f})."
-        else:
-            verdict = f"the error grows as its power {interval}, R² {fit['r2']:.2f}; 1 is the law."
-            yield f"The law, {method} on walls: {verdict}"
+def _at_most(compared: Sequence[_Along]) -> str:
+    return f"at most {listed([_times(each.ratio) for each in compared])}"
 
 
 def _has_interval(ratio: tuple[float, float, float]) -> bool:
@@ -181,6 +223,16 @@ def _times(ratio: tuple[float, float, float]) -> str:
 def length(metres: float) -> str:
     """A length in millimetres, from a metre on in metres."""
     return f"{metres:.3g} m" if metres >= 0.9995 else f"{1000 * metres:.3g} mm"
+
+
+def said_of(key: str, value: Any) -> str:
+    """A key with its value in a sentence: a case is called by its name alone."""
+    return _quoted(value_text(value)) if key == CASE else f"{key} = {_quoted(value_text(value))}"
+
+
+def _quoted(text: str) -> str:
+    """Text in a sentence: in quotes where it has a comma of its own, unless brackets hold it together."""
+    return f"“{text}”" if ", " in text and not text.startswith(("[", "{")) else text
 
 
 def value_text(value: Any) -> str:

@@ -79,6 +79,9 @@ class Experiment(Spec):
     """The experiment's name: letters, digits, `_`, `.` and `-`. It also names the output folder."""
     description: str = ""
     """A description for people."""
+    law: bool = False
+    """Whether the law of sensitivity is tested: whether errors of the range grow as the law says across ranges and
+    three or more baselines. Slopes, a verdict and sections of the report."""
     trial: Trial
     """The base trial."""
     axes: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], DottedKeys(Trial, listed=True)] = Field(

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.display import listed
 from harness.evaluation.statistics import between, mean_with_interval, resampled
 from harness.geometry.angles import Array
 from harness.pipeline.localise import PAIRS, SINGLES, SYNTHESISED, WAYS
@@ -92,11 +93,6 @@ def _with_ends(gain: dict[str, Any], name: str, form: str) -> str:
     low, high = gain[f"{name}_ci95"]
     bound = gain.get(f"{name}_bound", "")
     return f"{bound} {gain[name]:{form}} [{low:{form}}, {high:{form}}]".lstrip()
-
-
-def listed(words: list[str]) -> str:
-    """Words in a row: `a, b and c`."""
-    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
 
 
 def _entry(

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.display import listed
 from harness.evaluation.statistics import mean_with_interval
 from harness.runs.experiment import Planned
 from harness.runs.methods import MethodName, in_words
@@ -58,16 +59,25 @@ def _reach_of(method: str, entries: list[dict[str, Any]]) -> str:
     sure = [each for each in entries if each["gain_ci95_db"][0] > 0]
     if not sure:
         return f"Views warped with {method} are not certain to be better than the nearest image at any distance."
-    low, high = (f"{pick(each['gain_db'] for each in sure):.1f}" for pick in (min, max))
-    sentence = f"Views warped with {method} are better than the nearest image at {_distances(sure)}, by "
-    sentence += f"{low} dB" if low == high else f"{low} to {high} dB"
+    least, most = (_gain(pick(sure, key=lambda each: float(each["gain_db"]))) for pick in (min, max))
     unsure = [each for each in entries if each not in sure]
-    return f"{sentence}; at {_distances(unsure)} that is not certain." if unsure else f"{sentence}."
+    gains = least if least == most else f"{least} to {most}"
+    sentence = f"Views warped with {method} are {gains} dB better than the nearest image at {_distances(sure, entries)}"
+    return f"{sentence}; at {_distances(unsure, entries)} that is not certain." if unsure else f"{sentence}."
 
 
-def _distances(entries: list[dict[str, Any]]) -> str:
-    *first, last = (f"{each['distance_m']:g}" for each in entries)
-    return f"{', '.join(first)} and {last} m" if first else f"{last} m"
+def _gain(entry: dict[str, Any]) -> str:
+    low, high = entry["gain_ci95_db"]
+    return f"{entry['gain_db']:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _distances(some: list[dict[str, Any]], entries: list[dict[str, Any]]) -> str:
+    """Some of the distances, from the first to the last where they follow each other."""
+    names = [f"{each['distance_m']:g}" for each in some]
+    start = entries.index(some[0])
+    if len(some) > 2 and entries[start : start + len(some)] == some:
+        return f"{names[0]} to {names[-1]} m"
+    return f"{listed(names)} m"
 
 
 def _entry(

@@ -29,9 +29,10 @@ class Plan:
         return sum(self.seconds)
 
     @property
-    def is_known(self) -> bool:
-        """Whether the time of every matcher is known."""
-        return all(each.trial.matching.match_seconds(1.0, 1.0) is not None for each in self.trials)
+    def unknown(self) -> list[str]:
+        """The matchers whose time is not known."""
+        kinds = (each.method[0] for each in self.trials if each.trial.matching.match_seconds(1.0, 1.0) is None)
+        return list(dict.fromkeys(kinds))
 
     @property
     def renders(self) -> int:
@@ -98,8 +99,9 @@ def _seconds(trial: Trial, new: Iterable[str]) -> float:
     own = sum(stages.values())  # of a pair that shares nothing
     scored += (own + _SCAN_S) * len(trial.map.stations())
     local = trial.localisation
-    made = local.most // 2 * local.synthesised * 2  # with either ranges
-    scored += own * (local.most * 1.5 + local.queries / 2) + made * (panorama * _VIEW_S_A_MP + _DESCRIBED_S)
+    if local.most:
+        made = local.most // 2 * local.synthesised * 2  # with either ranges
+        scored += own * (local.most * 1.5 + local.queries / 2) + made * (panorama * _VIEW_S_A_MP + _DESCRIBED_S)
     return scored + sum(stages.get(stage, 0.0) for stage in new)
 
 

@@ -24,7 +24,7 @@ from harness.pipeline.maps import has_maps
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.runs import executors
-from harness.runs.analysis import cell_table, law_of, limit_of
+from harness.runs.analysis import best_baseline_of, cell_table, law_of, limit_of
 from harness.runs.budgets import budget_of
 from harness.runs.case_figures import figures_of_cases
 from harness.runs.cases import CASE
@@ -34,7 +34,7 @@ from harness.runs.details import Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.further_scores import FURTHER
-from harness.runs.headline import headline
+from harness.runs.headline import Findings, headline
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.path_maps import write_path_maps
 from harness.runs.plan import Plan, plan
@@ -225,20 +225,29 @@ def result_from(
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
     trials = [(row.planned, row.payload) for row in done]
     cells = cell_table(trials)
-    law, claims, labels = law_of(cells), claims_of(trials), experiment.method_labels
+    law = law_of(cells) if experiment.law else None
+    best_baseline = best_baseline_of(cells, law)
+    claims, labels = claims_of(trials), experiment.method_labels
     further = {each.name: each.entries_of(trials) for each in FURTHER}
-    sentences = [sentence for each in FURTHER for sentence in each.conclusions(further[each.name], labels)]
+    by_score = [each.conclusions(further[each.name], labels) for each in FURTHER]
+    by_score.reverse()  # what is made of others comes first, as maps are made of range profiles
+    sentences = [sentence for each in by_score for sentence in each]
+    first = next(filter(None, by_score), [])
+    limit, budget = limit_of(trials), budget_of(trials)
+    found = Findings(law, best_baseline, limit, budget, first)
+    opens_with = None if claims else headline(done, found, labels)
     optional = {
         "claims": claims,
-        "limit": limit_of(trials),
-        "budget": budget_of(trials),
+        "limit": limit,
+        "budget": budget,
         "budget_by_direction": budget_of(trials, "alpha_bin"),
         "labels": _labels(details, experiment),
         "cases": figures_of_cases(experiment, trials),
         "law": law,
+        "best_baseline": best_baseline,
         **further,
-        "headline": None if claims else headline(done, law, labels),
-        "conclusions": [] if claims else conclusions(done, law, labels, sentences),
+        "headline": opens_with,
+        "conclusions": [] if claims else [each for each in conclusions(done, labels, sentences) if each != opens_with],
     }
     summary |= {name: value for name, value in optional.items() if value}
     environment_table = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}

@@ -118,6 +118,10 @@ class SemiGlobal(MatcherSettings):
         """The matches of the mirror images, resampled about the baseline."""
         return match_semi_global(pair, self)
 
+    def match_seconds(self, image_mp: float, curve_mp: float) -> float:  # noqa: ARG002 - by the panorama alone
+        """See `MatcherSettings.match_seconds`: paths through a volume of costs."""
+        return 0.4 * curve_mp
+
     @property
     def step(self) -> str:
         """The sub-pixel step, by its name."""

@@ -2,6 +2,7 @@
 
 from harness.report.section import Declared
 from harness.report.sections import (
+    best_baseline,
     cases,
     comparison,
     confidence_curves,
@@ -34,6 +35,7 @@ SECTIONS: tuple[Declared, ...] = (
     perturbed_angles.section,
     fits.section,
     decomposition.section,
+    best_baseline.section,
     novel_views.section,
     range_profiles.section,
     occupancy_maps.section,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from harness.report.data import listed
+from harness.display import listed
 from harness.report.explorer import contents
 from harness.report.explorer.contents import Contents, contents_of
 from harness.report.markup import html, template

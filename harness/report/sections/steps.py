@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.report.data import Cell, Data, Heading, Table, listed, number, words
+from harness.display import listed
+from harness.report.data import Cell, Data, Heading, Table, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
 from harness.report.sections.error_curves import SURFACES

@@ -15,7 +15,6 @@ from harness.report.data import Data, Heading, Table, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Figure, LineKey, Paragraph, TableBlock, section_of
 from harness.report.sections.error_curves import SURFACES, draw_line, key_picture
-from harness.report.sections.law.best_baseline import best_baseline
 from harness.report.sections.law.part import is_of
 from harness.report.sweep import Sweep
 from harness.report.theme import Picture
@@ -42,7 +41,7 @@ grows with |<b>t</b>|/<i>d</i>, the error of the range cannot fall as the law sa
 
 @section_of(About.ALL_TRIALS, "law-decomposition", "The law: decomposition")
 def section(context: Context) -> Iterator[Block]:
-    """The dependence of σ(alpha_2) on |t|/d and direction, and the best baseline that follows from it."""
+    """The dependence of σ(alpha_2) on |t|/d and direction."""
     sweep, law = context.sweep, context.law
     if not law:
         return
@@ -50,7 +49,6 @@ def section(context: Context) -> Iterator[Block]:
     yield LineKey(key_picture(sweep, laws=False))
     yield _angle_spread(sweep, context.column_deg)
     yield TableBlock("table-law-sigma", _sigma_table(sweep, law), html(_POWERS), full=False)
-    yield from best_baseline(sweep, law)
 
 
 def _angle_spread(sweep: Sweep, column_deg: float) -> Figure:

@@ -15,7 +15,7 @@ from harness.geometry.angles import Array
 from harness.report import theme
 from harness.report.data import Data, Heading, Table, number, words
 from harness.report.markup import html
-from harness.report.section import Block, Figure, TableBlock
+from harness.report.section import About, Block, Context, Figure, TableBlock, section_of
 from harness.report.sections.error_curves import SURFACES
 from harness.report.sections.law.part import is_of
 from harness.report.sweep import MethodStyle, Sweep
@@ -59,8 +59,12 @@ baseline is the shortest or the longest tried, the optimum may lie outside.
 """
 
 
-def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
+@section_of(About.ALL_TRIALS, "best-baseline", "The best baseline for each range")
+def section(context: Context) -> Iterator[Block]:
     """Spread against the baseline, a curve for each range, and where each is lowest."""
+    sweep, best = context.sweep, context.summary.get("best_baseline")
+    if not best:
+        return
     curves = {
         (method, surface): list(_curves(sweep.cells_of(method, surface)))
         for surface in sweep.surfaces
@@ -74,15 +78,15 @@ def best_baseline(sweep: Sweep, law: dict[str, Any]) -> Iterator[Block]:
     ]
     headings = ["matcher", "subpixel", "surface", "range_m", "baseline_m", "spread_m", "ci95_low", "ci95_high"]
     yield Figure(
-        "figure-law-baseline",
+        "figure-best-baseline",
         _trade_off(sweep, curves),
         html(_TRADE_OFF),
-        data=Data("law-best-baseline", headings, rows),
+        data=Data("best-baseline", headings, rows),
         missing="Not drawn: no range has estimates with three baselines.",
     )
-    table = _baseline_table(sweep, law, curves)
+    table = _baseline_table(sweep, best, curves)
     if table.rows:
-        yield TableBlock("table-law-baseline", table, html(_BASELINES))
+        yield TableBlock("table-best-baseline", table, html(_BASELINES))
 
 
 def _trade_off(sweep: Sweep, curves: _Curves) -> list[Picture]:
@@ -151,7 +155,7 @@ def _trade_off_picture(name: str, curves: dict[MethodStyle, list[_Curve]], colou
     )
 
 
-def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table:
+def _baseline_table(sweep: Sweep, best: list[dict[str, Any]], curves: _Curves) -> Table:
     headings = [
         Heading("Surface", text=True),
         Heading("Method", text=True),
@@ -168,10 +172,10 @@ def _baseline_table(sweep: Sweep, law: dict[str, Any], curves: _Curves) -> Table
     for surface in sweep.surfaces:
         for method in sweep.methods:
             costs = {curve.range_m: float(curve.error[-1] / curve.error.min()) for curve in curves[method, surface]}
-            for each in law["best_baseline"]:
+            for each in best:
                 if not is_of(each, method, surface):
                     continue
-                low, high = each["baseline_m_ci95"]
+                low, high = each["baseline_m_ci95"] or (None, None)
                 rows.append(
                     [
                         words(SURFACES[surface]),
