@@ -1,82 +1,45 @@
-"""Train the network of stereo_net.py on pairs of random rooms, made here. Writes stereo_net.pt."""
+"""Train the network of stereo_net.py on a data set, `python train_stereo_net.py DIR`. Writes stereo_net.pt."""
 
 import sys
 import time
 
 import numpy as np
 import torch
+from scipy import ndimage
 from stereo_net import AROUND, StereoNet, tensors
 from torch.nn.functional import smooth_l1_loss
 
 import harness
-from harness.simulation.truth import truth
-
-SENSOR = harness.Sensor(camera={"width_px": 320, "height_px": 240, "focal_px": 307.06, "cx_px": 159.5, "cy_px": 119.5})
-GRID = harness.Grid(width_px=360, height_px=100)
 
 
-def texture(draws):
-    """Photographs of gravel, grass or bricks, or noise of a random size and contrast."""
-    tile_m = float(draws.uniform(2, 7))
-    kind = draws.choice(["gravel", "grass", "brick", "noise", "noise"])
-    if kind != "noise":
-        return {"kind": "bundled", "name": str(kind), "tile_m": tile_m}
-    seed, shortest_m = int(draws.integers(1000)), float(draws.uniform(0.04, 0.15))
-    return {"kind": "noise", "seed": seed, "tile_m": tile_m, "shortest_m": shortest_m, "longest_m": 10 * shortest_m}
+def sample(pair):
+    """A rectified pair, its true disparities in pixels, and where both views see the point."""
+    grid = harness.Grid(width_px=AROUND, height_px=100)
+    images = tuple(image.astype(np.float32) for image in pair.images)
+    rectified = harness.Pair(images, pair.sensors, pair.motion, grid).rectified(AROUND)
+    # The truth is on the pixels of image 1. Between those of one plane the inverse range is nearly linear; where the
+    # four around a direction are not all in both views, or not all on one surface, nothing is learned.
+    pixels, valid = harness.project(pair.sensors[0], rectified.directions)
+    at = np.nan_to_num(pixels[..., ::-1], nan=-1.0).transpose(2, 0, 1)
+    inverse = np.where(pair.state == 1, 1 / pair.range_m, np.nan)
+    w = ndimage.map_coordinates(inverse, at, order=1, cval=np.nan)
+    corners = [ndimage.shift(inverse, by, order=0, cval=np.nan) for by in ((0, 0), (0, -1), (-1, 0), (-1, -1))]
+    steps = ndimage.map_coordinates(np.ptp(corners, axis=0), np.floor(at), order=0, cval=np.nan)
+    point_2 = rectified.directions - w[..., None] * pair.motion.t_v1
+    cross = np.cross(rectified.directions, point_2)
+    angle = np.arctan2(np.linalg.norm(cross, axis=-1), (rectified.directions * point_2).sum(-1))
+    disparity = angle / rectified.projection.step
+    used = valid & rectified.valid[0] & np.isfinite(disparity) & (steps < 0.1 * w)
+    return tensors(rectified), *map(torch.from_numpy, (np.nan_to_num(disparity).astype(np.float32), used))
 
 
-def room(draws):
-    """A room with boxes in it, away from the middle."""
-    size = draws.uniform([4, 4, 2.2], [9, 9, 5]).tolist()
-    sides = {side: texture(draws) for side in ("x_min", "x_max", "y_min", "y_max", "bottom", "top")}
-    objects = [{"kind": "box", "name": "room", "inward": True, "size_m": size, **sides}]
-    for number in range(draws.integers(0, 6)):
-        across, away = draws.uniform(0.2, 0.8), draws.uniform(1.3, 1.8)
-        at = away * np.exp(1j * draws.uniform(-np.pi, np.pi))
-        box = {"size_m": [across, draws.uniform(0.2, 0.8), draws.uniform(0.3, 2.0)], "yaw_deg": draws.uniform(0, 90)}
-        box |= {"position_m": [at.real, at.imag, 0], "texture": texture(draws)}
-        objects.append({"kind": "box", "name": f"box {number}", **box})
-    return harness.load_scene({"name": "random", "objects": objects})
-
-
-def sample(seed):
-    """A rectified pair with noise, its true disparities in pixels, and where both views see the point."""
-    draws = np.random.default_rng(seed)
-    scene = room(draws)
-    first = harness.Pose(position_m=(0, 0, float(draws.uniform(0.8, 1.4))), yaw_deg=float(draws.uniform(0, 360)))
-    step = draws.uniform(0.15, 0.5) * np.exp(1j * draws.uniform(-np.pi, np.pi))
-    position = np.add(first.position_m, [step.real, step.imag, draws.normal(0, 0.02)])
-    second = harness.Pose(position_m=tuple(position.tolist()), yaw_deg=first.yaw_deg)
-    images = []
-    for pose in (first, second):
-        at = {"position_m": pose.position_m, "yaw_deg": pose.yaw_deg}
-        clean = harness.render(scene, sensor=SENSOR, samples=4, grid=GRID, **at).image
-        noise = draws.normal(0, draws.uniform(0, 4), clean.shape)
-        images.append(np.where(clean > 0, clean + noise, 0).astype(np.float32))
-    pair = harness.Pair(tuple(images), (SENSOR, SENSOR), harness.relative_motion(first, second), GRID)
-    rectified = pair.rectified(AROUND)
-    there = truth(scene, first, rectified.directions, rectified.valid[0], pose_2=second, sensor_2=SENSOR)
-    point = rectified.directions * there.range_m[..., None]
-    towards_2 = point - pair.t_v1
-    angle = np.arctan2(np.linalg.norm(np.cross(point, towards_2), axis=-1), (point * towards_2).sum(-1))
-    disparity = np.nan_to_num(angle / rectified.projection.step).astype(np.float32)
-    return tensors(rectified), torch.from_numpy(disparity), torch.from_numpy(there.visible.copy())
-
-
-def main(pairs=100, epochs=2):
-    """Make the pairs, and fit the network to them."""
+def main(folder, epochs=2):
+    """Fit the network to the pairs of a data set."""
     torch.manual_seed(0)
     torch.set_num_threads(1)
     begin = time.time()
-    samples = []
-    for seed in range(10 * pairs):
-        try:
-            samples.append(sample(seed))
-        except harness.InputError:  # a view inside a box
-            continue
-        if len(samples) == pairs:
-            break
-    print(f"{len(samples)} pairs after {time.time() - begin:.0f} s", flush=True)
+    samples = [sample(pair) for pair in harness.open_dataset(folder).part("train")]
+    print(f"{len(samples)} pairs read after {time.time() - begin:.0f} s", flush=True)
     net = StereoNet()
     optimiser = torch.optim.AdamW(net.parameters(), lr=1e-3)
     steps = epochs * len(samples)
@@ -94,10 +57,9 @@ def main(pairs=100, epochs=2):
         if used.sum() < 1000:
             continue
         found, coarse, _ = net(left, right)
-        losses_of = (smooth_l1_loss(each[0][used], disparity[used], beta=0.25) for each in (found, coarse))
-        loss = sum(losses_of)
+        losses = (smooth_l1_loss(each[0][used], disparity[used], beta=0.25) for each in (found, coarse))
         optimiser.zero_grad()
-        loss.backward()
+        sum(losses).backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimiser.step()
         schedule.step()
@@ -109,4 +71,4 @@ def main(pairs=100, epochs=2):
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main(sys.argv[1])
