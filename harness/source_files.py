@@ -77,7 +77,7 @@ def script_files(script: Path) -> list[Path]:
     files, waiting = {script}, [script]
     while waiting:
         for name in imports(waiting.pop()):
-            new = set(_beside(script.parent, name)) - files
+            new = set(_module_files(script.parent, name)) - files
             files |= new
             waiting += [each for each in new if each.suffix == ".py"]
     return sorted(files - {script})
@@ -92,7 +92,7 @@ def _is_left_out(path: Path) -> bool:
     return any(part == "__pycache__" or part.startswith(".") for part in path.parts)
 
 
-def _beside(folder: Path, module: str) -> list[Path]:
+def _module_files(folder: Path, module: str) -> list[Path]:
     """The files of a top module that lies in a folder; none if it does not."""
     if (folder / module).is_dir():
         return package_files(folder / module)

@@ -88,7 +88,7 @@ def run(
         if left.trials:
             shown = someone_watches() if progress is None else progress
             bar = stack.enter_context(Progress(experiment.name, before.total, before.done)) if shown else None
-            run_plan(left, store, backend_for(left.total_s, len(left.trials), workers), _told(bar), maps)
+            run_plan(left, store, backend_for(left.total_s, len(left.trials), workers), _observer(bar), maps)
             if bar:
                 bar.finish()
         rows = rows_of(experiment, store)
@@ -99,6 +99,6 @@ def run(
     return RunResult(experiment, rows, folder)
 
 
-def _told(bar: Progress | None) -> Callable[[Sequence[Finished]], None]:
+def _observer(bar: Progress | None) -> Callable[[Sequence[Finished]], None]:
     """The function to call with trials as they finish."""
     return bar.update if bar else lambda _: None

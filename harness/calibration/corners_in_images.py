@@ -54,7 +54,7 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
     with threads(cv2, 1):  # its own threads cost more than they gain on windows of this size
         for i, name in enumerate(names):
             _look(cv2, images, i, board, sensor, corners_of_image)
-            tell(f"{name} ({i + 1} of {len(names)}): {_said(corners_of_image, i, board)}")
+            tell(f"{name} ({i + 1} of {len(names)}): {_progress(corners_of_image, i, board)}")
         better = (
             _calibrated(corners_of_image, names, board, (width, height), circle)
             if len(corners_of_image) < len(names)
@@ -63,7 +63,7 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
         for i in (i for i in range(len(names)) if i not in corners_of_image and better is not None):
             assert better is not None
             _look(cv2, images, i, board, better, corners_of_image)
-            tell(f"{names[i]}, second pass, calibrated from other images: {_said(corners_of_image, i, board)}")
+            tell(f"{names[i]}, second pass, calibrated from other images: {_progress(corners_of_image, i, board)}")
     if not corners_of_image:
         raise InputError(
             f"no board of {board.columns} x {board.rows} inner corners was found in any of {len(files)} images. Count "
@@ -84,7 +84,7 @@ def _look(
         corners_of_image[i] = pixels
 
 
-def _said(corners_of_image: dict[int, Array], i: int, board: Board) -> str:
+def _progress(corners_of_image: dict[int, Array], i: int, board: Board) -> str:
     return f"{board.columns * board.rows} corners" if i in corners_of_image else "no board"
 
 

@@ -48,7 +48,7 @@ def nearest_central(sensor: Sensor, distance_m: float = DISTANCE_M) -> CentralFi
 
     def residuals(vector: Array) -> Array:
         try:
-            candidate = _made(begin, vector)
+            candidate = _sensor_at(begin, vector)
         except ValidationError:  # the lens folds within the field
             return np.full(pixels.size, 1e3)
         off = project(candidate, points)[0] - pixels
@@ -57,7 +57,7 @@ def nearest_central(sensor: Sensor, distance_m: float = DISTANCE_M) -> CentralFi
     from scipy.optimize import least_squares
 
     fit = least_squares(residuals, np.zeros(8), x_scale=[1e-3, 1e-3, 1, 1, 1e-3, 1e-3, 1e-4, 1e-4], method="lm")
-    return CentralFit(_made(begin, fit.x), float(np.sqrt(np.mean(np.sum(fit.fun.reshape(-1, 2) ** 2, axis=1)))))
+    return CentralFit(_sensor_at(begin, fit.x), float(np.sqrt(np.mean(np.sum(fit.fun.reshape(-1, 2) ** 2, axis=1)))))
 
 
 def _directions(sensor: Sensor) -> Array:
@@ -68,7 +68,7 @@ def _directions(sensor: Sensor) -> Array:
     return x[in_field(sensor, x)]
 
 
-def _made(begin: Sensor, vector: Array) -> Sensor:
+def _sensor_at(begin: Sensor, vector: Array) -> Sensor:
     """The sensor with changed parameters: relative changes of focal length and aspect, pixels, and lens terms."""
     focal, aspect, cx, cy, k1, k2, p1, p2 = vector.tolist()
     camera, lens = begin.camera, begin.lens

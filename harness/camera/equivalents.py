@@ -34,9 +34,9 @@ def equivalent(optics: Optics, kind: str) -> Optics | None:
     if not unified.lens.is_pinhole:
         return None
     if kind == "eucm":
-        return _made(kind, scaled, alpha=xi / (1 + xi), beta=1.0)
+        return _optics(kind, scaled, alpha=xi / (1 + xi), beta=1.0)
     if kind == "double_sphere":
-        return _made(kind, scaled, xi=0.0, alpha=xi / (1 + xi))
+        return _optics(kind, scaled, xi=0.0, alpha=xi / (1 + xi))
     if kind == "ocam" and xi == 1:
         return _paraboloid(unified.camera)
     return None
@@ -46,7 +46,7 @@ def _kind(optics: Optics) -> str:
     return str(getattr(optics.model, "kind", ""))
 
 
-def _made(kind: str, camera: Camera, lens: Lens | None = None, **keys: Any) -> Optics:
+def _optics(kind: str, camera: Camera, lens: Lens | None = None, **keys: Any) -> Optics:
     return Optics(MODELS[kind].model_validate({"kind": kind} | keys), camera, lens or Lens())
 
 
@@ -61,19 +61,19 @@ def _to_unified(optics: Optics) -> Optics | None:
     if isinstance(model, Mirror):
         eps = model.e_m / model.a_m
         s = (eps * eps + 1) / (eps * eps - 1)
-        return _made("unified", _scaled(camera, 1 / s), _rescaled(optics.lens, 1 / s), xi=2 * eps / (1 + eps * eps))
+        return _optics("unified", _scaled(camera, 1 / s), _rescaled(optics.lens, 1 / s), xi=2 * eps / (1 + eps * eps))
     keys = model.model_dump()
     if kind == "eucm" and keys["beta"] == 1 and keys["alpha"] < 1:
         return _unified_of(keys["alpha"], camera)
     if kind == "double_sphere" and keys["xi"] == 0 and keys["alpha"] < 1:
         return _unified_of(keys["alpha"], camera)
     if kind == "double_sphere" and keys["alpha"] == 0 and keys["xi"] >= 0:
-        return _made("unified", camera, xi=keys["xi"])
+        return _optics("unified", camera, xi=keys["xi"])
     return None
 
 
 def _unified_of(alpha: float, camera: Camera) -> Optics:
-    return _made("unified", _scaled(camera, 1 / (1 - alpha)), xi=alpha / (1 - alpha))
+    return _optics("unified", _scaled(camera, 1 / (1 - alpha)), xi=alpha / (1 - alpha))
 
 
 def _mirror(unified: Optics, xi: float) -> Optics:
@@ -92,7 +92,7 @@ def _paraboloid(camera: Camera) -> Optics:
     """OCamCalib's pixels are scaled by c along rows and skewed by e: (row, column) = [c d; e 1] (x, y)."""
     gamma = camera.focal_px
     plain = Camera(width_px=camera.width_px, height_px=camera.height_px, cx_px=camera.cx_px, cy_px=camera.cy_px)
-    return _made(
+    return _optics(
         "ocam",
         plain,
         coefficients=[-gamma / 2, 0.0, 1 / (2 * gamma)],

@@ -195,9 +195,9 @@ class _Problem:
         common |= {"log_f": (-5.0, 15.0), "log_aspect": (-2.0, 2.0)}
         if self.target.skew:
             common["skew"] = (-1.0, 1.0)
-        return common | {name: _RANGES[self.target.kind, name] for name in self._own()}
+        return common | {name: _RANGES[self.target.kind, name] for name in self._own_names()}
 
-    def _own(self) -> list[str]:
+    def _own_names(self) -> list[str]:
         """The names of the parameters that only this model has."""
         kind = self.target.kind
         lens = ["k1", "k2", "p1", "p2", *(["k3"] if self.target.k3 else [])]
@@ -210,7 +210,7 @@ class _Problem:
         }
         return own[kind]
 
-    def _made(self, vector: Array) -> Optics | None:
+    def _optics_at(self, vector: Array) -> Optics | None:
         """The camera with the parameters of a vector; None if they are invalid."""
         values = dict(zip(self._bounds(), vector.tolist(), strict=True))
         pixels = {
@@ -233,7 +233,7 @@ class _Problem:
                 "skew_px": values.get("skew", 0) * focal,
             }
             camera = Camera.model_validate(pixels)
-            own = {name: values[name] for name in self._own()}
+            own = {name: values[name] for name in self._own_names()}
             if kind in ("unified", "hyperboloid"):
                 model = MODELS["unified"].model_validate({"kind": "unified", "xi": own.pop("xi")})
                 return equivalent(Optics(model, camera, Lens(**own)), kind)
@@ -274,7 +274,7 @@ class _Problem:
 
     def residuals(self, vector: Array) -> Array:
         """Angles between the rays of both cameras, radians, two for each pixel."""
-        candidate = self._made(vector)
+        candidate = self._optics_at(vector)
         if candidate is None:
             offsets = np.full_like(self.pixels, _FAR_PX)
         else:
@@ -287,7 +287,7 @@ class _Problem:
         coarse = self._thinned(_FEW)
         tried = [coarse.descended(np.array([start.get(name, 0.0) for name in self._bounds()]), 40) for start in starts]
         best = min(tried, key=lambda each: each[1])[0]
-        return self._made(self._thinned(_MANY).descended(best, 150)[0])
+        return self._optics_at(self._thinned(_MANY).descended(best, 150)[0])
 
     def descended(self, begin: Array, steps: int) -> tuple[Array, float]:
         """The vector reached from a start in at most `steps` steps, and its sum of squares."""

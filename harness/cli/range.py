@@ -169,7 +169,7 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
         for line in motion.lines():
             print(line)
     else:
-        motion = _given(options, sensors)
+        motion = _given_motion(options, sensors)
         if not motion.baseline_m > 0:
             source = "--baseline" if options.pose is None else options.pose
             raise InputError("must not be zero: two views from one point determine no range", file=source)
@@ -261,7 +261,7 @@ def motions_between(options: Namespace, sensor: "Sensor", count: int) -> "list[M
     if options.pose is not None:
         return _along(options, sensor, count)
     if options.baseline is not None:
-        return [_given(options, (sensor, sensor))] * (count - 1)
+        return [_given_motion(options, (sensor, sensor))] * (count - 1)
     check_length(options)
     return None
 
@@ -340,7 +340,7 @@ def _estimated(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "MotionE
         )
 
 
-def _given(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
+def _given_motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Motion":
     """The motion from view 1 to view 2, as it was given."""
     import harness
     from harness.camera.sensor import lens_from_sensor

@@ -132,11 +132,11 @@ def _convert(read: "SensorFile", options: Namespace) -> None:
         print(written.text, end="")
     else:
         write(options.out, written.text)
-    for line in _said_of(written, read, options.out):
+    for line in _conversion_lines(written, read, options.out):
         print(line, file=sys.stdout if options.out else sys.stderr)
 
 
-def _said_of(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> list[str]:
+def _conversion_lines(written: "WrittenSensor", read: "SensorFile", out: Path | None) -> list[str]:
     """The residuals of the written camera, and what its file does not contain."""
     conversion = written.conversion
     low, high = (math.degrees(each) for each in conversion.angles_rad)

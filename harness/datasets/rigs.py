@@ -26,7 +26,7 @@ _OCAM_DEGREE = 5
 
 def draw_sensors(spec: DatasetSpec, scene: int) -> tuple[Sensor, Sensor]:
     """The true sensors of both views of a scene: of one kind, each with its own focal length and centre."""
-    draws = generator(spec.seed, "dataset", "sensors", _word(spec.rig.calibration_per, scene, 0))
+    draws = generator(spec.seed, "dataset", "sensors", _draw_name(spec.rig.calibration_per, scene, 0))
     kind = spec.rig.cameras[int(draws.integers(len(spec.rig.cameras)))]
     return _sensor(kind, spec.rig, draws), _sensor(kind, spec.rig, draws)
 
@@ -84,7 +84,7 @@ def _equidistant(rim_px: float) -> list[float]:
 def draw_motion(spec: DatasetSpec, scene: int, pair: int) -> Motion:
     """The motion from view 1 to view 2."""
     rig = spec.rig
-    draws = generator(spec.seed, "dataset", "motion", _word(rig.motion_per, scene, pair))
+    draws = generator(spec.seed, "dataset", "motion", _draw_name(rig.motion_per, scene, pair))
     low, high = np.log(rig.baseline_m)
     baseline = math.exp(number_between((low, high), draws.random()))
     elevation = math.radians(number_between(rig.elevation_deg, draws.random()))
@@ -147,6 +147,6 @@ def _clearance(room: DrawnRoom, point: Array) -> float:
     return least
 
 
-def _word(per: Per, scene: int, pair: int) -> str:
+def _draw_name(per: Per, scene: int, pair: int) -> str:
     """The word that draws are named by, the same for whatever shares them."""
     return {"set": "set", "scene": str(scene), "pair": f"{scene} {pair}"}[per]

@@ -87,7 +87,7 @@ def score_scan(
     right = both & (np.abs(error) <= scan.tolerance * true_m)
     sure = both & np.isfinite(profile.sigma_m)
     within = [_share(np.abs(error[sure]) <= k * profile.sigma_m[sure]) for k in (1, 2)]
-    found = [_found(each, profile, scan, fine) for each in obstacles]
+    found = [_marked(each, profile, scan, fine) for each in obstacles]
     thin = [each for each in found if each.width_deg < scan.thin_deg]
     total = max(int(there.sum()), 1)
     return ScanScore(
@@ -136,7 +136,7 @@ def obstacles_of(range_m: Array, which: NDArray[np.integer], names: tuple[str, .
     return obstacles
 
 
-def _found(obstacle: Obstacle, profile: RangeProfile, scan: Scan, fine: int) -> Obstacle:
+def _marked(obstacle: Obstacle, profile: RangeProfile, scan: Scan, fine: int) -> Obstacle:
     """The obstacle, marked as found or not; `fine` bearings make one of the profile's."""
     count = profile.bearing.size
     covered = np.arange(obstacle.begin // fine, (obstacle.end - 1) // fine + 1) % count

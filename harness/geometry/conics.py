@@ -76,18 +76,18 @@ class Conic(OneLine):
         points = np.asarray(points, dtype=np.float64)
         flat = points.reshape(-1, 1, 2)
         width = 2 * np.pi / _STARTS
-        apart = self._apart(flat, np.asarray(np.arange(_STARTS) * width, dtype=np.float64))
+        apart = self._distances(flat, np.asarray(np.arange(_STARTS) * width, dtype=np.float64))
         # An ellipse may be so thin that its other side is nearer than the next start: every minimum is followed.
         lowest = (apart <= np.roll(apart, 1, axis=1)) & (apart <= np.roll(apart, -1, axis=1))
         best = width * np.argsort(np.where(lowest, apart, np.inf), axis=1)[:, :_MINIMA]
         while width > 1e-15:
             angles = best[..., None] + width * np.linspace(-1, 1, _ZOOM)
-            apart = self._apart(flat[:, None], angles)
+            apart = self._distances(flat[:, None], angles)
             best = np.take_along_axis(angles, np.argmin(apart, axis=-1)[..., None], -1)[..., 0]
             width *= 0.25
         return np.asarray(np.min(apart, axis=(-2, -1)).reshape(points.shape[:-1]))
 
-    def _apart(self, points: Array, angles: Array) -> Array:
+    def _distances(self, points: Array, angles: Array) -> Array:
         """Distances of points from the images of directions; infinite for a direction that is not visible."""
         return np.nan_to_num(np.linalg.norm(self.points(angles) - points, axis=-1), nan=np.inf)
 

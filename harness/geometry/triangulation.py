@@ -13,7 +13,7 @@ def triangulate(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> tu
     Both angles are measured in v1's orientation, so that alpha_2 > alpha_1. NaN where the rays do not meet in front
     of both viewpoints (alpha_2 <= alpha_1: parallel, or diverging).
     """
-    alpha_1, alpha_2 = _alike(alpha_1, alpha_2)
+    alpha_1, alpha_2 = _broadcast(alpha_1, alpha_2)
     d_1, d_2 = np.empty(alpha_1.shape), np.empty(alpha_1.shape)
     _kernels.sine_rule(alpha_1.ravel(), alpha_2.ravel(), float(baseline_m), d_1.reshape(-1), d_2.reshape(-1))
     return d_1, d_2
@@ -21,13 +21,13 @@ def triangulate(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> tu
 
 def range_from_angles(alpha_1: ArrayLike, alpha_2: ArrayLike, baseline_m: float) -> Array:
     """The range d_1 alone, as from `triangulate`, metres."""
-    alpha_1, alpha_2 = _alike(alpha_1, alpha_2)
+    alpha_1, alpha_2 = _broadcast(alpha_1, alpha_2)
     d_1 = np.empty(alpha_1.shape)
     _kernels.sine_rule_1(alpha_1.ravel(), alpha_2.ravel(), float(baseline_m), d_1.reshape(-1))
     return d_1
 
 
-def _alike(alpha_1: ArrayLike, alpha_2: ArrayLike) -> tuple[Array, Array]:
+def _broadcast(alpha_1: ArrayLike, alpha_2: ArrayLike) -> tuple[Array, Array]:
     """The values broadcast to arrays of float64 of one shape."""
     a_1, a_2 = np.broadcast_arrays(np.asarray(alpha_1, dtype=np.float64), np.asarray(alpha_2, dtype=np.float64))
     return a_1, a_2

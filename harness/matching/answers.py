@@ -188,7 +188,7 @@ _STEP_PX = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class _Between:
+class _Interpolation:
     """The position of each panorama pixel among a projection's pixels; arrays `[height, width]` of the panorama."""
 
     corners: NDArray[np.intp]
@@ -215,7 +215,7 @@ class _Between:
 
 
 @lru_cache(maxsize=4)
-def _between(projection: Projection, grid: Grid) -> _Between:
+def _between(projection: Projection, grid: Grid) -> _Interpolation:
     row, column = projection.pixel_of(directions(grid))
     inside = np.isfinite(row) & np.isfinite(column)
     firsts, seconds, shares, closest = [], [], [], []
@@ -231,4 +231,4 @@ def _between(projection: Projection, grid: Grid) -> _Between:
         closest.append(np.where(at - first < 0.5, first, seconds[-1]))
     width = projection.width_px
     corners = np.stack([i * width + j for i in (firsts[0], seconds[0]) for j in (firsts[1], seconds[1])])
-    return _Between(corners, shares[0], shares[1], closest[0] * width + closest[1], inside)
+    return _Interpolation(corners, shares[0], shares[1], closest[0] * width + closest[1], inside)

@@ -106,7 +106,7 @@ def check(kind: str, parameters: Mapping[str, Any]) -> None:
     except InputError as error:
         raise InputError(f"{kind}: {error.problem}", key="kind") from error
     try:
-        taken = _taken(function)
+        taken = _parameters_of(function)
     except TypeError:
         must = "have a method __call__(self, pair, limits)" if inspect.isclass(function) else "take (pair, limits, "
         must += "" if inspect.isclass(function) else "**parameters)"
@@ -130,7 +130,7 @@ def check(kind: str, parameters: Mapping[str, Any]) -> None:
 def takes(kind: str, name: str) -> bool:
     """Whether a function has a parameter of this name; true if that cannot be told."""
     try:
-        taken = _taken(find(kind))
+        taken = _parameters_of(find(kind))
     except (InputError, TypeError):
         return True
     return taken is None or name in taken[0] or taken[1]
@@ -158,7 +158,7 @@ def _address(kind: str) -> tuple[str, str]:
     return module.strip(), function.strip()
 
 
-def _taken(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], bool] | None:
+def _parameters_of(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], bool] | None:
     """The parameters after the pair and the limits, and whether any others are taken; None without a signature.
 
     The parameters of a class are those of its constructor; its instances take the pair and the limits.

@@ -56,7 +56,7 @@ def check_sight(trial: Trial, motion: Motion) -> None:
             'use matching.kind = "window" with sampling = "alpha", or "sgm"',
             key="trial.matching.sampling",
         )
-    _say_little(sensor, grid, "trial.sensor")
+    _notice_if_little(sensor, grid, "trial.sensor")
     if second != sensor:
         check_sensor(second, grid, key="trial.sensor_2", R_sensor_from_panorama=motion.R_v2_from_v1)
 
@@ -98,10 +98,10 @@ def check_sensor(
     """
     if _shares(sensor, grid)[0] == 0:
         raise _blind(sensor, grid, key)
-    _say_little(sensor, grid, key, R_sensor_from_panorama)
+    _notice_if_little(sensor, grid, key, R_sensor_from_panorama)
 
 
-def _say_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Array | None = None) -> None:
+def _notice_if_little(sensor: Sensor, grid: Grid, key: str, R_sensor_from_panorama: Array | None = None) -> None:
     """Give notice where hardly anything of the image or of the panorama is seen."""
     rotation = _IDENTITY if R_sensor_from_panorama is None else np.asarray(R_sensor_from_panorama, np.float64).tobytes()
     on_sensor, on_panorama = _shares(sensor, grid, rotation)

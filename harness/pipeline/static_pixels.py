@@ -46,14 +46,14 @@ def static_pixels(
     """
     if images[0].shape != images[1].shape:
         raise ValueError("both images must have the same size")
-    alike = _alike(images) & _would_move(sensors, motion, d_min_m, d_max_m)
+    similar = _are_similar(images) & _would_move(sensors, motion, d_min_m, d_max_m)
     side = max(_BODY_PX, round(_BODY_SHARE * images[0].shape[0]))
-    body = ndimage.binary_opening(alike, np.ones((side, side), bool))
+    body = ndimage.binary_opening(similar, np.ones((side, side), bool))
     reach = np.hypot(*np.indices((2 * _AROUND_PX + 1,) * 2) - _AROUND_PX) <= _AROUND_PX
     return np.asarray(ndimage.binary_dilation(body, reach)) if body.any() else body
 
 
-def _alike(images: tuple[Image, Image]) -> NDArray[np.bool_]:
+def _are_similar(images: tuple[Image, Image]) -> NDArray[np.bool_]:
     """Whether the windows about pixels correlate at the same place of both images, and have contrast."""
     first, second = (each.astype(np.float64) for each in images)
     finite = np.isfinite(first) & np.isfinite(second)

@@ -72,7 +72,7 @@ def sections_of(
 
         def make(number: int, room: int = MOST_BYTES) -> tuple[Section | None, list[str]]:
             missing.clear()
-            section = _made(ordered[number], replace(context, room=room), missing)
+            section = _section_of(ordered[number], replace(context, room=room), missing)
             return section, missing[:]
 
         def begun(before: int) -> None:
@@ -98,7 +98,7 @@ def _in_order(sections: Sequence[Declared], context: Context) -> list[Declared]:
     return sorted(sections, key=lambda each: order.index(each.about))
 
 
-def _made(declared: Declared, context: Context, failures: list[str]) -> Section | None:
+def _section_of(declared: Declared, context: Context, failures: list[str]) -> Section | None:
     """The section; if it fails, a section with the error in its place, so that the others are unaffected."""
     title = declared.id
     try:

@@ -155,7 +155,7 @@ def _plan(rig: RigDesign, chosen: Sequence[Ellipsoid], magnified: int) -> Pictur
     bar.outline.set_visible(False)
     alt = (
         f"Standard deviation of the range in the plane around the rig: {np.nanmin(sigma):.2g} mm at its smallest, and "
-        f"largest along the baseline and far away. {_in_words(chosen, magnified)}"
+        f"largest along the baseline and far away. {_alternative_text(chosen, magnified)}"
     )
     title = "(b) seen from above: both viewpoints, and lines of equal standard deviation (mm)"
     if any(each.is_seen for each in chosen):
@@ -163,7 +163,7 @@ def _plan(rig: RigDesign, chosen: Sequence[Ellipsoid], magnified: int) -> Pictur
     return theme.picture(fig, alt, title)
 
 
-def _in_words(chosen: Sequence[Ellipsoid], magnified: int) -> str:
+def _alternative_text(chosen: Sequence[Ellipsoid], magnified: int) -> str:
     """A description of the ellipses, as alternative text."""
     descriptions = [
         f"at ({', '.join(f'{value + 0.0:.3g}' for value in each.point_m)}) m {1000 * each.semi_axes_m[0]:.3g} mm by "

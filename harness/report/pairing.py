@@ -45,17 +45,19 @@ def pairs_of(first: Run, second: Run) -> Pairs:
     runs = first, second = with_names(first, second)
     differing = _differing(first, second)
     if not (first.settings and second.settings):
-        return Pairs([], [], _in_words(first, second, differing), "One of the runs has no finished trial.")
+        return Pairs([], [], _differences_in_words(first, second, differing), "One of the runs has no finished trial.")
     by_settings = [_by_settings(run, set(differing)) for run in runs]
     unique = all(len(distinct) == len(run.settings) for distinct, run in zip(by_settings, runs, strict=True))
     common = [each for each in by_settings[0] if each in by_settings[1]] if unique else []
     if common:
         table = [(by_settings[0][each], by_settings[1][each]) for each in common]
-        return Pairs(table, [], _in_words(first, second, differing), "", _left_out(first, second, table))
+        return Pairs(table, [], _differences_in_words(first, second, differing), "", _left_out(first, second, table))
     of_methods = _by_method(first, second, differing)
     if of_methods is not None:
         return of_methods
-    return Pairs([], [], _in_words(first, second, differing), _why_none(first, second, differing, unique=unique))
+    return Pairs(
+        [], [], _differences_in_words(first, second, differing), _why_none(first, second, differing, unique=unique)
+    )
 
 
 def _by_method(first: Run, second: Run, differing: Sequence[str]) -> Pairs | None:
@@ -84,7 +86,9 @@ def _by_method(first: Run, second: Run, differing: Sequence[str]) -> Pairs | Non
     matched.sort(key=lambda each: order.index(each[2]))
     table = [(a, b) for a, b, _ in matched]
     of_runs = [list(dict.fromkeys(methods[_method(each)] for each in run.settings)) for run in (first, second)]
-    in_words = {METHOD: (_few(of_runs[0]), _few(of_runs[1]))} | _in_words(first, second, sorted(other_settings))
+    in_words = {METHOD: (_first_few(of_runs[0]), _first_few(of_runs[1]))} | _differences_in_words(
+        first, second, sorted(other_settings)
+    )
     return Pairs(table, [text for *_, text in matched], in_words, "", _left_out(first, second, table))
 
 
@@ -99,7 +103,7 @@ def _method_names(trials: Iterable[dict[str, str]]) -> dict[Conditions, str]:
     for method in methods:
         alike = [each for each in methods if each.get(_KIND) == method.get(_KIND)]
         varying = [key for key in method if len({each.get(key, NONE) for each in alike}) > 1]
-        values = [_worded(key, method[key], alone=len(varying) == 1) for key in varying]
+        values = [_setting_text(key, method[key], alone=len(varying) == 1) for key in varying]
         kind = str(json.loads(method.get(_KIND, '"window"')))
         names.append(f"{kind} ({', '.join(values)})" if values else kind)
     return dict(zip([tuple(sorted(each.items())) for each in methods], shortened_labels(names), strict=True))
@@ -109,7 +113,7 @@ _KIND = "matching.kind"
 _STEPS = {"none": "whole pixels", "parabola": "sub-pixel"}
 
 
-def _worded(key: str, value: str, *, alone: bool) -> str:
+def _setting_text(key: str, value: str, *, alone: bool) -> str:
     """A setting of a matcher in words; a step, or a word that stands alone, needs no key."""
     known = json.loads(value)
     if key == "matching.subpixel":
@@ -146,7 +150,7 @@ def _left_out(first: Run, second: Run, table: Sequence[tuple[int, int]]) -> list
 
 
 def _texts(values: set[str]) -> str:
-    return _few(sorted(texts_of([json.loads(value) for value in sorted(values)])))
+    return _first_few(sorted(texts_of([json.loads(value) for value in sorted(values)])))
 
 
 def _differing(first: Run, second: Run) -> list[str]:
@@ -155,7 +159,7 @@ def _differing(first: Run, second: Run) -> list[str]:
     return [key for key in keys if not _values(first, key) & _values(second, key)]
 
 
-def _in_words(first: Run, second: Run, differing: Sequence[str]) -> dict[str, tuple[str, str]]:
+def _differences_in_words(first: Run, second: Run, differing: Sequence[str]) -> dict[str, tuple[str, str]]:
     """The differing settings with their values in both runs; keys of cases as the cases, if these have other names."""
     of_cases = {*first.case_keys, *second.case_keys}
     names = [list(dict.fromkeys(filter(None, run.cases))) for run in (first, second)]
@@ -184,10 +188,10 @@ def _both(first: set[str], second: set[str]) -> tuple[str, str]:
     known = sorted(first | second)
     text_of = dict(zip(known, texts_of([json.loads(value) for value in known]), strict=True))
     one, other = (sorted(text_of[value] for value in values) for values in (first, second))
-    return _few(one), _few(other)
+    return _first_few(one), _first_few(other)
 
 
-def _few(texts: Sequence[str]) -> str:
+def _first_few(texts: Sequence[str]) -> str:
     return f"{', '.join(texts[:_MOST])}, …" if len(texts) > _MOST else ", ".join(texts) or "none"
 
 

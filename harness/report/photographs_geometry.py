@@ -45,7 +45,7 @@ def across_picture(estimate: Estimate) -> Picture:
 
 def curve_pictures(estimate: Estimate) -> list[Picture]:
     """Both photographs with the epipolar curves of a few points."""
-    chosen = _few(estimate)
+    chosen = _spread_tiles(estimate)
     return [_curves(estimate, view, chosen) for view in range(2)] if len(chosen) else []
 
 
@@ -89,7 +89,7 @@ def draw_photograph(ax: Axes, colour: NDArray[np.uint8], extent: tuple[float, fl
         ax.imshow(shown, extent=extent, aspect="auto")
 
 
-def _few(estimate: Estimate) -> NDArray[np.intp]:
+def _spread_tiles(estimate: Estimate) -> NDArray[np.intp]:
     """Some tiles that are far apart, on the plane across t, from the sharpest matches."""
     check = estimate.geometry
     if not len(check.tiles):

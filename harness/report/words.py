@@ -116,10 +116,10 @@ def _varied(axis: Axis) -> str:
         for value, text in zip(axis.values, axis.texts, strict=True)
     ]
     texts = texts if len(set(texts)) == len(texts) else axis.texts
-    return f"{axis.name} {_few(texts)}{f' {axis.unit}' if axis.unit else ''}"
+    return f"{axis.name} {_first_few(texts)}{f' {axis.unit}' if axis.unit else ''}"
 
 
-def _few(texts: list[str]) -> str:
+def _first_few(texts: list[str]) -> str:
     return ", ".join(texts) if len(texts) <= 8 else f"{len(texts)} values from {texts[0]} to {texts[-1]}"
 
 

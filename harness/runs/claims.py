@@ -61,7 +61,7 @@ def claims_of(done: Iterable[tuple["Planned", dict[str, Any]]]) -> list[dict[str
     methods: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
     for planned, payload in trials:
         methods.setdefault(planned.method, {})[planned.trial.seed] = payload
-    if set(methods) != {WHOLE, SUBPIXEL} or not _alike(planned for planned, _ in trials):
+    if set(methods) != {WHOLE, SUBPIXEL} or not _differ_in_method_alone(planned for planned, _ in trials):
         return []
     seeds = sorted(methods[WHOLE].keys() & methods[SUBPIXEL].keys())
     if len(seeds) < 2:
@@ -70,7 +70,7 @@ def claims_of(done: Iterable[tuple["Planned", dict[str, Any]]]) -> list[dict[str
     return [judged | {"seeds": len(seeds)} for judge in CLAIMS if (judged := judge(_Trials(seeds, whole, subpixel)))]
 
 
-def _alike(planned: Iterable["Planned"]) -> bool:
+def _differ_in_method_alone(planned: Iterable["Planned"]) -> bool:
     """Whether trials differ in nothing but the seed and the method."""
     others = [
         {key: value for key, value in each.coordinates.items() if key not in ("seed", *METHOD_KEYS)} for each in planned

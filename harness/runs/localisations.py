@@ -63,10 +63,10 @@ def localisations_conclusions(entries: list[dict[str, Any]], labels: Mapping[Met
         The names that cases give to methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
-    return [_said(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine if each["gains"]]
+    return [_sentence(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine if each["gains"]]
 
 
-def _said(entry: dict[str, Any], method: str) -> str:
+def _sentence(entry: dict[str, Any], method: str) -> str:
     """An answer for each number of images: smaller or larger beyond doubt, or not certain."""
     start = f"{APPEARANCES[entry['appearance']]}, ranges of {method}: "
     sure = [each for each in entry["gains"] if each["error_ratio_ci95"][1] < 1]

@@ -45,10 +45,10 @@ def scans_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName,
         The names that cases give to methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
-    return [_said(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine]
+    return [_sentence(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine]
 
 
-def _said(entry: dict[str, Any], method: str) -> str:
+def _sentence(entry: dict[str, Any], method: str) -> str:
     missed, false = (
         f"{100 * entry[name]:.1f} % [{', '.join(f'{100 * end:.1f}' for end in entry[f'{name}_ci95'])}]"
         for name in ("missed", "false")

@@ -237,9 +237,9 @@ class _Bytes:
         return {each.name: taken[each.name] for each in element.properties}
 
     def rows(self, element: _Element) -> Table:
-        return self._alike(element) or _gathered(element, (self._row(element) for _ in range(element.count)))
+        return self._equal_rows(element) or _gathered(element, (self._row(element) for _ in range(element.count)))
 
-    def _alike(self, element: _Element) -> Table | None:
+    def _equal_rows(self, element: _Element) -> Table | None:
         """All rows at once, if their lists are as long as those of the first row; else None."""
         if not element.count:
             return None

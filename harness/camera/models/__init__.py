@@ -37,7 +37,7 @@ def _tag(value: Any) -> str:
     return kind if isinstance(kind, str) and kind in BUILT_IN else _ELSEWHERE
 
 
-def _of_elsewhere(value: Any) -> CameraModel:
+def _third_party(value: Any) -> CameraModel:
     """The settings of a third-party model; raises if there is no such model."""
     if isinstance(value, CameraModel):
         return value
@@ -63,7 +63,7 @@ else:
         | Annotated[KannalaBrandt, Tag("kannala_brandt")]
         | Annotated[OCam, Tag("ocam")]
         | Annotated[Equirectangular, Tag("equirectangular")]
-        | Annotated[Any, BeforeValidator(_of_elsewhere), Tag(_ELSEWHERE)],
+        | Annotated[Any, BeforeValidator(_third_party), Tag(_ELSEWHERE)],
         Discriminator(_tag),
     ]
     """The settings of any camera model, distinguished by `kind`."""

@@ -53,12 +53,12 @@ COLMAP's: quaternions w x y z, the corner of the first pixel at (0, 0).
 """
 
 
-def _place(split: str, scene: int) -> str:
+def _scene_folder(split: str, scene: int) -> str:
     return f"{split}/scene{scene:05d}"
 
 
 def _pair_files(spec: DatasetSpec, split: str, pair: Pair) -> Files:  # noqa: ARG001
-    model = _place(split, pair.scene_number)
+    model = _scene_folder(split, pair.scene_number)
     files = {}
     for i in (0, 1):
         files[f"{model}/images/{pair.number:04d}_{i + 1}.png"] = png(pair.images[i])
@@ -92,7 +92,7 @@ def _scene_files(spec: DatasetSpec, split: str, scene: int, pairs: Sequence[Brie
     }
     bodies = {"cameras": cameras, "images": images, "points3D": points}
     return {
-        f"{_place(split, scene)}/sparse/{name}.txt": "\n".join([heads[name], *bodies[name], ""]).encode()
+        f"{_scene_folder(split, scene)}/sparse/{name}.txt": "\n".join([heads[name], *bodies[name], ""]).encode()
         for name in heads
     }
 

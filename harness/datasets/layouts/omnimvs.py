@@ -59,7 +59,7 @@ def panorama_rays(width: int, height: int, phi_deg: float = _PHI_DEG) -> Array:
     return np.stack([level * np.sin(azimuth), down, level * np.cos(azimuth)], axis=-1)
 
 
-def _place(split: str, scene: int) -> str:  # noqa: ARG001 - the split is in lists of scenes
+def _scene_folder(split: str, scene: int) -> str:  # noqa: ARG001 - the split is in lists of scenes
     return f"scene{scene:05d}"
 
 
@@ -71,7 +71,7 @@ def _pair_files(spec: DatasetSpec, split: str, pair: Pair) -> Files:
     stream = BytesIO()
     inverse = np.nan_to_num(1 / range_m).astype(np.float32)
     Image.fromarray(inverse).save(stream, format="TIFF")
-    base, number = _place(split, pair.scene_number), pair.number + 1  # counted from 1, as in OmniMVS's sets
+    base, number = _scene_folder(split, pair.scene_number), pair.number + 1  # counted from 1, as in OmniMVS's sets
     return {
         f"{base}/cam1/{number:04d}.png": png(pair.images[0]),
         f"{base}/cam2/{number:04d}.png": png(pair.images[1]),
@@ -85,7 +85,7 @@ def _scene_files(spec: DatasetSpec, split: str, scene: int, pairs: Sequence[Brie
     formats = {"img_fmt": "cam%d/%04d.png", "gt_depth_fmt": f"omnidepth_gt_{width}/%05d.tiff"}
     frames = {"start": 1, "step": 1, "end": len(pairs), "equirect_size": [width // 4, width], "phi_deg": _PHI_DEG}
     table = {"dataset": formats | frames | {"dtype": "gt"}, "cameras": cameras}
-    return {f"{_place(split, scene)}/config.yaml": yaml.safe_dump(table, sort_keys=False, width=2000).encode()}
+    return {f"{_scene_folder(split, scene)}/config.yaml": yaml.safe_dump(table, sort_keys=False, width=2000).encode()}
 
 
 def _camera(number: int, sensor: Sensor, motion: Motion) -> dict[str, Any]:
@@ -116,7 +116,8 @@ def _camera(number: int, sensor: Sensor, motion: Motion) -> dict[str, Any]:
 
 def _set_files(spec: DatasetSpec, splits: Sequence[str]) -> Files:
     names = {
-        part: [_place(part, i) for i, each in enumerate(splits) if each == part] for part in ("train", "val", "test")
+        part: [_scene_folder(part, i) for i, each in enumerate(splits) if each == part]
+        for part in ("train", "val", "test")
     }
     return spec_file(spec) | {f"{part}.txt": "".join(f"{each}\n" for each in of).encode() for part, of in names.items()}
 

@@ -49,9 +49,9 @@ def read(content: Content) -> Calibration:
     words = _words(content)
     direct = _counted(content, words, DIRECT, least=2)
     inverse = _counted(content, words, INVERSE, least=0)
-    row, column = _taken(content, words, 2, CENTRE)
-    c, d, e = _taken(content, words, 3, AFFINE)
-    height, width = (whole(content, each, SIZE) for each in _taken(content, words, 2, SIZE))
+    row, column = _take(content, words, 2, CENTRE)
+    c, d, e = _take(content, words, 3, AFFINE)
+    height, width = (whole(content, each, SIZE) for each in _take(content, words, 2, SIZE))
     notes: list[str] = []
     doubts: list[str] = []
     if words:
@@ -118,15 +118,15 @@ def _words(content: Content) -> list[str]:
 
 
 def _counted(content: Content, words: list[str], key: str, least: int) -> list[float]:
-    (count,) = _taken(content, words, 1, key)
+    (count,) = _take(content, words, 1, key)
     if not least <= whole(content, count, key) <= _MOST:
         raise refusal(
             content, key, f"must begin with the number of its coefficients, {least} to {_MOST}; found {count:g}"
         )
-    return _taken(content, words, int(count), key)
+    return _take(content, words, int(count), key)
 
 
-def _taken(content: Content, words: list[str], count: int, key: str) -> list[float]:
+def _take(content: Content, words: list[str], count: int, key: str) -> list[float]:
     """The next `count` numbers, removed from `words`."""
     if len(words) < count:
         raise refusal(content, key, f"must be {count} numbers; the file ends after {len(words)} of them")

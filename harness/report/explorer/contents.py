@@ -91,7 +91,7 @@ def contents_of(methods: list[Method], limit_mm: float, start: tuple[int, int] |
             _packed(method, method_maps, step_of_method(method_maps, step_m, part), every)
             for method, method_maps in zip(methods, maps, strict=True)
         ]
-        shown = _that_fit(fitting, room - sum(len(each.text) for each in arrays.values()))
+        shown = _selected(fitting, room - sum(len(each.text) for each in arrays.values()))
         if len(shown) == len(methods):
             break
     if not shown:
@@ -245,8 +245,8 @@ def _packed(method: Method, maps: TrialMaps, step_m: float, every: int) -> _Fitt
     return _Fitting(method, maps, step_m, arrays)
 
 
-def _that_fit(methods: list[_Fitting], room: int) -> list[_Fitting]:
-    """As many methods as there is room for, those with the smallest errors first; in their order."""
+def _selected(methods: list[_Fitting], room: int) -> list[_Fitting]:
+    """The methods that fit in `room` characters, preferring those with the smallest errors; in their order."""
     fitting = []
     for each in sorted(methods, key=lambda each: usual_error_m(each.maps)):
         size = sum(len(packed.text) for packed in each.arrays.values())

@@ -91,7 +91,7 @@ def _picture(sweep: Sweep, entries: list[Entry]) -> Picture:
     described, values = [], []
     styles = _styles(sweep)
     for index, (key, method) in enumerate(styles.items()):
-        mine = [each for each in entries if (each["matcher"], each["subpixel"]) == key and _known(each)]
+        mine = [each for each in entries if (each["matcher"], each["subpixel"]) == key and _has_error(each)]
         if not mine:
             continue
         y = [middle[each["case"]] + 0.3 * (index - (len(styles) - 1) / 2) for each in mine]
@@ -116,7 +116,7 @@ def _picture(sweep: Sweep, entries: list[Entry]) -> Picture:
     return theme.picture(fig, f"Median range errors by case, mm: {'; '.join(described) or 'no estimate'}.")
 
 
-def _known(entry: Entry) -> bool:
+def _has_error(entry: Entry) -> bool:
     return bool(entry["range_median_abs_m"])  # no error, or zero, which a logarithmic axis cannot show
 
 

@@ -277,7 +277,7 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
     ax.set_xlabel(label or theme.plain(axis.label))
     if axis.logarithmic:
         theme.logarithmic(ax, "x", min(positions) / 1.12, max(positions) * 1.12, most=5)
-        if len(positions) <= 6 and _apart(list(np.log(positions))):
+        if len(positions) <= 6 and _are_apart(list(np.log(positions))):
             ax.set_xticks(positions, axis.texts)
         return
     margin = 0.07 * ((max(positions) - min(positions)) or 1)
@@ -288,7 +288,7 @@ def _abscissa(ax: Axes, axis: Axis, label: str) -> None:
         before, after = (max(0.35, _room(texts[i]) * span) for i in (0, -1))
         ax.set_xlim(min(positions) - before, max(positions) + after)
         ax.set_xticks(positions, texts)
-    elif len(positions) <= 6 and _apart(positions):
+    elif len(positions) <= 6 and _are_apart(positions):
         ax.set_xticks(positions, axis.texts)
 
 
@@ -301,7 +301,7 @@ def _room(text: str) -> float:
     return half / (1 - 2 * half)
 
 
-def _apart(positions: list[float]) -> bool:
+def _are_apart(positions: list[float]) -> bool:
     """Whether labels at these positions do not overlap."""
     ordered = np.sort(positions)
     return len(ordered) < 2 or float(np.diff(ordered).min()) > 0.09 * float(ordered[-1] - ordered[0])

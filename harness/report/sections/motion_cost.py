@@ -54,7 +54,7 @@ def _estimated(sweep: Sweep) -> pd.DataFrame | None:
     estimated = trials[trials["motion_range_z"].notna()]
     if estimated.empty:
         return None
-    same = ["matcher", "subpixel", "seed", *(axis.key for axis in _others(sweep))]
+    same = ["matcher", "subpixel", "seed", *(axis.key for axis in _other_axes(sweep))]
     true = trials[trials["motion_range_z"].isna()][[*same, "range_median_abs_m"]].drop_duplicates(same)
     joined = estimated.merge(true, on=same, how="left", suffixes=("", "_true"))
     return joined.assign(ratio=joined["range_median_abs_m"] / joined["range_median_abs_m_true"])
@@ -66,12 +66,12 @@ def area_under_recall(rotation_deg: Iterable[float], direction_deg: Iterable[flo
     return float(np.mean(np.clip(1 - larger / AUC_DEG, 0, 1)))
 
 
-def _others(sweep: Sweep) -> list[Axis]:
+def _other_axes(sweep: Sweep) -> list[Axis]:
     return [axis for axis in sweep.axes if axis.key != _SOURCE]
 
 
 def _table(sweep: Sweep, trials: pd.DataFrame) -> Table:
-    axes = _others(sweep)
+    axes = _other_axes(sweep)
     keys = [axis.key for axis in axes]
     rows: list[list[Cell]] = []
     plain: list[list[Any]] = []
