@@ -26,7 +26,7 @@ from harness.report.sections import error_curves, measures
 from harness.report.sweep import sweep_of, texts_of
 from harness.runs.load import load_experiment
 from harness.runs.methods import method_id, method_names
-from harness.runs.run import open_run, run_experiment, write_tables
+from harness.runs.run import open_run, rows_of, run_experiment, write_tables
 from harness.runs.values import identity_of, shown, text_of, value_of
 from harness.spec import checked_plain
 
@@ -221,7 +221,7 @@ def written(tmp_path: Path, plugin: str, name: str, axis: list) -> Path:
     folder.mkdir()
     run_experiment(experiment, folder, workers=1)
     with open_run(experiment, folder) as store:
-        write_tables(experiment, store, folder)
+        write_tables(experiment, rows_of(experiment, store), store, folder)
     return folder
 
 

@@ -93,7 +93,7 @@ def run(
                 bar.finish()
         rows = rows_of(experiment, store)
         if folder:
-            write_tables(experiment, store, folder)
+            write_tables(experiment, rows, store, folder)
     if all(row.state == "failed" for row in rows):
         raise InputError(rows[0].finished.message)
     return RunResult(experiment, rows, folder)

@@ -50,15 +50,16 @@ def write(
     shown = shown or folder
     from harness.runs.density import too_sparse
     from harness.runs.remarks import remarks
-    from harness.runs.run import result_of, rows_of, run_status, write_report, write_summary, write_tables
+    from harness.runs.run import result_from, rows_of, run_status, write_report, write_summary, write_tables
 
-    write_tables(experiment, store, folder)
+    rows = rows_of(experiment, store)
+    write_tables(experiment, rows, store, folder)
     interrupts.check()
     now = run_status(experiment, store)
     if now.done and with_report:
         from harness.report.build import build_report
 
-        result = result_of(experiment, store, run_code=run_code)
+        result = result_from(experiment, rows, store, run_code=run_code)
         write_summary(result, store, folder)  # first, so that a failure of the report does not lose it
         show(result.summary)
         not_drawn: list[str] = []
@@ -74,8 +75,8 @@ def write(
         for failure in not_drawn:
             print(f"omnirange: {failure}", file=sys.stderr)
         show_report(shown)
-    sparse = too_sparse((row.planned.trial, row.payload) for row in rows_of(experiment, store) if row.state == "done")
-    for line in filter(None, (sparse, *remarks(rows_of(experiment, store)))):
+    sparse = too_sparse((row.planned.trial, row.payload) for row in rows if row.state == "done")
+    for line in filter(None, (sparse, *remarks(rows))):
         warnings.warn(line, Notice, stacklevel=1)
     if not now.failed:
         return OK

@@ -12,11 +12,13 @@ sigma by design, so each keeps an intercept of its own.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from harness.evaluation.regions import ALPHA_1_EDGES_DEG, middle_of_range
 from harness.evaluation.statistics import resampled
@@ -50,19 +52,21 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
     """
     fits = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
-        y = np.log(part["spread_m"] / part["range_m"])
+        groups, range_m = _Groups.of(part), _numbers(part, "range_m")
+        y = np.log(_numbers(part, "spread_m") / range_m)
+        alpha_bin, is_short = part["alpha_bin"].to_numpy(), _numbers(part, "baseline_m") < SHORT * range_m
         for law in laws:
-            x = np.log(part[f"law_{law}"] / part["range_m"])
+            x = np.log(_numbers(part, f"law_{law}") / range_m)
             by_alpha_1 = []
             for index, (low, high) in enumerate(pairwise(ALPHA_1_EDGES_DEG)):
-                inside = part["alpha_bin"] == index
-                short = inside & (part["baseline_m"] < SHORT * part["range_m"])
+                inside = alpha_bin == index
+                short = inside & is_short
                 by_alpha_1.append(
                     {
                         "from_deg": low,
                         "to_deg": high,
-                        **_slope(x[inside], y[inside], part[inside]),
-                        "short": _slope(x[short], y[short], part[short]),
+                        **_slope(x[inside], y[inside], groups.where(inside)),
+                        "short": _slope(x[short], y[short], groups.where(short)),
                     }
                 )
             fits.append(
@@ -71,7 +75,7 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
                     "subpixel": subpixel,
                     "surface": surface,
                     "law": law,
-                    **_slope(x, y, part),
+                    **_slope(x, y, groups),
                     "cells": len(part),
                     "by_alpha_1": by_alpha_1,
                 }
@@ -98,15 +102,16 @@ def fit_law_and_bound(cells: pd.DataFrame) -> list[dict[str, Any]]:
     """
     fits = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
-        x = pd.DataFrame({"law": np.log(part["law_exact"] / part["range_m"]), "bound": np.log(part["bound_alpha"])})
-        fit = _within_conditions(x, np.log(part["spread_m"] / part["range_m"]), part)
+        groups, range_m = _Groups.of(part), _numbers(part, "range_m")
+        law, bound = np.log(_numbers(part, "law_exact") / range_m), np.log(_numbers(part, "bound_alpha"))
+        fit = _within_conditions(np.column_stack([law, bound]), np.log(_numbers(part, "spread_m") / range_m), groups)
         row: dict[str, Any] = {"matcher": matcher, "subpixel": subpixel, "surface": surface}
         row |= {"law": None, "law_ci95": None, "bound": None, "bound_ci95": None, "r2": None, "cells": len(part)}
         if fit is not None:
             coefficients, row["r2"] = fit
-            for column, name in enumerate(x):
+            for column, name in enumerate(("law", "bound")):
                 row[name] = float(coefficients[0, column])
-                row[f"{name}_ci95"] = _interval(coefficients[1:, column], part)
+                row[f"{name}_ci95"] = _interval(coefficients[1:, column], groups)
         fits.append(row)
     return fits
 
@@ -134,7 +139,8 @@ def sigma_alpha_slopes(cells: pd.DataFrame) -> list[dict[str, Any]]:
     """Slopes of `log sigma(alpha_2)` on `log(|t|/d)`: 0 if the angle's error depends on neither baseline nor range."""
     slopes = []
     for (matcher, subpixel, surface), part in cells.groupby([*_METHOD, "surface"], sort=True):
-        fit = _slope(np.log(part["baseline_m"] / part["range_m"]), np.log(part["sigma_alpha"]), part)
+        ratio = _numbers(part, "baseline_m") / _numbers(part, "range_m")
+        fit = _slope(np.log(ratio), np.log(_numbers(part, "sigma_alpha")), _Groups.of(part))
         slopes.append(
             {
                 "matcher": matcher,
@@ -209,17 +215,38 @@ def baseline_curve(part: pd.DataFrame) -> tuple[Array, Array, Array] | None:
     return table.columns.to_numpy(dtype=np.float64), draws[0], draws[1:]
 
 
-def _slope(x: "pd.Series[float]", y: "pd.Series[float]", part: pd.DataFrame) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Groups:
+    """The seed and the condition of each cell, as numbers `[cells]`."""
+
+    seeds: NDArray[np.intp]
+    conditions: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, part: pd.DataFrame) -> "_Groups":
+        """Those of a table of cells."""
+        return cls(*(pd.factorize(part[name], sort=True)[0] for name in ("seed", "condition")))
+
+    def where(self, chosen: NDArray[np.bool_]) -> "_Groups":
+        """Those of some of the cells."""
+        return _Groups(self.seeds[chosen], self.conditions[chosen])
+
+
+def _numbers(part: pd.DataFrame, column: str) -> Array:
+    return part[column].to_numpy(dtype=np.float64)
+
+
+def _slope(x: Array, y: Array, groups: _Groups) -> dict[str, Any]:
     """The least-squares slope of y on x with an intercept for each condition, its interval, and R²."""
-    fit = _within_conditions(pd.DataFrame({"x": x}), y, part)
+    fit = _within_conditions(x[:, None], y, groups)
     if fit is None:
         return {"slope": None, "slope_ci95": None, "r2": None}
     slopes, r2 = fit
-    return {"slope": float(slopes[0, 0]), "slope_ci95": _interval(slopes[1:, 0], part), "r2": r2}
+    return {"slope": float(slopes[0, 0]), "slope_ci95": _interval(slopes[1:, 0], groups), "r2": r2}
 
 
-def _within_conditions(x: pd.DataFrame, y: "pd.Series[float]", part: pd.DataFrame) -> tuple[Array, float | None] | None:
-    """Least squares of y on all columns of x, with an intercept for each condition.
+def _within_conditions(x: Array, y: Array, groups: _Groups) -> tuple[Array, float | None] | None:
+    """Least squares of y on all columns of x `[cells, columns]`, with an intercept for each condition.
 
     Returns
     -------
@@ -230,14 +257,15 @@ def _within_conditions(x: pd.DataFrame, y: "pd.Series[float]", part: pd.DataFram
     """
     if len(y) < 3:
         return None
-    values = np.column_stack([np.ones(len(y)), x.to_numpy(dtype=np.float64), y.to_numpy(dtype=np.float64)])
-    # Sums of products are all that least squares needs; those of a drawn set of seeds are weighted sums of them.
-    products = (values[:, :, None] * values[:, None, :]).reshape(len(y), -1)
-    sums = pd.DataFrame(products).groupby([part["seed"].to_numpy(), part["condition"].to_numpy()]).sum()
-    seeds, conditions = (sums.index.unique(level=level) for level in (0, 1))
-    full = sums.reindex(pd.MultiIndex.from_product([seeds, conditions]), fill_value=0.0)
+    values = np.column_stack([np.ones(len(y)), x, y])
     size = values.shape[1]
-    stacked = full.to_numpy().reshape(len(seeds), len(conditions), size, size)
+    # Sums of products are all that least squares needs; those of a drawn set of seeds are weighted sums of them.
+    (seeds, seed), (conditions, condition) = (
+        np.unique(each, return_inverse=True) for each in (groups.seeds, groups.conditions)
+    )
+    cell, cells = seed * len(conditions) + condition, len(seeds) * len(conditions)
+    sums = [np.bincount(cell, values[:, i] * values[:, j], cells) for i in range(size) for j in range(size)]
+    stacked = np.stack(sums, axis=-1).reshape(len(seeds), len(conditions), size, size)
     drawn = np.tensordot(resampled(len(seeds), BOOTSTRAP_DRAWS), stacked, axes=1)
     number, first = drawn[..., :1, :1], drawn[..., :1, 1:]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -254,10 +282,10 @@ def _within_conditions(x: pd.DataFrame, y: "pd.Series[float]", part: pd.DataFram
     return coefficients, r2
 
 
-def _interval(draws: Array, part: pd.DataFrame) -> list[float] | None:
+def _interval(draws: Array, groups: _Groups) -> list[float] | None:
     """The central 95 % of bootstrap draws; None with a single seed, which has no spread."""
     draws = draws[np.isfinite(draws)]
-    if part["seed"].nunique() < 2 or not draws.size:
+    if np.unique(groups.seeds).size < 2 or not draws.size:
         return None
     return [float(q) for q in np.quantile(draws, [0.025, 0.975])]
 

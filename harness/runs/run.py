@@ -288,15 +288,19 @@ def run_experiment(experiment: Experiment, folder: Path | None = None, *, worker
 # --- What is written ----------------------------------------------------------------------------------------------
 
 
-def write_tables(experiment: Experiment, store: Store, folder: Path) -> None:
+def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: Path) -> None:
     """Write the files without a report: `experiment.toml`, `trials.csv`, `timings.csv`, and `failures.csv` if needed.
+
+    Parameters
+    ----------
+    rows
+        Those of `rows_of`.
 
     Raises
     ------
     InputError
         When the folder cannot be written to.
     """
-    rows = rows_of(experiment, store)
     tables = {
         "experiment.toml": dump_toml(experiment, given=True),
         "trials.csv": _trials(experiment, rows),

@@ -25,6 +25,8 @@ def text_of(value: Any) -> str:
     """
     if value is None:
         return ""
+    if type(value) is float and math.isfinite(value):
+        return repr(value)  # as JSON has it, and tables are full of them
     if not isinstance(value, str):
         return json.dumps(value)
     try:

@@ -102,7 +102,7 @@ def condition_table(sweep: Sweep) -> Table:
     if sweep.cells["condition"].nunique() < 2:
         return Table(headings, rows)
     for condition, cells in sweep.cells.groupby("condition", sort=False):
-        fits = fit_laws(cells.assign(alpha_bin=-1))  # over all directions only: parts of each would take long
+        fits = fit_laws(cells.assign(alpha_bin=-1), ["exact"])  # over all directions: parts of each would take long
         for surface in sweep.surfaces:
             for method in sweep.methods:
                 part = method.of(cells[cells["surface"] == surface])
