@@ -66,7 +66,7 @@ def shortened(text: str) -> str:
 
 
 def shortened_labels(texts: Sequence[str], most: int = 60) -> list[str]:
-    """Short texts for different things, no two alike: cut in the middle, or to where they differ, or else numbered.
+    """Distinct short texts for different things: cut in the middle, or to where they differ, or else numbered.
 
     Parameters
     ----------

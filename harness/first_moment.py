@@ -1,4 +1,4 @@
-"""Ctrl-C from the command's first moment, before anything is loaded in whose midst it would be a traceback.
+"""Handling of Ctrl-C from the command's first moment, before imports that it would end with a traceback.
 
 Python loads the package `harness` before `harness.__main__`, so the package itself begins with this module, which in
 turn needs nothing that is not in memory already.

@@ -198,7 +198,7 @@ def differences_table(lines: Iterable[Sequence[str]]) -> "Table":
 
 
 def plain_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> "Table":
-    """A table of figures, right-aligned but for the last column."""
+    """A table of figures, right-aligned except for the last column."""
     table = _table()
     for heading in headings:
         table.add_column(heading, justify="left" if heading == headings[-1] else "right", no_wrap=True)

@@ -171,7 +171,7 @@ def _check(grid: Grid, truth: Truth, window_px: int, model: str) -> None:
 def _information(
     sigma_grey: float | tuple[Array, Array], sensors: tuple[Sensor, Sensor]
 ) -> tuple[tuple[Array, Array], float]:
-    """The inverse variance of each pixel of both images, and the noise in whose units it is."""
+    """The inverse variance of each pixel of both images, and the noise that is its unit."""
     shapes = [(each.camera.height_px, each.camera.width_px) for each in sensors]
     if not isinstance(sigma_grey, tuple):
         if not sigma_grey > 0:

@@ -64,7 +64,7 @@ def cells(errors: Tally, baseline_m: float, pixel_rad: float) -> list[dict[str, 
         "spread_m": NORMAL * errors.median_abs_m[of_cells],
         "sigma_alpha": NORMAL * errors.median_abs_px[of_cells] * pixel_rad,
         "law_exact": law,
-        # The median of d²/|t| is that of d, squared, but for the mean of two middle values.
+        # The median of d²/|t| is that of d, squared, except where it is the mean of two middle values.
         "law_paper": paper_law(range_m, baseline_m),
         "disparity_bias_px": errors.median_px[of_cells],
         "missing": 1 - count / np.array([part.pixels.size for part in layout.cells]),

@@ -214,7 +214,7 @@ def _weighted_median(values: Array, weight: Array) -> float:
     """Least value that half the weight does not exceed; the middle of two where exactly half stops between them."""
     order = np.argsort(values, kind="stable")
     ascending, passed = values[order], np.cumsum(weight[order])
-    # Parts of pixels make up exactly half only by chance, but for what summing has rounded.
+    # Fractions of pixels add up to exactly half only by chance, up to the rounding of the sum.
     half, slack = 0.5 * passed[-1], 1e-12 * passed[-1]
     low = int(np.searchsorted(passed, half - slack))
     high = int(np.searchsorted(passed, half + slack, side="right"))

@@ -167,7 +167,7 @@ def sorted_parts(parts: NDArray[np.int64], number: int, values: Array) -> Sorted
 
 
 def medians_of_scored(parts: Sorted, scored: Mask, count: NDArray[np.int64]) -> Array:
-    """Median of the scored values of each part `[parts]`, of which there are `count`; NaN for none."""
+    """Median of the scored values of each part, `[parts]`; `count` is their number; NaN for none."""
     out = np.full(count.size, np.nan)
     _kernels.medians_of_parts(parts.indices, parts.starts, scored, count, parts.values, out)
     return out

@@ -125,8 +125,8 @@ def noise_limited(cells: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     cells
-        With the columns `sigma_grey` and `quiet`, what tells a trial from others but for its noise, as well. Cells of
-        trials with noise that have no partner without are left out.
+        Also with the columns `sigma_grey` and `quiet`, the trial's settings without its noise. Cells of trials with
+        noise that have no partner without noise are left out.
     """
     same = [*_METHOD, "surface", "quiet", "alpha_bin", "range_bin"]
     noisy = cells[cells["sigma_grey"] > 0]

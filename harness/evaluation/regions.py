@@ -204,7 +204,7 @@ def _cells(reference: Reference) -> tuple[tuple[CellPixels, ...], Labels]:
     """The cells that the domain falls into, and the cell of each pixel `[pixels]`, -1 for none."""
     domain = np.flatnonzero(reference.domain)
     alpha_deg = np.degrees(reference.alpha_1.ravel()[domain])
-    # Within the domain the sine is at least a half, but for a rounding.
+    # Within the domain the sine is at least a half, except for rounding.
     alpha_bin = bins(np.clip(alpha_deg, 30.0, np.nextafter(150.0, 0)), ALPHA_1_EDGES_DEG)
     range_bin = np.floor(np.log(reference.range_m.ravel()[domain]) / np.log(RANGE_RATIO)).astype(np.int16)
     wall = reference.wall.ravel()[domain].astype(np.int16)

@@ -94,7 +94,7 @@ def weighted_median(values: Array, weights: Array) -> float:
 
 
 def central_68(sigma_m: Array) -> float:
-    """The error that 68.3 % of the points stay within: of a mixture of normal distributions, one a point."""
+    """The error that 68.3 % of the points stay within: of a mixture of normal distributions, one for each point."""
     known = sigma_m[np.isfinite(sigma_m)]
     if not known.size or known.size < SHARE * sigma_m.size:
         return float("inf")

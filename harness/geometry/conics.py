@@ -22,7 +22,7 @@ from harness.geometry.angles import Array, normalise
 Kind = Literal["ellipse", "hyperbola", "parabola", "line"]
 
 _NEARLY = 1e-12
-"""Quantities below this are 0 but for rounding: they are differences of numbers up to 1."""
+"""Quantities below this are 0 up to rounding: they are differences of numbers up to 1."""
 _STARTS = 720
 """Directions of the plane from which the nearest point is looked for."""
 _MINIMA = 4

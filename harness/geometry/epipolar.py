@@ -104,7 +104,7 @@ def _curves(grid: Grid, t_bytes: bytes, d_min_m: float, d_max_m: float, sampling
         sign = np.where(near_signed < 0, -1.0, 1.0)
         step = sign * pitch
         near, far = sign * near_signed, sign * far_signed
-    # The tolerance keeps a sample that lies on the end of the interval but for rounding.
+    # The tolerance keeps a sample that lies on the end of the interval up to rounding.
     k_far, k_near = np.nan_to_num(far / pitch) - 1e-6, np.nan_to_num(near / pitch) + 1e-6
     k_first = np.ceil(k_far).astype(np.int32)
     k_last = np.where(defined, np.floor(k_near), k_first - 1).astype(np.int32)

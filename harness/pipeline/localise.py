@@ -229,7 +229,7 @@ def _places(trial: Trial, count: int, rng: np.random.Generator, with_pair: bool)
     Raises
     ------
     InputError
-        When the area has none to speak of.
+        When the area has hardly any free position.
     """
     (a, b), (c, d) = trial.localisation.area_m
     positions: list[tuple[float, float]] = []

@@ -49,7 +49,7 @@ class Setup:
 
 
 def setup_of(trial: Trial) -> Setup:
-    """The setup of a trial. What the matcher assumes is true but for a misalignment and `trial.believed`."""
+    """The setup of a trial. The matcher assumes the true rig except for a misalignment and `trial.believed`."""
     poses = trial.poses
     motion = relative_motion(*poses)
     central = calibrated(Rig(trial.sensors, motion), trial.believed)

@@ -1,7 +1,7 @@
-"""Work that a copy of this process helps with: what is loaded and worked out already need not be sent anywhere.
+"""Work shared with a copy of this process, which has all loaded modules and data already.
 
-A copy is a fork. Its threads are gone, so it only makes what it is asked for, prints nothing, and ends at once. What it
-has not made when it ends, for whatever reason, is made here: no result depends on it.
+A copy is a fork. Its threads are gone, so it only computes the requested results, prints nothing, and ends at once.
+Results that it has not computed when it ends, for whatever reason, are computed here: no result depends on it.
 """
 
 import os
@@ -19,7 +19,7 @@ from harness.machine import can_be_copied
 T = TypeVar("T")
 
 _PATIENCE_S = 20.0
-"""How long to wait for a copy when there is nothing left to do here, and at least as long as was worked before."""
+"""Seconds to wait for a copy when there is nothing left to do here; the time worked before, if that is longer."""
 
 
 def made_with_a_copy(
@@ -29,18 +29,18 @@ def made_with_a_copy(
     *,
     may_copy: bool = True,
 ) -> dict[int, T]:
-    """What `make` returns for each number, some of it made by a copy of this process where the system allows that.
+    """The result of `make` for each number, some computed by a copy of this process where the system allows that.
 
     Parameters
     ----------
     make
-        Its result must not depend on what was made before, and must be picklable: else it is made here.
+        Its result must not depend on earlier calls. One that cannot be pickled is computed here.
     numbers
         Each between 0 and 255, in the order in which they are begun.
     begun
-        Called here with how many have been begun before, whenever one is begun here.
+        Called whenever a number is begun here, with the count of those begun before.
     may_copy
-        False to make all of it here.
+        False to compute all results here.
     """
     if not (may_copy and can_be_copied()):
         return {number: _observed(make, begun, number, i) for i, number in enumerate(numbers)}
@@ -72,20 +72,20 @@ def _observed(make: Callable[[int], T], begun: Callable[[int], None], number: in
 
 def _copy() -> int:
     with warnings.catch_warnings():
-        # Python 3.12 and later warn of forks beside threads. The copy waits for no lock that one of them might hold;
-        # if a library does, it is not waited for.
+        # Python 3.12 and later warn about forks beside threads. The copy waits for no lock that one of them might hold;
+        # if a library does, this process does not wait for the copy.
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
 
 
 def _taken(left: IO[bytes]) -> Iterator[int]:
-    """The numbers that nobody else has taken, one by one: a byte of a pipe is read by one process alone."""
+    """The numbers that the other process has not taken, one by one: each byte of a pipe is read by one process."""
     while taken := left.read(1):
         yield taken[0]
 
 
 def _help(make: Callable[[int], T], left: IO[bytes], answers: IO[bytes]) -> None:
-    """What the copy does; it never returns."""
+    """Do the copy's part of the work, and end the process; never returns."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was copied, which ends this one
         pickle.dump({number: make(number) for number in _taken(left)}, answers, pickle.HIGHEST_PROTOCOL)
@@ -95,7 +95,7 @@ def _help(make: Callable[[int], T], left: IO[bytes], answers: IO[bytes]) -> None
 
 
 def _read(answers: IO[bytes]) -> dict[int, T]:
-    """What the copy has made; nothing if it did not come to an end."""
+    """The results of the copy by number; empty if it did not finish."""
     answers.seek(0)
     try:
         return dict(pickle.load(answers))  # noqa: S301 - written by this program, in a file without a name

@@ -37,7 +37,7 @@ class Pairs:
 
 
 def pairs_of(first: Run, second: Run) -> Pairs:
-    """The pairs: trials with equal settings, but for settings whose values in one run never occur in the other.
+    """The pairs: trials with equal settings, except for settings whose values in one run never occur in the other.
 
     Where that leaves a trial without a unique partner because a run has several methods, every method of one run is
     paired with every method of the other under all other settings.

@@ -120,8 +120,8 @@ class Sweep:
     """Without seeds and methods."""
     seeds: list[int]
     trials: pd.DataFrame
-    """One row a trial: `matcher`, `subpixel`, `seed`, all its figures, and for every axis a column, the index into
-    its values."""
+    """One row for each trial: `matcher`, `subpixel`, `seed`, all its figures, and for every axis a column with the
+    index of the value."""
     payloads: list[dict[str, Any]]
     """The row of each of them, see `row.row_of`."""
     cells: pd.DataFrame

@@ -31,10 +31,10 @@ def conclusions(
     labels: Mapping[MethodName, str] | None = None,
     further: Sequence[str] = (),
 ) -> list[str]:
-    """What trials were scored by beside their ranges, a sentence about the methods, and one for each axis that matters.
+    """Sentences on the trials' further scores, on the methods, and on each axis that matters.
 
     Each is about the median range error on walls (on all pixels where there are none), averaged as logarithms over
-    seeds; ratios are between trials that are alike but for what is compared, with 95 % intervals over seeds. Empty
+    seeds; ratios are between trials that differ only in the compared setting, with 95 % intervals over seeds. Empty
     where nothing varies, or there is one seed.
 
     Parameters
@@ -206,7 +206,7 @@ def _at_most(compared: Sequence[_Along]) -> str:
 
 
 def _has_interval(ratio: tuple[float, float, float]) -> bool:
-    """False where trials that are alike but for one thing are of one seed, or there are none."""
+    """Whether a ratio has an interval: not if its trials have one seed, or if there are none."""
     return all(math.isfinite(each) for each in ratio)
 
 

@@ -60,7 +60,7 @@ class Planned:
 
     @property
     def condition(self) -> str:
-        """The coordinates in words, but for the method and the seed: what intervals over seeds are taken within."""
+        """The coordinates in words without method and seed: intervals over seeds are taken within a condition."""
         return shown(self.coordinates_without(lambda key: key in ("seed", *METHOD_KEYS)))
 
 

@@ -100,14 +100,14 @@ def _power(fit: dict[str, Any], labels: Mapping[MethodName, str]) -> str:
 
 
 def _of_further_scores(further: Sequence[str], table: pd.DataFrame, axes: dict[str, list[Any]]) -> str:
-    """What is said of the method whose ranges are best, or else what is said first."""
+    """The sentence on the method whose ranges are best, or else the first sentence."""
     figure = measured(table)
     best = best_method(table, axes, figure[1]) if figure else ""
     return next((each for each in further if best and f" {best}" in each), further[0])
 
 
 def _of_the_limit(limit: Sequence[dict[str, Any]], labels: Mapping[MethodName, str]) -> str | None:
-    """How near the bound the method that comes nearest is."""
+    """A sentence on the method whose spread is nearest to the bound."""
     known = [each for each in limit if each["std_over_bound"] is not None]
     if not known:
         return None
@@ -176,13 +176,13 @@ def _interval_of(best: Sequence[dict[str, Any]]) -> str:
 
 
 def _span(best: Sequence[dict[str, Any]]) -> str:
-    """Their ranges."""
+    """Their ranges in words."""
     first, last = f"{best[0]['range_m']:.1f}", f"{best[-1]['range_m']:.1f}"
     return f"a range of {first} m" if first == last else f"ranges of {first} to {last} m"
 
 
 def _of_the_condition(table: pd.DataFrame, axes: dict[str, list[Any]]) -> str | None:
-    """What the first axis does, where that is no choice and beyond doubt; scenes are only places to find out in."""
+    """A sentence on the effect of the first axis other than scenes, if that is no choice and the effect is certain."""
     figure = measured(table)
     subject = next((key for key in axes if key != "scene"), None)
     if figure is None or subject is None or is_choice(subject):

@@ -19,7 +19,7 @@ def _quoted(value: Any) -> str:
 
 
 def text_of(value: Any) -> str:
-    """A value as a table shows it, no two alike: nothing for none, all else so that it reads back exactly.
+    """A value's distinct text in tables: empty for None, and otherwise one that reads back exactly.
 
     Text stands as it is, unless it would read as something else, such as a number: then in quotes.
     """

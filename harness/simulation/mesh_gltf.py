@@ -38,7 +38,7 @@ _REPEAT, _MIRRORED, _CLAMP, _NEAREST = 10497, 33648, 33071, 9728
 
 
 def read_gltf(path: Path, *, textured: bool, weights: Weights = LUMA) -> list[MeshPart]:
-    """The parts of a glTF file, one a primitive, z up; `textured` False leaves materials and images unread.
+    """The parts of a glTF file, one for each primitive, z up; `textured` False leaves materials and images unread.
 
     Raises
     ------

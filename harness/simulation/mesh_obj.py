@@ -145,7 +145,7 @@ class _Obj:
 
 
 def read_obj(path: Path, *, textured: bool, weights: Weights = LUMA) -> list[MeshPart]:
-    """The parts of an OBJ file, one a material; `textured` False leaves materials and textures unread.
+    """The parts of an OBJ file, one for each material; `textured` False leaves materials and textures unread.
 
     Raises
     ------

@@ -81,7 +81,7 @@ class RangeSurface(OneLine):
     def joined(self, rows: int, columns: int) -> Mask:
         """Whether each pixel is on one surface with the pixel so many rows below and columns to the right of it.
 
-        It is when the step of 1/s between them lies between the steps before and after it, give or take the slack: on a
+        It is when the step of 1/s between them lies between the steps before and after it, up to the slack: on a
         plane all three are alike, and across a crease the step is some of both. At an outline it is outside.
         """
         there = _moved(self._inverse, rows, columns)

@@ -125,7 +125,7 @@ def _named(entry: Entry) -> str:
 
 
 def _looks(entries: list[Entry]) -> dict[str, tuple[str, str]]:
-    """Colour and mark of all that is drawn, no two alike: a cause's own, where no other case has the same cause."""
+    """Distinct colours and marks of the curves: a cause's own where no other case has the same cause."""
     names = dict.fromkeys(map(_named, entries))
     causes = {_named(each): each["causes"][0] for each in entries if len(each["causes"]) == 1}
     of_none = [name for name in names if name not in causes]

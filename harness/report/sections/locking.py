@@ -118,7 +118,7 @@ def _histogram(curves: dict[MethodStyle, Curve], top: float, words: str, letter:
 
 
 def _shares(sweep: Sweep, method: MethodStyle, surface: str) -> pd.DataFrame:
-    """One row a trial, by seed; one column a bin."""
+    """The shares of the bins: one row for each trial, by seed, and one column for each bin."""
     chosen = [
         (seed, payload["fractions"][surface])
         for seed, matcher, subpixel, payload in zip(

@@ -269,7 +269,7 @@ def _estimate(ax: Axes, method: Method, row: int, span: tuple[float, float], siz
 
 
 def _levels(outcome: Outcome, row: int, span: tuple[float, float]) -> tuple[Array, Array]:
-    """The range that each whole sample of the curves of a row means, one line a sample; NaN between lines."""
+    """The ranges of the whole samples of a row's curves, one line for each sample; NaN between lines."""
     curves = outcome.curves
     columns = np.arange(0, curves.grid.width_px, 2)
     first, last = curves.k_first[row, columns], curves.k_last[row, columns]

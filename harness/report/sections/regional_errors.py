@@ -159,7 +159,7 @@ def _ordered(table: pd.DataFrame) -> list[_Part]:
 def _picture(
     sweep: Sweep, parts: list[_Part], curves: dict[tuple[MethodStyle, str], dict[_Part, tuple[float, float, float]]]
 ) -> Picture:
-    """Dots in lines, one line a part."""
+    """Dots in lines, one line for each part."""
     gaps = np.cumsum([0.0, *(1.9 if a.split != b.split else 1.0 for a, b in pairwise(parts))])
     height = round(17 * (gaps[-1] + 1) + 110)
     fig = theme.figure(WIDE, height)
