@@ -2,8 +2,8 @@
 
 `paper.json` holds the paper's claims, and its experiment in each of the shipped scenes, `law.json` the test of the
 sensitivity law over all trials of `experiments/law.toml`, `law_best.json` the same with the best matcher,
-`matchers.json` the ladder of matchers on all scenes and how near they come to the bound, `cameras.json` what three
-cameras make of the range, `localise.json` how many real images the views made of pairs are worth (some minutes each),
+`matchers.json` the ladder of matchers on all scenes and how near they come to the bound, `budget.json` what each
+cause makes of the range's errors, `cameras.json` what three cameras make of the range, `localise.json` how many real images the views made of pairs are worth (some minutes each),
 and all of them what made the numbers.
 Tests compare with them (see `tests/test_reference.py`); a change of these numbers belongs into the same commit as the
 change that caused it.
@@ -106,6 +106,13 @@ def cameras(folder: Path | None = None) -> dict[str, Any]:
     return {"cameras": rows}
 
 
+def budget() -> dict[str, Any]:
+    """Errors by cause, predicted and measured, as in `summary.json`."""
+    with tempfile.TemporaryDirectory() as folder:
+        summary = run_experiment(load_experiment("budget"), Path(folder)).summary
+    return {name: summary[name] for name in ("trials", "budget")}
+
+
 def localise() -> dict[str, Any]:
     """Localisation errors against the number of real images, as in `summary.json`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -120,6 +127,7 @@ def main() -> None:
         "law": law,
         "law_best": lambda: law("law_best"),
         "matchers": matchers,
+        "budget": budget,
         "cameras": cameras,
         "localise": localise,
     }
