@@ -15,7 +15,7 @@ from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
-from harness.matching.slanted import _fit_kernels
+from harness.matching.slanted import _fit_kernels, _median_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Part, warp_between
 from harness.matching.slanted.refine import Slanted, refine_slanted
@@ -146,6 +146,25 @@ def warped(sensor, there, image, w):
         moved,
     )
     return known, value, slope, moved
+
+
+@pytest.mark.parametrize("reach", [1, 2])
+def test_the_start_is_a_median(reach):
+    """Against Python's own sort, with holes, over more than one block of columns."""
+    draws = np.random.default_rng(4)
+    w = draws.normal(size=(40, 150))
+    w[draws.random(w.shape) < np.linspace(0, 0.9, 150)] = np.nan
+    w[5, 7], w[6, 8] = np.inf, w[6, 9]
+    valid = draws.random(w.shape) < 0.9
+    smooth = np.empty_like(w)
+    _median_kernels.median_rows(0, len(w), reach, valid, w, smooth)
+    for i, j in np.ndindex(w.shape):
+        box = w[max(0, i - reach) : i + reach + 1, max(0, j - reach) : j + reach + 1]
+        known = sorted(box[np.isfinite(box)].tolist())
+        if valid[i, j] and 3 * len(known) >= (2 * reach + 1) ** 2:
+            assert smooth[i, j] == known[len(known) // 2]
+        else:
+            assert np.isnan(smooth[i, j])
 
 
 LENS = Lens(k1=0.1, k2=-0.05, p1=0.002, p2=-0.003, k3=0.02)

@@ -40,61 +40,72 @@ RIGHT = (
 
 
 @kernel
-def _where(known, values, out):
-    """Write values, 0 where they are not known."""
+def _where(known, values, factors, k):
+    """Write a factor, 0 where it is not known."""
+    out = factors[k]
     for j in range(known.shape[0]):
         out[j] = values[j] if known[j] else 0.0
 
 
 @kernel
-def _times(values, other, out):
-    for j in range(other.shape[0]):
-        out[j] = values[j] * other[j]
+def _times(x, axis, factors, k):
+    """Write g x along an axis."""
+    g, out = factors[G], factors[k]
+    for j in range(x.shape[0]):
+        out[j] = g[j] * x[j, axis]
 
 
 @kernel
-def _warped_at_0(known, value, g, w, out):
+def _warped_at_0(known, value, w, factors):
     """Write h = I_2 - g w."""
+    g, out = factors[G], factors[H]
     for j in range(known.shape[0]):
         out[j] = value[j] - g[j] * w[j] if known[j] else 0.0
 
 
 @kernel
-def _factors_of(known, x, w, first_image, value, slope, motion, factors):
+def _factors_of(i, known, x, w, first_image, value, slope, motion, factors):
     """Write the factors of a row of pixels, all 0 where there is no sample."""
-    _where(known, known, factors[ONE])
-    _where(known, first_image, factors[I_1])
-    _where(known, value, factors[I_2])
-    _where(known, motion, factors[MOTION])
-    _where(known, slope, factors[G])
-    _warped_at_0(known, value, factors[G], w, factors[H])
+    there = known[i]
+    _where(there, there, factors, ONE)
+    _where(there, first_image[i], factors, I_1)
+    _where(there, value[i], factors, I_2)
+    _where(there, motion[i], factors, MOTION)
+    _where(there, slope[i], factors, G)
+    _warped_at_0(there, value[i], w[i], factors)
     for axis in range(3):
-        _times(factors[G], x[:, axis], factors[GX + axis])
+        _times(x[i], axis, factors, GX + axis)
 
 
 @kernel
-def _replace(sums, left, right, old_left, old_right):
+def _replace(sums, k, half, new, old, left, right):
     """Add the products of a row of pixels to the sums of their columns, and take those of another off."""
-    for j in range(left.shape[0]):
-        sums[j] += left[j] * right[j] - old_left[j] * old_right[j]
+    new_left, new_right, old_left, old_right = new[left], new[right], old[left], old[right]
+    to = sums[k, half:]
+    for j in range(new_left.shape[0]):
+        to[j] += new_left[j] * new_right[j] - old_left[j] * old_right[j]
 
 
 @kernel
-def _copy(values, out):
-    for j in range(out.shape[0]):
+def _copy(sums, k, begin, parts, step):
+    """Copy some columns of a sum to their place in the first row of the parts."""
+    values, out = sums[k, begin : begin + step], parts[0, k * step :]
+    for j in range(values.shape[0]):
         out[j] = values[j]
 
 
 @kernel
-def _add(values, out):
-    for j in range(out.shape[0]):
+def _add(parts, of, start, tile, k):
+    """Add to a row of the tile what lies from a place of the parts on."""
+    values, out = parts[of, start : start + TILE], tile[k * TILE :]
+    for j in range(values.shape[0]):
         out[j] += values[j]
 
 
 @kernel
-def _add_neighbours(values, n, out):
-    """Write values[j] + values[j + n]."""
-    other = values[n:]
+def _add_neighbours(parts, of, n):
+    """Write the sums of parts that are n apart to the other row of the parts."""
+    values, other, out = parts[of], parts[of, n:], parts[1 - of]
     for j in range(other.shape[0]):
         out[j] = values[j] + other[j]
 
@@ -108,16 +119,16 @@ def _sum_over_columns(sums, begin, size, parts, tile):
     """
     step, n, start, of = TILE + size - 1, 1, 0, 0
     for k in range(SUMS):
-        _copy(sums[k, begin : begin + step], parts[of, k * step : (k + 1) * step])
+        _copy(sums, k, begin, parts, step)
     tile[: SUMS * TILE] = 0.0
     while True:
         if size & n:
             for k in range(SUMS):
-                _add(parts[of, k * step + start : (k + 1) * step], tile[k * TILE : (k + 1) * TILE])
+                _add(parts, of, k * step + start, tile, k)
             start += n
         if 2 * n > size:
             break
-        _add_neighbours(parts[of], n, parts[1 - of])
+        _add_neighbours(parts, of, n)
         n, of = 2 * n, 1 - of
 
 
@@ -250,19 +261,13 @@ def fit_rows(
     for i in range(first - 2 * half, end):
         incoming, outgoing = i + half, i - half - 1
         if 0 <= incoming < height:
-            _factors_of(
-                known[incoming], x[incoming], w[incoming], first_image[incoming], value[incoming], slope[incoming],
-                motion[incoming], new,
-            )  # fmt: skip
+            _factors_of(incoming, known, x, w, first_image, value, slope, motion, new)
         else:
             new[:] = 0.0
         if outgoing >= max(0, first - half):
-            _factors_of(
-                known[outgoing], x[outgoing], w[outgoing], first_image[outgoing], value[outgoing], slope[outgoing],
-                motion[outgoing], old,
-            )  # fmt: skip
+            _factors_of(outgoing, known, x, w, first_image, value, slope, motion, old)
         for k in range(SUMS):
-            _replace(sums[k, half : half + width], new[LEFT[k]], new[RIGHT[k]], old[LEFT[k]], old[RIGHT[k]])
+            _replace(sums, k, half, new, old, LEFT[k], RIGHT[k])
         if i < first:
             continue
         for begin in range(0, width, TILE):

@@ -77,34 +77,6 @@ def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value,
                     value[i, j], slope[i, j], motion[i, j] = table[GREY + k], table[SLOPE + k], table[MOTION + k]
 
 
-@kernel
-def median_rows(first, end, reach, valid, w, smooth):
-    """Median of the known inverse ranges about every pixel; NaN where fewer than a third are known.
-
-    A window takes its samples to be linear in the inverse range, and one that is far off weighs as the square of that.
-    """
-    size = (2 * reach + 1) * (2 * reach + 1)
-    values = np.empty(size)
-    for i in range(first, end):
-        for j in range(valid.shape[1]):
-            smooth[i, j] = math.nan
-            if not valid[i, j]:
-                continue
-            n = 0
-            for row in range(max(0, i - reach), min(valid.shape[0], i + reach + 1)):
-                for column in range(max(0, j - reach), min(valid.shape[1], j + reach + 1)):
-                    value = w[row, column]
-                    if math.isfinite(value):
-                        k = n
-                        while k > 0 and values[k - 1] > value:
-                            values[k] = values[k - 1]
-                            k -= 1
-                        values[k] = value
-                        n += 1
-            if 3 * n >= size:
-                smooth[i, j] = values[n // 2]
-
-
 # -- Which plane a pixel lies on ---------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from harness.camera.fill import across_seam, nearest_known
 from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
-from harness.matching.slanted import _fit_kernels
+from harness.matching.slanted import _fit_kernels, _median_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.settings import Slanted
 
@@ -207,7 +207,7 @@ def fit(
         chosen=np.full(shape, -1, np.int64),
         rival=np.full(shape, np.inf),
     )
-    in_rows(pool, len(start), _kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
+    in_rows(pool, len(start), _median_kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
     for iteration in range(iterations):
         sample(field.w, second, warp, samples, pool)
         sharp = iteration >= iterations - settings.sharp_iterations
