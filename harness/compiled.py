@@ -136,7 +136,7 @@ class _Store:
         self._is_announced = True
 
     def read(self, name: str) -> bytes | None:
-        """The contents written under this name; None if there are none, or if they are damaged."""
+        """The contents written under this name; None if they are missing or damaged."""
         if self.folder is None:
             return None
         try:
@@ -231,7 +231,7 @@ class _Cache(NullCache):
         return str(_store().folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled function for these types of arguments; None where there is none."""
+        """The compiled function for these types of arguments; None if it is not stored."""
         target_context.refresh()
         if not _is_of_package(normalize_signature(sig)[0]):
             return None

@@ -46,7 +46,7 @@ def brief(value: Any) -> str:
 
 
 def listed(words: Iterable[str], last: str = "and") -> str:
-    """Words in a row: `a, b and c`; `none` where there are none."""
+    """Words in a row: `a, b and c`; `none` for an empty list."""
     words = list(words)
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else "none"
 

@@ -70,14 +70,15 @@ class DatasetPair(OneLine):
 
     @property
     def range_m(self) -> Array:
-        """`[height, width]`: true ranges, metres; NaN where there is none. On the pixels of view 1's image, but for
-        OmniMVS's layout, which has a panorama around the rig.
+        """`[height, width]`: true ranges, metres; NaN where they are unknown.
+
+        On the pixels of view 1's image, except in OmniMVS's layout, which has a panorama around the rig.
         """
         return true_ranges(self.stored)
 
     @property
     def directions(self) -> Array:
-        """`[height, width, 3]`: the unit direction of each of these pixels; NaN where there is none."""
+        """`[height, width, 3]`: the unit direction of each of these pixels; NaN for a pixel without one."""
         return self.stored.maps[0].directions()
 
     @property
@@ -216,7 +217,7 @@ class DataSet(OneLine):
         Raises
         ------
         InputError
-            When an estimate cannot be read, has another shape than the truth, or there is none of any pair.
+            When an estimate cannot be read, has another shape than the truth, or no pair has an estimate.
         """
         meaning = Meaning(quantity, scale, invalid)
         pairs = [pair for pair in self.stored.pairs if pair.maps]

@@ -168,7 +168,7 @@ def find_rigs(
     Returns
     -------
     list of Candidate
-        The cheapest first; empty where none reaches it.
+        The cheapest first; empty if no rig reaches the accuracy.
 
     Raises
     ------

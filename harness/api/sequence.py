@@ -51,7 +51,7 @@ class PairRange(OneLine):
     has_metres: bool
     R_v2_from_v1: tuple[tuple[float, ...], ...] | None
     t_v1: tuple[float, ...] | None
-    """The motion; None where there is none."""
+    """The motion; None if it is unknown."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -199,7 +199,7 @@ def _rays(
     field_deg: float,
     size: tuple[int, int],
 ) -> Array:
-    """Unit rays of the new view's pixels in its own frame, `[height, width, 3]`; NaN where there is none."""
+    """Unit rays of the new view's pixels in its own frame, `[height, width, 3]`; NaN for a pixel without a ray."""
     if projection == "panorama":
         return directions(estimate.pair.grid)[:, ::-1]  # as seen from inside: azimuth descends to the right
     if projection == "mirror":

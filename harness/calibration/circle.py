@@ -22,7 +22,7 @@ class Circle:
 
 
 def find_circle(image: NDArray[np.floating] | NDArray[np.uint8]) -> Circle | None:
-    """The circle within which an image `[height, width]` is bright; None when there is none.
+    """The circle within which an image `[height, width]` is bright; None without one.
 
     Takes the convex hull of all pixels that are brighter than the dark corners, so that dark regions inside do no harm,
     and fits a circle to its vertices by RANSAC with a fixed seed. Parts of the circle may lie off the image.

@@ -59,7 +59,7 @@ class Window:
 
 
 def rough_sensor(width_px: int, height_px: int, circle: Circle | None) -> Sensor:
-    """A stereographic sensor over the image circle, or over the whole image where there is none."""
+    """A stereographic sensor over the image circle, or over the whole image without one."""
     if circle is None:
         circle = Circle((width_px - 1) / 2, (height_px - 1) / 2, min(width_px, height_px) / 2)
     # r = f sin/(1 + cos) = f tan(theta/2).

@@ -138,7 +138,7 @@ def key_named(sensor: Sensor, word: str, argument: str) -> str:
     Raises
     ------
     InputError
-        When there is none, or more than one.
+        When no such key exists, or more than one.
     """
     every = _every_key(sensor)
     named = [key for key in every if word in (key, key.rpartition(".")[2], key.rpartition(".")[2].removesuffix("_px"))]

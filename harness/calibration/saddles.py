@@ -28,7 +28,7 @@ def find_saddles(image: NDArray[np.uint8]) -> Array:
 
 
 def saddle_near(levels: Array, start: Array, half: int) -> Array:
-    """The saddle point near a pixel (u, v); NaN if there is none."""
+    """The saddle point near a pixel (u, v); NaN without one."""
     height, width = levels.shape
     at = start.copy()
     for _ in range(10):

@@ -202,7 +202,7 @@ def _central_start(corners: Corners, begin: Start, keys: tuple[str, ...], tell: 
 
 
 def _central_fit(used: Corners, sensor: Sensor, keys: tuple[str, ...], misaligned: Sensor) -> CentralFit | None:
-    """The best central sensor of the corners that were used; None where there is none."""
+    """The best central sensor of the corners that were used; None if it cannot be fitted."""
     parameters = Parameters(sensor, keys)
     central = adjust(parameters, used, parameters.vector(sensor), poses_for(used, sensor))
     if central is None:

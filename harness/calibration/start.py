@@ -113,7 +113,7 @@ def find_start(corners: Corners, template: Sensor, keys: tuple[str, ...], circle
 
 
 def _cost(corners: Corners, start: Start, keys: tuple[str, ...]) -> float:
-    """The cost after an adjustment; infinite if there is none."""
+    """The cost after an adjustment; infinite if the adjustment fails."""
     in_view = visible(corners, start.sensor, start.poses)
     if not in_view:
         return math.inf

@@ -47,7 +47,7 @@ def fold_radius(lens: Lens) -> float:
     """The undistorted radius at which the distorted radius stops growing, beyond which distortion has no inverse.
 
     The first zero of `d/dr [r + k1 r³ + k2 r⁵ + k3 r⁷] - 6 hypot(p1, p2) r`, whose last term bounds the slope of the
-    tangential part; infinite when there is none.
+    tangential part; infinite for a distortion that never folds.
     """
     # In w = 1/r the polynomial is monic, so that tiny coefficients do no harm.
     slope = [1.0, -6 * float(np.hypot(lens.p1, lens.p2)), 3 * lens.k1, 0.0, 5 * lens.k2, 0.0, 7 * lens.k3]

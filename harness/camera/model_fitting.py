@@ -283,7 +283,7 @@ class _Problem:
         return np.einsum("nij,nj->ni", self.to_angle, offsets).ravel()
 
     def solved(self, starts: Iterable[dict[str, float]]) -> Optics | None:
-        """The best of the solutions reached from the starts; None if there is none."""
+        """The best of the solutions reached from the starts; None if no start leads to one."""
         coarse = self._thinned(_FEW)
         tried = [coarse.descended(np.array([start.get(name, 0.0) for name in self._bounds()]), 40) for start in starts]
         best = min(tried, key=lambda each: each[1])[0]

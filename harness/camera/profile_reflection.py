@@ -33,7 +33,7 @@ def profile_of(sensor: Sensor) -> Profile:
     Raises
     ------
     TypeError
-        When the sensor has none.
+        When the sensor has no profile.
     """
     if sensor.profile is None:
         raise TypeError("the sensor has no [profile]")

@@ -133,7 +133,7 @@ def run(options: Namespace) -> None:
 
 
 def _field(options: Namespace) -> dict[str, float] | None:
-    """The field of view in the options; None if there is none."""
+    """The field of view in the options; None if no option gives it."""
     if options.angle_max is None and options.elevation is None:
         return None
     low, high = options.elevation or (-90.0, 90.0)

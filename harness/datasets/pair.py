@@ -45,7 +45,7 @@ class Pair:
     images: tuple[Image, Image]
     """Grey `[height, width]`, or red, green and blue `[height, width, 3]`."""
     range_m: tuple[Array, Array]
-    """Range of both views, NaN where there is none."""
+    """Ranges of both views, metres; NaN where a pixel sees no surface."""
     match: Array
     """`[height, width, 2]`: where view 2's image has the point, (u, v) in pixels; NaN where it is not on that image.
     Known of hidden points, too."""

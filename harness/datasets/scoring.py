@@ -48,7 +48,7 @@ class Score(OneLine):
 
 
 def true_ranges(pair: StoredPair) -> Array:
-    """The ranges of a pair's truth, metres; NaN where there is none."""
+    """The ranges of a pair's truth, metres; NaN where they are unknown."""
     map_ = pair.maps[0]
     values = map_.read()
     if map_.quantity == "inverse range":

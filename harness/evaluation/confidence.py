@@ -56,7 +56,7 @@ def sparsification(error: ArrayLike, confidence: ArrayLike, *, statistic: Statis
     Parameters
     ----------
     error
-        Signed or absolute; NaN where there is none.
+        Signed or absolute; NaN for a pixel without an error.
     confidence
         Of the same shape; higher is more confident. Only its order counts.
     """
@@ -85,7 +85,7 @@ def sparsification(error: ArrayLike, confidence: ArrayLike, *, statistic: Statis
 
 @dataclass(frozen=True)
 class Calibration:
-    """Errors in units of the standard deviation that was predicted for each; NaN when there are none."""
+    """Errors in units of the standard deviation that was predicted for each; NaN without any."""
 
     within: tuple[float, float, float]
     """Share with |error| at most 1, 2 and 3 predicted standard deviations; `EXPECTED_WITHIN` if normal and right."""
@@ -106,7 +106,7 @@ def calibration(error: ArrayLike, sigma: ArrayLike) -> Calibration:
     Parameters
     ----------
     error
-        Signed; NaN where there is none.
+        Signed; NaN for a pixel without an error.
     sigma
         Of the same shape and unit. One that is NaN, infinite or not above zero is no prediction.
     """

@@ -49,7 +49,7 @@ def efficiency(errors_px: Array, bound_px: Array | None) -> Efficiency | None:
         `[draws, pixels]`: errors of alpha_2 in pixels of disparity under independent draws of the noise, all else being
         equal; NaN where there is no estimate.
     bound_px
-        `[pixels]`, the smallest standard deviation possible; NaN where there is none.
+        `[pixels]`, the smallest standard deviation possible; NaN where no bound is known.
 
     Returns
     -------

@@ -25,7 +25,7 @@ CORE = (
 
 
 def measure(domain: Mask, valid: Mask, errors: Errors) -> Measures:
-    """Core figures over the valid pixels of a domain; None where there are none.
+    """Core figures over the valid pixels of a domain; None without any such pixel.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def fraction_histograms(errors: Tally, k: Array) -> dict[str, list[int]]:
 
 
 def share_of_estimates(errors: Tally, flags: Mask) -> float | None:
-    """Share of the domain's estimates that have a flag `[height, width]`; None where there are none."""
+    """Share of the domain's estimates that have a flag `[height, width]`; None without any estimate."""
     layout, number = errors.layout, errors.logarithm.size
     flagged = _kernels.count_flags(layout.groups.pixels, layout.surface, errors.scored, flags.ravel())
     return float(flagged / number) if number else None

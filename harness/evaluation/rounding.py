@@ -7,7 +7,7 @@ from harness.geometry.angles import Array
 
 
 def rounding(reference: Reference, errors: Errors, k: Array) -> dict[str, float | None]:
-    """Errors on walls of the domain beside those of rounding to the nearest sample alone; empty where none is matched.
+    """Errors on walls of the domain beside those of rounding to the nearest sample alone; empty without any match.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def rounding(reference: Reference, errors: Errors, k: Array) -> dict[str, float 
         `nearest`: share of the estimates that are the sample nearest to the truth. `median_m`: median |range error|;
         `rounding_m`: the same if each estimate were the sample nearest to its truth, to first order (the law times the
         angle between the two). `steps_of_one`: of the neighbours in a row whose sample numbers differ, the share that
-        differ by one, None where none do.
+        differ by one, None if no numbers differ.
     """
     walls = reference.domain & reference.wall & np.isfinite(k) & np.isfinite(errors.range_m)
     if not walls.any():

@@ -90,7 +90,7 @@ def shape_scores(shape: Shape, range_error_m: Array, disparity_error_px: Array, 
     Parameters
     ----------
     range_error_m, disparity_error_px
-        `[height, width]`, estimate minus truth; NaN where there is none.
+        `[height, width]`, estimate minus truth; NaN where either is missing.
     valid
         Pixels with an estimate.
     """

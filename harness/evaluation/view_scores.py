@@ -36,9 +36,9 @@ class ViewScore:
     disoccluded: float
     """Share of the pixels that view 1 truly has not seen."""
     disoccluded_rmse_grey: float | None
-    """Over these; None where there are none."""
+    """RMSE over these pixels, grey levels; None without any."""
     seen_psnr_db: float
-    """Over the pixels that view 1 has seen and that are no holes."""
+    """PSNR over the pixels that view 1 sees and that are no holes."""
 
 
 def solid_angles(grid: Grid) -> Array:

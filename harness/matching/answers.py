@@ -134,7 +134,7 @@ def converted(answer: Answer, grid: Grid) -> Converted:
         a_2 = _alpha_2(inverse, angle_between(directions(grid), answer.t_v1), baseline)
         sigma, confidence = (None if each is None else at.nearest(each) for each in (sigma, confidence))
     known = ~np.isnan(a_2)
-    if sigma is not None:  # none is left where the range depends on the answer in no way, along t
+    if sigma is not None:  # not valid where the range does not depend on the answer, along t
         known &= np.isfinite(sigma) & (sigma > 0)
     return Converted(
         alpha_2=np.where(known, a_2, np.nan),

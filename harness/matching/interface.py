@@ -1,4 +1,4 @@
-"""The interface of matchers: settings that can be run on a pair; matches, or reasons why there are none."""
+"""The interface of matchers: settings that can be run on a pair; matches, or reasons for missing ones."""
 
 import json
 from abc import ABC, abstractmethod
@@ -297,7 +297,7 @@ def faults(answer: Any, grid: Grid) -> Iterator[Fault]:
 
     Required is what `as_matches` takes, where every array has the panorama's shape and holds real numbers; `alpha_2`
     within 0 .. pi radians, or NaN where there is no match; `confidence`, `sigma_alpha_2` and `k` finite where there is
-    a match and NaN where there is none, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
+    a match and NaN elsewhere, `sigma_alpha_2` above zero; `reason` 0 exactly where there is a match;
     `refined` true only there. Of an `Answer` the same is asked on its own pixels, and values that its quantity can
     have.
     """

@@ -62,7 +62,7 @@ class Projection(ABC):
 
     @abstractmethod
     def pixel_of(self, directions: ArrayLike) -> tuple[Array, Array]:
-        """Row and column `[...]`, fractions, that see directions `[..., 3]` of any length; NaN where none does."""
+        """Row and column `[...]`, fractions, of directions `[..., 3]` of any length; NaN for one that no pixel sees."""
 
     @property
     def directions(self) -> Array:

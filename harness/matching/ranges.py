@@ -1,4 +1,4 @@
-"""From the angles of a matcher to ranges, with a reason where there is none."""
+"""From the angles of a matcher to ranges, with a reason where a range is missing."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from harness.matching.interface import Matches, Reason
 
 
 def ranges_of(matches: Matches, alpha_1: Array, baseline_m: float) -> tuple[Array, NDArray[np.uint8]]:
-    """Range from view 1 in metres `[height, width]`, NaN where there is none, and `Reason`, which says why.
+    """Range from view 1 in metres `[height, width]`, NaN where it is missing, and the `Reason` why.
 
     Parameters
     ----------

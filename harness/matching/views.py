@@ -104,7 +104,7 @@ def made_answer(
     Raises
     ------
     InputError
-        When there is none, or more than one.
+        When no quantity is given, or more than one.
     """
     given = [name for name, value in quantities.items() if value is not None]
     if len(given) != 1:

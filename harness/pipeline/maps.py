@@ -99,7 +99,7 @@ class TrialMaps(OneLine):
     """Predicted standard deviation of `alpha_2`, radians; NaN where nothing is predicted. The matcher's own, or
     derived from the residuals between the views."""
     confidence: Array | None
-    """The matcher's own, higher is more confident; None for a matcher that has none."""
+    """The matcher's confidence, higher is more confident; None for a matcher without one."""
     reason: NDArray[np.uint8]
     """The `Reason` for a missing range; 0 where there is a range."""
     domain: Mask
@@ -279,7 +279,7 @@ def has_maps(folder: Path, key: str) -> bool:
 
 
 def read_maps(folder: Path, trial: Trial) -> TrialMaps | None:
-    """The maps of a trial from its file; None if there are none made by the present code."""
+    """The maps of a trial from its file; None if the present code made no such file."""
     key = trial.key
     if not has_maps(folder, key):
         return None

@@ -24,7 +24,7 @@ from harness.simulation.noise import generator
 from harness.warping.settings import NovelViews
 
 DEFAULT_BEARINGS = 360
-"""Bearings of a map's profiles where `scan` has none."""
+"""Bearings of a map's profiles where `scan.bearings` is 0."""
 _EXACT_M = 1e-4
 """Standard deviation of a true distance."""
 
@@ -78,7 +78,7 @@ def path_map_of(outcome: Outcome) -> PathMap | None:
 
 
 def figures_of(outcome: Outcome) -> dict[str, Any] | None:
-    """The map and its scores, JSON-able; None where there is none.
+    """The map and its scores, JSON-able; None if the trial asks for no map.
 
     Returns
     -------

@@ -223,7 +223,7 @@ def estimate(
 def _bands_of(
     photographs: tuple[Photograph, Photograph], sensors: tuple[Sensor, Sensor], sharpness: Sharpness
 ) -> Callable[[int], Bands] | None:
-    """The photographs' colours, equally sharp as the grey images; None where they have none."""
+    """The photographs' colours, equally sharp as the grey images; None for grey photographs."""
     colours = tuple(each.colour for each in photographs)
     alike = all(each.colour.shape[:2] == each.grey.shape for each in photographs)
     if not alike or all((each[..., :1] == each).all() for each in colours):

@@ -137,7 +137,7 @@ def _remove(path: Path) -> None:
 
 
 def _read(path: Path) -> NDArray[np.float32] | None:
-    """The image in a file of the cache; None when there is none, or it differs from what was written."""
+    """The image in a file of the cache; None if the file is missing, or its contents are damaged."""
     try:
         if not path.is_file():  # a pipe would be waited for
             return None

@@ -106,7 +106,7 @@ def words(text: str, colour: str = "") -> Cell:
 
 
 def number(value: float | None, form: str, scale: float = 1.0, between: tuple[float, float] | None = None) -> Cell:
-    """A cell of a number, with its interval below it; a dash where there is none."""
+    """A cell of a number, with its interval below it; a dash for a missing number."""
     if value is None or not np.isfinite(value):
         return Cell("–")
     below = "" if between is None else interval(between, form, scale)

@@ -61,7 +61,7 @@ def pairs_of(first: Run, second: Run) -> Pairs:
 
 
 def _by_method(first: Run, second: Run, differing: Sequence[str]) -> Pairs | None:
-    """The pairs of every method with every method; None where there are none, or a method has no unique trial."""
+    """The pairs of every method with every method; None if nothing is paired, or a method has no unique trial."""
     other_settings = {key for key in differing if not key.startswith(_MATCHER)}
     methods = _method_names([*first.settings, *second.settings])
     trials: list[dict[Conditions, dict[str, int]]] = []

@@ -1,4 +1,4 @@
-"""A page on the range from two photographs: the range, its predicted standard deviation, and where there is none."""
+"""A page on the range from two photographs: the range, its predicted standard deviation, and the missing pixels."""
 
 import numpy as np
 from matplotlib import colormaps

@@ -31,7 +31,7 @@ class Context:
     sweep: Sweep
     """The rows of all trials as tables."""
     methods: list[Method]
-    """The base trial by each method, with its pixels; empty where none can be shown."""
+    """The base trial by each method, with its pixels; empty if no method can be shown."""
     compared: list[Named]
     """The methods of the base trial whose comparison is known, with or without pixels."""
     trial: Trial

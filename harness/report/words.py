@@ -24,7 +24,7 @@ COMPARED = ("density", *CORE)
 
 
 def cell(metric: Metric, measures: dict[str, Any]) -> str:
-    """A figure in the metric's unit; a dash where there is none."""
+    """A figure in the metric's unit; a dash for None."""
     value = measures.get(metric.name)
     return "–" if value is None else figure(metric.scale * value, metric.form)
 

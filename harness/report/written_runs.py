@@ -54,7 +54,7 @@ class Run:
     case_keys: tuple[str, ...]
     """The keys that the run's cases set."""
     figures: list[dict[str, float]]
-    """The figures of each trial that is done; NaN where there is none."""
+    """The figures of each trial that is done; NaN for a missing figure."""
     facts: dict[str, str]
     """Versions, machine, hash of the source."""
 

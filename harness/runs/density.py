@@ -48,7 +48,7 @@ _CAUSES = (
 
 
 def too_sparse(trials: Iterable[tuple[Trial, Mapping[str, Any]]]) -> str:
-    """One line on the trials with a density below 5 %, and the keys most likely to help; empty if there are none.
+    """One line on the trials with a density below 5 %, and the keys most likely to help; empty without such trials.
 
     Parameters
     ----------

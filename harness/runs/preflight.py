@@ -48,7 +48,7 @@ def preflight(planned: Sequence[Planned], total: int, given: str | Path) -> None
 
 
 def missing_extra(trial: Trial) -> InputError | None:
-    """The error that an extra is missing which the matcher, or the estimate of the motion, needs; None if none is."""
+    """The error that an extra is missing which the matcher, or the estimate of the motion, needs; else None."""
     for extra, key in (
         (trial.matching.extra, "trial.matching.kind"),
         ("motion" if trial.motion.source == "estimated" else "", "trial.motion.source"),

@@ -54,7 +54,7 @@ class Setting:
     type: str
     """The type of its values, in words."""
     unit: str
-    """Empty where there is none."""
+    """The unit; empty for a key without one."""
     default: str
     """The default as TOML; `required` if there is none, empty for a table whose keys have their own. Leaving out a
     table may differ from an empty table."""
@@ -213,7 +213,7 @@ def _plain(annotation: Any) -> Any:
 
 
 def unit_of(key: str) -> str:
-    """The unit that the end of a key's name stands for; empty where there is none."""
+    """The unit that the end of a key's name stands for; empty without one."""
     return next((unit for ending, unit in UNITS.items() if key.endswith(ending)), "")
 
 

@@ -224,7 +224,7 @@ class Store:
         return row.key, self._code, row.scene, row.state, row.payload, row.seconds, row.message, row.traceback
 
     def answer(self, key: str) -> bytes | None:
-        """The stored result of a matcher for a trial; None if there is none."""
+        """The stored result of a matcher for a trial; None if nothing is stored."""
         row = self._do("SELECT data FROM answers WHERE key = ? AND code = ?", key, self._read).fetchone()
         return None if row is None else bytes(row[0])
 
@@ -244,7 +244,7 @@ class Store:
                 self._connection.rollback()
 
     def fact(self, name: str) -> Any:
-        """A stored fact about the run; None if there is none.
+        """A stored fact about the run; None if nothing is stored under the name.
 
         Raises
         ------

@@ -28,7 +28,7 @@ class MeshPart:
     corners: Array
     """`[triangles, 3, 3]`, in the file's unit, z up."""
     uv: Array | None
-    """`[triangles, 3, 2]`, in repetitions of the texture, v up; None when the file has none."""
+    """`[triangles, 3, 2]`, in repetitions of the texture, v up; None in a file without texture coordinates."""
     texels: Texels | None
     """Grey `[height, width]`; None when the file has no colours for these triangles."""
 
@@ -64,7 +64,7 @@ class Look:
         Parameters
         ----------
         factor
-            The material's factor, 0 .. 1; None when the file has none.
+            The material's factor, 0 .. 1; None in a file without one.
         colours
             Colours of the corners, `[triangles, 3, 3]`, 0 .. 1.
         key

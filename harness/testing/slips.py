@@ -101,7 +101,7 @@ def _bent(normal: Array) -> Mask:
 
 
 def slip_in(answer: Answer, there: Scenery) -> str:
-    """The mix-up that an answer looks like, as a question; empty if there is none to be told.
+    """The mix-up that an answer looks like, as a question; empty if no mix-up is evident.
 
     Returns
     -------

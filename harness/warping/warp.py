@@ -155,7 +155,7 @@ def warp(
 
 
 def untouched(images: Sequence[Image], viewpoint_m: Array, rays: Array) -> NDArray[np.float32]:
-    """The image whose viewpoint is nearest, in the directions of rays `[rows, columns, 3]`; NaN where it has none."""
+    """The image whose viewpoint is nearest, in the directions of rays `[rows, columns, 3]`; NaN outside the image."""
     nearest = min(images, key=lambda each: float(np.linalg.norm(each.motion.t_v1 - viewpoint_m)))
     grey, valid = sample(nearest.grey, nearest.sensor, rays @ nearest.motion.R_v2_from_v1.T)
     return np.where(valid, grey, np.float32(np.nan))

@@ -32,7 +32,7 @@ class Check:
 
 
 def _has_maps(*quantities: str) -> Callable[[StoredSet], bool]:
-    """Whether a pair of a set has maps of all of these quantities, or any map if none is named."""
+    """Whether a pair of a set has maps of all of these quantities, or any map if no quantity is named."""
 
     def applies(data: StoredSet) -> bool:
         of_pairs = ({map_.quantity for map_ in pair.maps} for pair in data.pairs)

@@ -91,9 +91,9 @@ class TruthMap(OneLine):
     """`range` (metres from the map's origin), `disparity` (degrees, along the meridians of two upright panoramas) or
     `inverse range` (1/metres)."""
     directions: Callable[[], Array]
-    """Gives `[..., 3]`: unit directions of the map's pixels in the map's frame; NaN where a pixel has none."""
+    """Gives `[..., 3]`: unit directions of the map's pixels in the map's frame; NaN for a pixel without one."""
     read: Callable[[], Array]
-    """Gives `[...]`: the numbers as they are meant; NaN where the file says that there is none."""
+    """Gives `[...]`: the numbers in the quantity's unit; NaN where the file marks a missing one."""
     raw: Callable[[], NDArray[Any]]
     """Gives the numbers as they stand in the file."""
     is_image: bool = True
@@ -113,7 +113,7 @@ class StoredPair(OneLine):
     maps: tuple[TruthMap, ...]
     """The first one is what estimates are compared with."""
     state: Callable[[], NDArray[np.uint8]] | None = None
-    """Gives the states of view 1's pixels, see `pair.STATES`; None where the set has none."""
+    """Gives the states of view 1's pixels, see `pair.STATES`; None in a set without states."""
     match: Callable[[], Array] | None = None
     """Gives the places of view 1's pixels in view 2's image."""
     observed: tuple[Array, Array, Array] | None = None

@@ -109,7 +109,7 @@ def numbers_of(table: dict[str, Any], key: str, shape: tuple[int, ...], file: Pa
     Raises
     ------
     InputError
-        When there is none, or it has another shape or a number that is not finite.
+        When the array is missing, or has another shape or a number that is not finite.
     """
     try:
         values = np.asarray(table[key], dtype=np.float64)

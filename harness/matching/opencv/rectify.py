@@ -234,8 +234,8 @@ def on_panorama(rectified: Rectified, disparity: Array, directions: Array) -> Ar
     """Disparities (pixels of the rectangle) of view 1's panorama, from those of its rectified image.
 
     Linear between the four pixels around a direction where all have a disparity and these lie within one pixel of each
-    other; the nearest pixel's elsewhere, so that nothing is made up across an edge. NaN where that has none, and where
-    the match is in a direction that view 2 does not see.
+    other; the nearest pixel's elsewhere, so that nothing is made up across an edge. NaN where that has no value, and
+    where the match is in a direction that view 2 does not see.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ def refine(costs: Array, method: Subpixel) -> tuple[Array, NDArray[np.bool_]]:
     Parameters
     ----------
     costs
-        `[..., 2 n + 1]`, costs of consecutive samples around the best one; NaN where there is none.
+        `[..., 2 n + 1]`, costs of consecutive samples around the best one; NaN for a missing cost.
     method
         One of `FROM_COSTS`: `none`; `parabola`, least squares over all given samples, the paper's; `parabola3`, through
         the three in the middle; `v`, two lines of opposite slopes through these three.
@@ -62,7 +62,7 @@ def cancelled_minimum(costs: Array, *, equiangular: bool) -> tuple[Array, NDArra
     Parameters
     ----------
     costs
-        `[..., 7]`, at -1.5, -1, ... 1.5 samples from the best one; NaN where there is none.
+        `[..., 7]`, costs at -1.5, -1, ... 1.5 samples from the best one; NaN for a missing cost.
     equiangular
         Which fit: two lines, right for SAD and Hamming distances, or a parabola.
 

@@ -71,7 +71,7 @@ def section(context: Context) -> Iterator[Block]:
 
 
 def _start(methods: list[Method]) -> tuple[int, int] | None:
-    """The pixel shown first: of those of the domain that all methods matched, the middle one; None where none is."""
+    """The pixel shown first: the middle one of the domain's pixels that all methods matched; None without any."""
     rows, columns = (common(methods) & methods[0].outcome.reference.domain).nonzero()
     middle = rows.size // 2
     return (int(rows[middle]), int(columns[middle])) if rows.size else None
