@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 _M_MMAP_THRESHOLD = -3
-"""From malloc.h of the GNU C library."""
+"""The option's number in malloc.h of the GNU C library."""
 
 
 def available_cpus() -> int:

@@ -63,7 +63,7 @@ class DatasetPair(OneLine):
 
     @property
     def images(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Both images as their files have them: `[height, width]`, or `[height, width, 3]` in colour."""
+        """Both images as in their files: `[height, width]`, or `[height, width, 3]` in colour."""
         paths = [view.image for view in self.stored.views]
         first, second = (read_levels(read_regular(path, LIMIT_BYTES, "image"), path) for path in paths)
         return first, second

@@ -34,7 +34,7 @@ class NewView(OneLine):
     image: NDArray[np.uint8]
     """`[height, width]`, or `[height, width, 3]` of colour photographs; black where nothing is known."""
     range_m: Array
-    """From the new viewpoint, in the unit of the estimate; NaN where it is not known."""
+    """Range from the new viewpoint, in the unit of the estimate; NaN where it is unknown."""
     sigma_m: Array
     """Standard deviation of `range_m`."""
     state: NDArray[np.uint8]

@@ -45,7 +45,7 @@ class CentralFit(OneLine):
     """The best sensor with camera and mirror aligned, from the same corners: one that matchers can use."""
 
     sensor: Sensor
-    """With the field, and the mount, of the misaligned one."""
+    """The sensor, with the field and the mount of the misaligned one."""
     rms_px: float
     """Root of the mean squared distance between predicted and measured corners, pixels."""
 

@@ -28,7 +28,7 @@ DISTANCE_M = 3.0
 
 _DEGREES = (4, 6, 8, 10, 11)
 _STEPS = 12
-"""Solutions for the weights, which settle to ten digits."""
+"""Iterations of the weights, which converge to ten digits."""
 _ENOUGH = 0.9
 """A higher degree has to leave a smaller residual than this part of the one before."""
 _INNER = (0.0, 0.1, 0.2, 0.3, 0.4)

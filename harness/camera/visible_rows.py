@@ -11,7 +11,7 @@ from harness.geometry.panorama import Grid
 from harness.spec import given_of, remember
 
 STEP_DEG = 0.1
-"""Between the elevations that are tried."""
+"""Step between the elevations that are tried, degrees."""
 STEEPEST_DEG = 75.0
 """The steepest elevation that is tried: towards the poles, the rows of a cylinder cover ever smaller angles."""
 AZIMUTHS = 120

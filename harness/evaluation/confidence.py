@@ -44,7 +44,7 @@ class Sparsification:
     ause_over_random: float
     """`ause` over the area between `random` and `oracle`: 0 for the oracle, 1 for a random confidence."""
     pixels: int
-    """With an error."""
+    """Number of pixels with an error."""
 
 
 def sparsification(error: ArrayLike, confidence: ArrayLike, *, statistic: Statistic = "mean") -> Sparsification:

@@ -84,11 +84,11 @@ class Verdict:
     subpixel: str
     surface: str
     text: str
-    """Without the names of method and surface."""
+    """The verdict without the names of method and surface."""
 
     @property
     def sentence(self) -> str:
-        """With the names of method and surface."""
+        """The verdict with the names of method and surface."""
         step = {"none": "whole pixels", "parabola": "parabola"}.get(self.subpixel, self.subpixel)
         return f"{self.surface.capitalize()}s, {self.matcher} matcher, {step}: {self.text}."
 

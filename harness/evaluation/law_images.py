@@ -84,7 +84,7 @@ def fit_laws(cells: pd.DataFrame, laws: Sequence[str] = LAWS) -> list[dict[str, 
 
 
 def fit_law_and_bound(cells: pd.DataFrame) -> list[dict[str, Any]]:
-    """Both at once: coefficients of `log(law/d)` and of `log(bound)` in one regression of `log(spread/d)`.
+    """Coefficients of `log(law/d)` and of `log(bound)` in one regression of `log(spread/d)`.
 
     A slope of 1 on their product (`fit_laws` with `bound`) may hide that one makes up for the other. Here each has a
     coefficient of its own: 1 for the law if range depends on the angle as calculus says, and 1 for the bound if the
@@ -224,11 +224,11 @@ class _Groups:
 
     @classmethod
     def of(cls, part: pd.DataFrame) -> "_Groups":
-        """Those of a table of cells."""
+        """The columns of a table of cells."""
         return cls(*(pd.factorize(part[name], sort=True)[0] for name in ("seed", "condition")))
 
     def where(self, chosen: NDArray[np.bool_]) -> "_Groups":
-        """Those of some of the cells."""
+        """The columns of the selected cells."""
         return _Groups(self.seeds[chosen], self.conditions[chosen])
 
 

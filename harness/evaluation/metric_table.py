@@ -41,7 +41,7 @@ class Metric:
 
     @property
     def heading(self) -> str:
-        """For a column: quantity and statistic."""
+        """The heading of a column: quantity and statistic."""
         return f"{self.quantity}, {self.statistic}" if self.statistic else self.quantity
 
     @property

@@ -109,7 +109,7 @@ class Parameter:
     unit: str
     """Empty for a share."""
     step: float
-    """For differences: far above rounding, far below where the error bends."""
+    """Step of the finite differences: far above rounding, far below where the error bends."""
     changed: Callable[[Rig, float], Rig]
     """The true rig whose parameter differs by so much from that of the believed one, which is given."""
 

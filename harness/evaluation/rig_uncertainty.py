@@ -30,7 +30,7 @@ Misaligned = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=0.1)]
 
 ALIGNMENT = MISALIGNMENT[:5]
-"""Without the turn about the mirror's axis, which is the believed rotation's."""
+"""The misalignments without the turn about the mirror's axis, which is part of the believed rotation."""
 
 
 class Odometry(Spec):

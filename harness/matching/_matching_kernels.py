@@ -7,11 +7,11 @@ from harness.compiled import kernel
 PHI, ALPHA = 0, 1
 """Sampling of the curve: at equal steps of azimuth, or of alpha_2."""
 SAMPLINGS = {"phi": PHI, "alpha": ALPHA}
-"""By the name that users give them."""
+"""The numbers by the names that users give."""
 SAD, SSD, ZNCC, CENSUS = 0, 1, 2, 3
 """Matching costs."""
 COSTS = {"sad": SAD, "ssd": SSD, "zncc": ZNCC, "census": CENSUS}
-"""By the name that users give them."""
+"""The numbers by the names that users give."""
 OK, LEAVES_IMAGE = 0, 1
 """Whether a curve was searched, or leaves the image."""
 

@@ -64,7 +64,7 @@ class Pair(OneLine):
     sensors: tuple[Sensor, Sensor]
     """The sensor of each view; most rigs have two equal ones."""
     motion: Motion
-    """From view 1 to view 2."""
+    """The motion from view 1 to view 2."""
     grid: Grid
     """The pixels of the panorama; matches are on view 1's."""
     interpolation: Interpolation = "bilinear"

@@ -25,8 +25,8 @@ _FAR_SHARE, _NEAR_SHARE = 0.02, 0.005
 _BESIDE = 0.6
 """Nearest range searched, of the nearest point's; the farthest likewise."""
 _WIDE_FAR_SHARE, _WIDE_BESIDE = 0.005, 1 / 3
-"""The same two for the farthest range, where a small surface may be far off and have no keypoints, such as the end of a
-corridor: the search is over inverse ranges, of which this adds hardly any."""
+"""Share of far points and margin for the farthest range, where a small surface may be far off and have no keypoints,
+such as the end of a corridor: the search is over inverse ranges, of which this adds hardly any."""
 _FARTHEST = 200.0
 """Farthest range that counts, baselines: beyond, the parallax is below a third of a degree."""
 

@@ -62,7 +62,7 @@ class _Learned(OneLine):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class _PairImages(OneLine):
-    """Both images of a pair, and those made of them with either ranges."""
+    """Both images of a pair, and images synthesised from them with estimated and with true ranges."""
 
     real: list[_Learned]
     made: dict[str, list[_Learned]]

@@ -38,7 +38,7 @@ class NovelView(OneLine):
     """A new view on view 1's panorama, and the views that it is compared with."""
 
     distance_m: float
-    """From the first viewpoint."""
+    """Distance from the first viewpoint, metres."""
     expected: Grey
     """The rendered view, without noise; NaN where the sensor does not see."""
     compared: Mask
@@ -46,14 +46,14 @@ class NovelView(OneLine):
     disoccluded: Mask
     """The pixels that view 1 does not see, by the truth."""
     warped: WarpedView
-    """With the matcher's ranges; holes are filled."""
+    """The view warped with the matcher's ranges; holes are filled."""
     ceiling: WarpedView
-    """With the true ranges; holes are filled."""
+    """The view warped with the true ranges; holes are filled."""
     floor: Grey
     """The nearest image untouched."""
 
     def scores(self, grid: Grid) -> dict[str, ViewScore]:
-        """By `warped`, `ceiling` and `floor`."""
+        """The scores of `warped`, `ceiling` and `floor`, by these names."""
         nothing = np.zeros(grid.shape, dtype=bool)
         views = {
             "warped": (self.warped.grey, self.warped.holes),
@@ -87,7 +87,7 @@ def novel_views(outcome: Outcome, distances_m: Sequence[float] | None = None) ->
 
 
 def _images(outcome: Outcome, motion: Motion) -> list[Image]:
-    """Both images, view 2 where a motion says that it is."""
+    """Both images of a pair, with view 2 at the position that a motion gives."""
     (first, second), (sensor_1, sensor_2) = outcome.pair.images, outcome.pair.sensors
     return [Image(first, sensor_1, AT_REST), Image(second, sensor_2, motion)]
 

@@ -72,7 +72,7 @@ class Estimate(OneLine):
     matcher: MatcherSettings
     matches: Matches
     range_m: Array
-    """From view 1; NaN where `reason` is not `Reason.MATCHED`."""
+    """Range from view 1; NaN where `reason` is not `Reason.MATCHED`."""
     sigma_m: Array
     """Predicted standard deviation of the range, to first order; NaN where nothing is predicted. The root of the sum of
     the squares of the next three."""

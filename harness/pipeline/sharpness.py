@@ -105,7 +105,7 @@ def compare_sharpness(
 
 
 def equalised(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], sharpness: Sharpness) -> tuple[Image, Image]:
-    """Both images equally sharp; the very same arrays where they are."""
+    """Both images equally sharp; the arrays themselves if they are already."""
     first, second = (
         image if blur_px == 0 else _blurred(image, sensor, blur_px)
         for image, sensor, blur_px in zip(images, sensors, sharpness.added_px, strict=True)
@@ -120,7 +120,7 @@ def has_few_matches(sharpness: Sharpness, density: float, images: tuple[Image, I
 
 
 def half_size(pair: Pair) -> Pair:
-    """The same pair with the means of 2 x 2 pixels."""
+    """The pair at half the size, of means over 2 x 2 pixels."""
     first, second = (binned(image, sensor, 2) for image, sensor in zip(pair.images, pair.sensors, strict=True))
     sensors = binned_sensor(pair.sensors[0], 2), binned_sensor(pair.sensors[1], 2)
     return Pair((first, second), sensors, pair.motion, pair.grid)

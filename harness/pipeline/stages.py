@@ -31,7 +31,7 @@ class Assumed:
     sensors: tuple[Sensor, Sensor]
     """The sensor of each view."""
     motion: Motion
-    """From view 1 to view 2."""
+    """The motion from view 1 to view 2."""
 
 
 @dataclass(frozen=True)

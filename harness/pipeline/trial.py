@@ -76,12 +76,12 @@ class Outcome(OneLine):
 
     @property
     def panoramas(self) -> tuple[Panorama, Panorama]:
-        """Both in v1's orientation."""
+        """The panoramas of both views, in v1's orientation."""
         return self.pair.panoramas()
 
     @property
     def filtered(self) -> tuple[Panorama, Panorama]:
-        """The same after the Laplacian of Gaussian."""
+        """The panoramas after the Laplacian of Gaussian."""
         return self.pair.filtered()
 
     @property
@@ -377,7 +377,7 @@ BOUND = Stage("bound", _bound, _bound_settings, after=(EXPOSURE, TRUTH))
 STAGES: tuple[Stage[Any], ...] = (
     RENDER, EXPOSURE, NOISE, COLOUR, TRUTH, MOTION, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND
 )  # fmt: skip
-"""All of them, in the order of the pipeline."""
+"""All stages, in the order of the pipeline."""
 
 _ORDERED_BY = (RENDER, TRUTH, NOISE, PAIR)
 """The stages by which trials are ordered; then by the matcher's search."""

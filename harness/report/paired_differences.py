@@ -94,7 +94,7 @@ class Comparison:
     html: str
 
     def lines(self) -> Iterator[tuple[str, ...]]:
-        """For a terminal: run, figure with unit, case and step, first, second, difference with interval, verdict."""
+        """Cells of a table: run, figure with unit, case and step, first, second, difference with interval, verdict."""
         for pairing in self.pairings:
             for each in pairing.differences:
                 shown = metric(each.figure)

@@ -116,7 +116,7 @@ def _median(values: Array) -> float | None:
 
 
 def _span(values: Array) -> tuple[float, float] | None:
-    """Between these are nine tenths of the values."""
+    """The 5th and 95th percentiles of the values."""
     known = values[np.isfinite(values)]
     if not known.size:
         return None

@@ -63,7 +63,7 @@ def _typeset(text: str) -> str:
 
 
 def build_picture(coverage: Coverage, kind: str) -> bytes:
-    """The same picture by itself, as `svg` or `png`."""
+    """The page's picture alone, as `svg` or `png`."""
     with theme.style():
         fig = theme.figure(2 * HALF, _HEIGHT)
         _draw_image(coverage, fig, 0)

@@ -72,7 +72,7 @@ class Axis:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """The axis's name for people."""
         return _NAMES.get(self.key, (self.key, ""))[0]
 
     @property
@@ -117,7 +117,7 @@ class Sweep:
 
     methods: list[MethodStyle]
     axes: list[Axis]
-    """Without seeds and methods."""
+    """The axes without seeds and methods."""
     seeds: list[int]
     trials: pd.DataFrame
     """One row for each trial: `matcher`, `subpixel`, `seed`, all its figures, and for every axis a column with the

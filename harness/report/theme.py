@@ -223,7 +223,7 @@ def _pdf(fig: Figure) -> bytes:
 
 
 def _shorter(text: str) -> str:
-    """The same drawing in two thirds of the letters: coordinates as fine as can be seen, nothing that has no use."""
+    """The same drawing in two thirds of the bytes: coordinates as fine as can be seen, without useless attributes."""
     text = re.sub(r" d='([^']*)' transform='scale\(0\.015625\)'", lambda glyph: _glyph(glyph[1]), text)
     text = re.sub(r"(?<= d=')[^']*(?= ')", lambda d: _path(d[0]), text)
     text = re.sub(r"(?<=transform=')[^']*", lambda each: re.sub(r"(\.\d{3})\d+", r"\1", each[0]), text)

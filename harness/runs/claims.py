@@ -80,7 +80,7 @@ def _differ_in_method_alone(planned: Iterable["Planned"]) -> bool:
 
 @dataclass(frozen=True)
 class _Trials:
-    """Both methods' rows, seed by seed."""
+    """The rows of both methods, seed by seed."""
 
     seeds: list[int]
     whole: Rows

@@ -57,7 +57,7 @@ class Details:
     """The outcomes of the trials that are shown, and their keys."""
     left_out: list[LeftOut]
     comparison: dict[str, Any] | None
-    """Their comparison for `summary.json`, as stored with the run; None if it is still to be computed."""
+    """The methods' comparison for `summary.json`, as stored with the run; None if it is still to be computed."""
 
 
 def details_of(

@@ -176,7 +176,7 @@ def _interval_of(best: Sequence[dict[str, Any]]) -> str:
 
 
 def _span(best: Sequence[dict[str, Any]]) -> str:
-    """Their ranges in words."""
+    """The ranges of the entries in words."""
     first, last = f"{best[0]['range_m']:.1f}", f"{best[-1]['range_m']:.1f}"
     return f"a range of {first} m" if first == last else f"ranges of {first} to {last} m"
 

@@ -52,8 +52,7 @@ def localisations_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dic
 
 
 def localisations_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
-    """For each method and descriptor, whether views made of pairs replace real images, and how many; nothing from one
-    seed.
+    """Sentences on how many real images each method's synthesised views replace, by descriptor; none from one seed.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def novel_views_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[
 
 
 def views_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
-    """For each method, how far a warped view is better than the nearest image beyond doubt; nothing from one seed.
+    """Sentences on the distances at which each method's warped views beat the nearest image; none from one seed.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def _gain(entry: dict[str, Any]) -> str:
 
 
 def _distances(some: list[dict[str, Any]], entries: list[dict[str, Any]]) -> str:
-    """Some of the distances, from the first to the last where they follow each other."""
+    """Distances in words, as a range if they are consecutive."""
     names = [f"{each['distance_m']:g}" for each in some]
     start = entries.index(some[0])
     if len(some) > 2 and entries[start : start + len(some)] == some:

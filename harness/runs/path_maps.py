@@ -41,7 +41,7 @@ def path_maps_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[st
 
 
 def path_maps_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
-    """For each method how much of its map agrees with the floor plan, beside the ceiling; nothing from one seed.
+    """Sentences on the agreement of each method's map with the floor plan, beside the ceiling's; none from one seed.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ def scans_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, A
 
 
 def scans_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
-    """For each method what its profiles miss, invent, and how sure they are; nothing from one seed.
+    """Sentences on the missed and false obstacles of each method's profiles, and their sigmas; none from one seed.
 
     Parameters
     ----------

@@ -163,7 +163,7 @@ def _seen_from(view: View) -> Array:
 
 @lru_cache(maxsize=8)
 def _corners_of(sensor: Sensor) -> tuple[np.ndarray, Array]:
-    """For each corner of the pixels, flat, its column among directions `[3, n]`; and these."""
+    """The column of each pixel corner, flat, among directions `[3, n]`; and these directions."""
     height, width = sensor.camera.height_px, sensor.camera.width_px
     v, u = (np.ascontiguousarray(each.ravel() - 0.5) for each in np.indices((height + 1, width + 1), dtype=np.float64))
     _, directions, _ = reflected_rays(sensor, u, v)

@@ -102,7 +102,7 @@ def lopsided() -> Scenery:
 
 
 def fresh(pair: Pair, *, threads: int | None = None) -> Pair:
-    """The same pair of which nothing is known yet, in memory of its own and without colours."""
+    """A copy of the pair without cached results and colours, in memory of its own."""
     first, second = (image.copy() for image in pair.images)
     keys = object(), object()
     return replace(pair, images=(first, second), threads=threads, keys=keys, share=sharing(), bands=None)

@@ -132,7 +132,7 @@ class RangeSurface(OneLine):
 
     @cached_property
     def _membrane(self) -> Any:
-        """Over all pixels, without a tear; pixels without a range have the nearest one's."""
+        """The surface over all pixels, without tears; pixels without a range have the nearest pixel's."""
         filled = self._inverse[nearest_known(self.known)]
         points = cylinder(self.grid) / filled[..., None]
         right, below = np.roll(points, -1, axis=1), points[1:]

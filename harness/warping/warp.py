@@ -69,7 +69,7 @@ class Image(OneLine):
     """`[sensor height, sensor width]`, 0 .. 255."""
     sensor: Sensor
     motion: Motion
-    """From the frame of the sources to this view."""
+    """The motion from the frame of the sources to this view."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -78,7 +78,7 @@ class Source(OneLine):
 
     surface: RangeSurface
     motion: Motion
-    """From the frame of the sources to the map's."""
+    """The motion from the frame of the sources to the map's."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)

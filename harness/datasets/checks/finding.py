@@ -40,7 +40,7 @@ class StoredSet(OneLine):
 
 
 def listed(names: list[str], most: int = 3) -> str:
-    """Some of the names, and how many more there are."""
+    """The first names as text, with the number of all others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{', '.join(names[:most])}{more}"
 

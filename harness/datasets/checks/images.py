@@ -183,7 +183,7 @@ class _Small:
     """A small change: how it is said, from what size on, and the steps of its derivatives."""
 
     said: str
-    """With the median numbers put in by `str.format`, and their size as `size`."""
+    """The description, into which `str.format` puts the median numbers, and their size as `size`."""
     change: Change
     least: float
     steps: tuple[float, ...]

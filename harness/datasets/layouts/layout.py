@@ -135,7 +135,7 @@ class Layout:
 
     name: str
     title: str
-    """For people."""
+    """The layout's name for people."""
     readme: str
     """The part of README.txt about the files."""
     pair_files: Callable[[DatasetSpec, str, Pair], Files]

@@ -21,7 +21,7 @@ _OWN = {
     "kb4": ("kannala_brandt", {"k1": "k1", "k2": "k2", "k3": "k3", "k4": "k4"}),
     "pinhole": ("unified", {}),
 }
-"""For each `camera_type` our kind, and basalt's keys by ours."""
+"""This program's kind for each `camera_type`, and basalt's keys by this program's."""
 _MORE: dict[str, dict[str, Any]] = {"ucm": {"beta": 1.0}, "pinhole": {"xi": 0.0}}
 _NOTES = {"ucm": "ucm is eucm with beta = 1", "pinhole": PERSPECTIVE}
 

@@ -60,7 +60,7 @@ class OmnidirView:
 
 
 def omnidir_views(pair: Pair, cv2: Any) -> tuple[OmnidirView, OmnidirView]:
-    """Both views, both mirror images or both none: the motion between them is a rotation, as OpenCV expects."""
+    """Both views, with both images mirrored or neither: the motion between them is a rotation, as OpenCV expects."""
     frames = [opencv_from_sensor(sensor) for sensor in pair.sensors]
     cameras = [_camera_of(sensor) for sensor in pair.sensors]
     mirrored = [bool(np.linalg.det(frame) < 0) for frame in frames]

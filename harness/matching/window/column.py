@@ -334,7 +334,10 @@ class _Images:
 
 
 def _images(first: Panorama, second: Panorama, matcher: WindowMatcher, parts: int) -> _Images:
-    """Between columns view 2 is interpolated linearly. A position between two rows is valid if both of them are."""
+    """The images in the kernel's form, view 2 interpolated linearly between columns.
+
+    A position between two rows is valid if both of them are.
+    """
     pixels_1 = _quantised(first.values)
     values, valid = second.values, second.valid
     if parts > 1:

@@ -43,7 +43,7 @@ class _Curve:
 
 
 _Curves = dict[tuple[MethodStyle, str], list[_Curve]]
-"""For each method and surface, by range."""
+"""The curves of each method and surface, by range."""
 
 
 _TRADE_OFF = """

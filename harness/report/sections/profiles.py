@@ -163,7 +163,7 @@ def other_rows(methods: list[Method], count: int = 6) -> list[int]:
 
 
 def _spread(rows: NDArray[np.intp], count: int) -> list[int]:
-    """Some of the rows at even distances; the ends, where windows are cut, are left out where there are enough."""
+    """Evenly spaced rows; the ends, where windows are cut, are left out if there are enough rows."""
     if rows.size <= count:
         return [int(row) for row in rows]
     return [int(rows[round((i + 0.5) * rows.size / count - 0.5)]) for i in range(count)]

@@ -56,7 +56,7 @@ Each method over the pixels that it has an estimate for.
 
 @section_of(About.ALL_TRIALS, "regions", "Errors by region")
 def section(context: Context) -> Iterator[Block]:
-    """Over all trials; then the base trial, per pixel and per solid angle."""
+    """Errors by part over all trials, and of the base trial, per pixel and per solid angle."""
     several = context.sweep.several
     pictures, table = over_trials(context.sweep)
     occluded = any(row[1].text == OCCLUDED for row in table.rows)

@@ -102,7 +102,7 @@ def _table(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.DataFr
 
 
 def _findings(sweep: Sweep, methods: list[MethodStyle], errors: dict[str, pd.DataFrame]) -> Iterator[str]:
-    """For each surface and step: in how many settings it helps, by how much, and at which it helps most and least."""
+    """Sentences for each surface and step: in how many settings it helps, by how much, and where most and least."""
     for surface, table in errors.items():
         for index, method in enumerate(methods):
             if method.subpixel == _WHOLE:
