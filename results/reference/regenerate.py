@@ -3,8 +3,8 @@
 `paper.json` holds the paper's claims, and its experiment in each of the shipped scenes, `law.json` the test of the
 sensitivity law over all trials of `experiments/law.toml`, `law_best.json` the same with the best matcher,
 `matchers.json` the ladder of matchers on all scenes and how near they come to the bound, `budget.json` what each
-cause makes of the range's errors, `cameras.json` what three cameras make of the range, `localise.json` how many real images the views made of pairs are worth (some minutes each),
-and all of them what made the numbers.
+cause makes of the range's errors, `cameras.json` what three cameras make of the range, `localise.json` how many real
+images the views made of pairs are worth (some minutes each), and all of them what made the numbers.
 Tests compare with them (see `tests/test_reference.py`); a change of these numbers belongs into the same commit as the
 change that caused it.
 """
