@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
-from skimage.feature import daisy
 
 from harness.display import OneLine
 from harness.geometry.angles import Array
@@ -97,6 +95,8 @@ def magnitudes(panoramas: Panoramas) -> Array:
 
 def local_descriptors(panorama: NDArray[np.floating]) -> Array:
     """`[rows, columns, length]`: local descriptors on a lattice of 4 pixels, all around the panorama; unit length."""
+    from skimage.feature import daisy  # loading it takes long, and few runs need it
+
     grey = np.asarray(panorama, dtype=np.float64) / 255
     columns = grey.shape[1] - grey.shape[1] % _STEP
     # The padding exceeds the blur's reach, so that border effects stay within the columns that are cut off.
@@ -113,6 +113,8 @@ def local_descriptors(panorama: NDArray[np.floating]) -> Array:
 
 def train_vlad(locals_of: Sequence[Array], words: int, rng: np.random.Generator) -> Vlad:
     """Visual words of some panoramas' local descriptors, by k-means."""
+    from scipy.cluster.vq import kmeans2
+
     every = np.concatenate([each.reshape(-1, each.shape[-1]) for each in locals_of])
     if len(every) > _MOST_TRAINED:
         every = every[rng.choice(len(every), _MOST_TRAINED, replace=False)]

@@ -5,7 +5,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from harness.display import OneLine
@@ -106,6 +105,8 @@ def _scale(pairs: Correspondences, turn: Turn, limit_px: float) -> float:
 
 def _minimised(pairs: Correspondences, start: Turn, freedom: Freedom, scale: float, limit_px: float) -> Turn:
     """The motion of least Cauchy loss in the tangent space at the start."""
+    from scipy.optimize import least_squares  # loading it takes long, and few runs need it
+
     e = sampson(pairs, start)
     near = pairs.at((np.abs(e) < max(limit_px, _FAR * scale)) & lies_before(pairs, start))
     turns, steps = tangents(start, freedom)

@@ -1,7 +1,6 @@
 """The floor plan of a scene: its surfaces cut by horizontal planes in a band of heights."""
 
 import numpy as np
-import trimesh
 
 from harness.geometry.angles import Array
 from harness.mapping.settings import Scan
@@ -23,6 +22,8 @@ def floor_plan(scene: Scene, near_m: tuple[float, float, float], scan: Scan) -> 
     InputError
         When the band lies outside of a closed scene.
     """
+    import trimesh  # loading it takes long, and few runs need it
+
     geometry = geometry_near(scene, near_m)
     corners = geometry.corners
     mesh = trimesh.Trimesh(
