@@ -17,7 +17,7 @@ paper: $(STAMP)  ## reproduce the paper; the report is results/paper/report.html
 test: $(STAMP)  ## run the tests, on all cores
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not long"
 
-findings: $(STAMP)  ## measure anew what the README quotes, into results/reference/, and print its sentences: hours
+findings: $(STAMP)  ## measure anew what the README quotes, into results/reference/, and say what changed: hours; goes on after Ctrl-C
 	$(BIN)/python results/reference/regenerate.py
 	$(BIN)/python results/reference/findings.py
 

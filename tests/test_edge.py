@@ -116,7 +116,7 @@ def test_what_a_matcher_raises_is_one_failed_trial(folder: Path, capsys: pytest.
     arguments = ["--axis", f"matching.parameters.how={how},none", "--out", "o", "--no-report"]
     assert main(["run", "e.toml", *arguments]) == 1
     table = (folder / "o" / "trials.csv").read_text().splitlines()
-    assert [line.split(",")[1] for line in table] == ["state", "failed", "done"]
+    assert [line.split(",")[0] for line in table] == ["state", "failed", "done"]
     assert f"{name}:match: fails: {FAILURES[how]} (" in (folder / "o" / "failures.csv").read_text()
     assert "1 of 2 trials failed; o/failures.csv says why" in capsys.readouterr().err
 
@@ -153,7 +153,7 @@ def test_a_worker_that_a_matcher_ends(folder: Path) -> None:
     ran = omnirange(folder, "run", "e.toml", "--axis", axis, "--out", "o", "--no-report", "--workers", 2)
     assert ran.returncode == 1
     table = (folder / "o" / "trials.csv").read_text().splitlines()
-    assert [line.split(",")[1] for line in table] == ["state", "failed", "done"]
+    assert [line.split(",")[0] for line in table] == ["state", "failed", "done"]
 
 
 # --- What is printed ----------------------------------------------------------------------------------------------

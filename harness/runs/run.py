@@ -360,9 +360,9 @@ def _trials(experiment: Experiment, rows: list[Row]) -> str:
     figures = [row.payload.get("figures", {}) if row.state == "done" else {} for row in rows]
     names = list(dict.fromkeys(name for each in figures for name in each))
     return _csv(
-        ["key", "state", *columns_of(experiment), *names],
+        ["state", *columns_of(experiment), *names, "key"],
         (
-            [row.planned.key, row.state, *map(text_of, row.coordinates.values()), *(each.get(name) for name in names)]
+            [row.state, *map(text_of, row.coordinates.values()), *(each.get(name) for name in names), row.planned.key]
             for row, each in zip(rows, figures, strict=True)
         ),
     )
@@ -372,9 +372,9 @@ def _timings(rows: list[Row]) -> str:
     seconds = [json.loads(row.finished.seconds) for row in rows]
     stages = list(dict.fromkeys(stage for each in seconds for stage in each))
     return _csv(
-        ["key", *(f"{stage}_s" for stage in stages)],
+        [*(f"{stage}_s" for stage in stages), "key"],
         (
-            [row.planned.key, *(each.get(stage) for stage in stages)]
+            [*(each.get(stage) for stage in stages), row.planned.key]
             for row, each in zip(rows, seconds, strict=True)
             if row.state == "done"
         ),
@@ -383,9 +383,9 @@ def _timings(rows: list[Row]) -> str:
 
 def _failures(experiment: Experiment, rows: list[Row]) -> str:
     return _csv(
-        ["key", *columns_of(experiment), "message", "traceback"],
+        [*columns_of(experiment), "message", "traceback", "key"],
         (
-            [row.planned.key, *map(text_of, row.coordinates.values()), row.finished.message, row.finished.traceback]
+            [*map(text_of, row.coordinates.values()), row.finished.message, row.finished.traceback, row.planned.key]
             for row in rows
             if row.state == "failed"
         ),

@@ -1,7 +1,7 @@
 """The sentences of the README that quote a measured number, made of the files beside this one.
 
-`python results/reference/findings.py` prints them; a test holds the README against them, so that no number there can
-be older than its measurement, or say more than its interval.
+`python results/reference/findings.py` prints those that the README does not have; a test holds the README against
+them, so that no number there can be older than its measurement, or say more than its interval.
 """
 
 import json
@@ -265,5 +265,17 @@ def _percent(values: list[float]) -> str:
     return f"{low:.0f}" if f"{low:.0f}" == f"{high:.0f}" else f"{low:.0f} to {high:.0f}"
 
 
+def main() -> None:
+    """Print the sentences that the README does not have."""
+    readme = " ".join((HERE.parents[1] / "README.md").read_text(encoding="utf-8").split())
+    sentences = findings()
+    missing = [each for each in sentences if each not in readme]
+    if missing:
+        print(f"README.md does not say {len(missing)} of {len(sentences)} sentences that follow from these numbers:")
+    else:
+        print(f"README.md says all {len(sentences)} sentences that follow from these numbers")
+    print("\n".join(missing), end="\n" if missing else "")
+
+
 if __name__ == "__main__":
-    print("\n".join(findings()))
+    main()

@@ -25,6 +25,7 @@ an estimate. The domain is where the true point is visible in both views and sin
 {{ domain.on_walls }} of them on walls){% endif %}. Density is the share of it with an
 estimate; pixels without one count nowhere else. Disparity errors are errors of <i>α</i><sub>2</sub>, one pixel being
 2π/{{ width_px }} rad = {{ "%.4g" | format(column_deg) }}°. Bias is the mean signed error, estimate minus truth.
+One trial of each method: there is no interval.
 """
 _TABLE = """
 <thead><tr><th scope="col" class="text">Method</th>
@@ -46,7 +47,8 @@ _TABLE = """
 """
 _ALONE = "<p>This experiment has one method only, so there is nothing to compare it with.</p>"
 _ONE_TRIAL_EACH = """
-<p>This table and the figures of the sections that follow it are about one trial of each method:
+<p>This table and the figures of the sections that follow it are about one trial of each method, and so without an
+interval:
 {% for method, coordinates, _ in trials %}{{ method.label }} ({{ coordinates or "as the base trial" }})
 {{- "; " if not loop.last else "." }}{% endfor %}{{ " " }}
 The <a href="#measures">table of all figures</a> has all trials.</p>
