@@ -96,11 +96,15 @@ def cases_table(summary: dict[str, Any]) -> "Table":
     cases = summary["cases"]
     methods = {(each["matcher"], each["subpixel"]) for each in cases}
     columns = [METRICS[name] for name in _OF_CASES]
-    between = next((each for each in cases if each[f"{_MAIN}_ci95"]), None) is not None
+    between = any(each[f"{_MAIN}_ci95"] for each in cases)
     without = "" if between else ", one seed, without an interval"
     heads = [_in_two_lines(each) + (" \\[95 %]" if between and each.name == _MAIN else "") for each in columns]
     figures = [
-        [_figure(each[column.name], column, each.get(f"{column.name}_ci95")) for column in columns] for each in cases
+        [
+            _figure(each[column.name], column, each[f"{_MAIN}_ci95"] if column.name == _MAIN else None)
+            for column in columns
+        ]
+        for each in cases
     ]
     table = _table(f"{escape(summary['experiment'])}: means over the trials of each case{without}")
     by_method = len(methods) > 1 and not summary.get("labels")
@@ -224,7 +228,7 @@ def _room_for_names(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> int:
     widths = [max(map(len, head.replace("\\[", "[").split("\n"))) for head in heads]
     for row in rows:
         widths = [max(width, len(cell.replace("\\[", "["))) for width, cell in zip(widths, row, strict=True)]
-    return max(12, Console().width - sum(widths) - 2 * len(widths))
+    return max(12, Console().width - sum(widths) - 2 * len(widths) - 3)
 
 
 def _in_lines(name: str, width: int) -> str:

@@ -30,8 +30,8 @@ def figures_of_cases(experiment: Experiment, done: Iterable[tuple[Planned, dict[
     -------
     list of dict
         `case`, its `settings`, `matcher`, `subpixel`, `trials`, `seeds`, and each of `FIGURES` as a mean over the
-        case's trials, a geometric one for medians of errors: all axes and seeds count alike. `range_median_abs_m_ci95`
-        is its 95 % interval by bootstrap over seeds, None from one seed.
+        case's trials, a geometric one for medians of errors: all axes and seeds count alike. A name with
+        `_ci95` is the 95 % interval by bootstrap over seeds, None from one seed.
     """
     settings = {case.get(NAME): settings_of(case) for case in experiment.cases}
     groups: dict[tuple[str, MethodName], list[tuple[int, dict[str, Any]]]] = {}
@@ -63,6 +63,5 @@ def _means(trials: list[tuple[int, dict[str, Any]]]) -> dict[str, Any]:
         curve = mean_over_seeds(table, logarithmic=METRICS[name].geometric)
         mean, ends = float(curve.mean[0]), (float(curve.low[0]), float(curve.high[0]))
         means[name] = mean if math.isfinite(mean) else None
-        if name == "range_median_abs_m":
-            means[f"{name}_ci95"] = list(ends) if np.isfinite(ends).all() else None
+        means[f"{name}_ci95"] = list(ends) if np.isfinite(ends).all() else None
     return means

@@ -24,7 +24,8 @@ Median |range error| of each case over all pixels of the domain: geometric means
 seeds{% if few_seeds %}, which are rather too short from so few{% endif %}{% endif %}.
 """
 _TABLE = """
-The figures of each case: means over its trials, geometric ones for medians of errors.
+The figures of each case: means over its trials, geometric ones for medians of errors
+{%- if seeds > 1 %}, with 95 % intervals from resampling seeds{% else %}; of one seed, without intervals{% endif %}.
 """
 _CHANGES = """
 <details><summary>What each case changes in the base trial</summary>
@@ -52,7 +53,7 @@ def section(context: Context) -> Iterator[Block]:
     caption = html(_CAPTION, seeds=seeds, few_seeds=seeds < FEW_SEEDS)
     data = Data("cases", _NAMES, [[_plain(entry, name) for name in _NAMES] for entry in entries])
     yield Figure("figure-cases", [_picture(context.sweep, entries)], caption, layout="wide", data=data)
-    yield TableBlock("table-cases", _table(context.sweep, entries), html(_TABLE), full=False)
+    yield TableBlock("table-cases", _table(context.sweep, entries), html(_TABLE, seeds=seeds), full=False)
     yield Paragraph(html(_CHANGES, changes={each["case"]: _settings(each) for each in entries}.items()))
 
 

@@ -47,9 +47,9 @@ _WITH_INTERVAL = ("disparity_median_abs_px", "range_median_abs_m")
 
 
 _TABLE = """
-All figures{% if several %}, means over seeds with 95 % intervals under the two main ones{% endif %}; each trial over
-the pixels of the domain that it has an estimate for, except where a surface or the solid angle is named. Pixels without
-an estimate count in the density alone. A50 to A99: quantiles of the absolute disparity error. AbsRel: mean of
+All figures{% if several %}, means over seeds with 95 % intervals under the two main ones alone{% endif %}; each trial
+over the pixels of the domain that it has an estimate for, except where a surface or the solid angle is named. Pixels
+without an estimate count in the density alone. A50 to A99: quantiles of the absolute disparity error. AbsRel: mean of
 |error|/<i>d</i>. SqRel: mean of error²/<i>d</i>. SILog: standard deviation of log(estimate/<i>d</i>). δ: share of
 estimates within that factor of the truth. Seam: mean over rows of the difference between the errors in the first and
 in the last column. Boundaries: pixels where Sobel’s gradient of the range is longer than stated, in estimate and truth;

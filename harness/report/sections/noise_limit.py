@@ -35,7 +35,8 @@ holds a discontinuity have no bound and are left out. Methods without a window o
 _TABLE = """
 Sampled pixels of the domain. Spread: median standard deviation over seeds, corrected for their number; bias: median of
 |mean error| over seeds, less what the spread explains. Within 1σ: share of errors within one standard deviation as the
-method predicts it; 68.3 % if the prediction is right. Without noise there is no spread.
+method predicts it; 68.3 % if the prediction is right. Without noise there is no spread. The
+figures are of all pixels and seeds together, without intervals; the figure shows the quartiles of the pixels.
 """
 
 

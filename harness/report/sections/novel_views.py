@@ -36,7 +36,7 @@ ranges, the ceiling of any matcher. Dotted: the nearest of the two images as it 
 _TABLE = """
 The same in figures. Gain: warped less nearest image. WS-PSNR: pixels weighted by their solid angle. Holes: filled, as
 no source shows what is there. Not seen before: what the first view cannot have seen, by the truth; its error is that of
-the filled picture.
+the filled picture. Figures without an interval are means over seeds.
 """
 _PICTURES = """
 The view {{ "%.3g" | format(distance) }} m from the first viewpoint, with the ranges of {{ method }}: as rendered, as

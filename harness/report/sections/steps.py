@@ -31,7 +31,8 @@ helps much.</p>
 {% endfor %}</ul>
 """
 _TABLE = """
-Median absolute disparity error by setting, geometric means over seeds; ◂ marks the smallest of a row.
+Median absolute disparity error by setting, geometric means over seeds, without intervals; ◂ marks the smallest of a
+row.
 """
 
 
