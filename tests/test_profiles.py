@@ -365,7 +365,10 @@ def test_the_best_calibration_of_an_aligned_profile_is_the_nearest_central_senso
         ({"profile": {"kind": "table", "camera_m": 0.1, "r_mm": [0, 1, 2, 2], "z_mm": [0, 1, 2, 3]}}, "r_mm must"),
         ({"profile": {"kind": "table", "camera_m": 0.1, "r_mm": [0, 1, 2, 3], "z_mm": [0, 1, 1, 3]}}, "z_mm must"),
         ({"profile": {"kind": "table", "camera_m": 0.1, "r_mm": [1, 2, 3, 4], "z_mm": [0, 1, 2, 3]}}, "at 0"),
-        ({"profile": {"kind": "table", "camera_m": 0.1, "r_mm": [0, 1, 2, 3], "z_mm": [0, 1, 2, 3, 4]}}, "as many"),
+        (
+            {"profile": {"kind": "table", "camera_m": 0.1, "r_mm": [0, 1, 2, 3], "z_mm": [0, 1, 2, 3, 4]}},
+            "equally many",
+        ),
     ],
 )
 def test_what_is_no_mirror_is_refused(table, said):

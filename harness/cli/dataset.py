@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
         brief="make a data set of pairs with their truth over random scenes, or check one",
         description="Make a data set: pairs of images with range, correspondences, occlusion, normals, poses and "
         "calibrations over seeded random scenes. An interrupted set goes on where it stopped. With "
-        "check DIR: look for what is wrong with a data set, made here or by anybody else.",
+        "check DIR: check any data set for faults, made by this program or another.",
         epilog=f"shipped data sets: {', '.join(shipped.names('datasets'))}",
     )
     argument = command.add_argument(

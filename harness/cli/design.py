@@ -38,7 +38,7 @@ def add(commands: Commands) -> None:
         "design",
         run,
         brief="the range errors to expect of a rig; the rigs that reach an accuracy",
-        description="Predict the range errors of a rig by cause: noise, the matcher, what is wrongly believed of the "
+        description="Predict the range errors of a rig by cause: noise, the matcher, and errors of the "
         "motion, the calibration and the mirror's alignment. With --accuracy, find the cheapest rigs that reach it. "
         "Nothing is rendered but for --verify.",
         epilog="Cost: 1 for a megapixel, 1 for a mirror of 60 mm across (by its area), 1 for a metre of baseline; "

@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
     command = commands.add(
         "map",
         run,
-        brief="a map of what is free and what is occupied, from images of your own",
+        brief="a map of free and occupied space, from images of your own",
         description="Match each of several omnidirectional images with the next, as omnirange range does, make range "
         "profiles of the pairs, as omnirange scan does, and put them together on a grid: map.png and map.yaml, as "
         "ROS's map_server reads them.",

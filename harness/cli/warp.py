@@ -64,7 +64,7 @@ def add(commands: Commands) -> None:
         metavar=("W", "H"),
         help="with --as perspective: pixels (640 480)",
     )
-    command.add_argument("--fill", action="store_true", help="fill holes from what is around them")
+    command.add_argument("--fill", action="store_true", help="fill holes from their surroundings")
     add_out(command, required=True)
 
 

@@ -52,7 +52,7 @@ class RigDesign(Spec):
         if self.sensor.profile is not None:
             raise ValueError("sensor.profile: a design needs a camera with a viewpoint; give the nearest sensor.model")
         if not self.sensor.is_central:
-            raise ValueError("sensor.misalignment: give what is not known of it, as uncertainty.alignment_mm and _deg")
+            raise ValueError("sensor.misalignment: give its uncertainty, as uncertainty.alignment_mm and _deg")
         if (self.uncertainty.alignment_mm or self.uncertainty.alignment_deg) and not self.has_mirror:
             raise ValueError("uncertainty.alignment_mm and _deg are for sensors with a hyperboloid mirror")
         if self.window_px % 2 == 0:

@@ -37,7 +37,7 @@ MAPS = {
     "true_alpha_2": ("rad", "the angle that alpha_2 should be"),
     "sigma_alpha_2": (
         "rad",
-        "standard deviation of alpha_2 as the matcher predicts it, or else from what is left between the views",
+        "standard deviation of alpha_2 as the matcher predicts it, or else from the residuals between the views",
     ),
     "confidence": ("", "the matcher's own, higher is more confident; only if the matcher has one"),
     "reason": ("", "why there is no range: " + ", ".join(f"{each.value} {each.name.lower()}" for each in Reason)),

@@ -160,5 +160,5 @@ def _map(estimate: Estimate, values: Array, label: str, title: str) -> Picture:
     fig.colorbar(drawn, cax=bar, label=label, extend="both")
     bar.minorticks_off()
     theme.logarithmic(bar, "y", float(low), float(high))
-    alt = f"{title} over the panorama, from {low:.3g} to {high:.3g} metres; hatched where there is none."
+    alt = f"{title} over the panorama, from {low:.3g} to {high:.3g} metres; hatched where it is missing."
     return theme.picture(fig, alt)

@@ -14,7 +14,7 @@ _BY_ALPHA = '("alpha", with kind = "window")'
 _CAUSES = (
     (
         (Reason.WINDOW_LEAVES_IMAGE, Reason.CURVE_LEAVES_IMAGE),
-        "windows leave what is seen of the panorama",
+        "windows leave the visible part of the panorama",
         {
             "matching.window_px": "(smaller)",
             "panorama.z_min": "",

@@ -256,7 +256,7 @@ class Store:
             return None
         ((value, seal),) = rows
         if seal != _seal(name, value):
-            raise self._changed(f"what is kept as '{name}'")
+            raise self._changed(f"the record '{name}'")
         return json.loads(value)
 
     def set_fact(self, name: str, value: Any) -> None:
