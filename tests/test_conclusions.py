@@ -112,7 +112,13 @@ def test_axes_come_in_the_order_of_what_they_do_and_those_that_do_nothing_togeth
     assert third.startswith("chip.bits and view_2.roll_deg make no difference that these seeds show (")
 
 
-def test_a_first_screen_has_four_sentences_and_the_warning():
+def test_sizes_are_products():
+    sizes = {"scene.objects.0.size_m": [[4.0, 4.0, 6.0], [8.0, 8.0, 6.0]]}
+    (sentence,) = conclusions(rows(lambda _m, s, seed: 0.01 * luck(seed) * s["scene.objects.0.size_m"][0], axes=sizes))
+    assert " at 4 × 4 × 6, and 2 [2, 2] times that, " in sentence
+
+
+def test_a_first_screen_has_three_sentences_and_the_warning():
     said = [f"{number}." for number in range(6)] + ["Intervals are over 3 seeds, and come out too short."]
-    assert leading(said) == (["0.", "1.", "2.", "3.", said[-1]], ["4.", "5."])
+    assert leading(said) == (["0.", "1.", "2.", said[-1]], ["3.", "4.", "5."])
     assert leading(said[:2]) == (said[:2], [])

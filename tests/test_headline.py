@@ -97,10 +97,11 @@ def test_spread_against_the_bound_is_of_the_method_that_comes_nearest():
 
 
 def test_a_budget_says_how_much_all_causes_make_and_which_most():
-    def entry(causes, range_m, predicted, ends):
+    def entry(causes, range_m, predicted, ends, seeds=4):
         return {
             "matcher": "slanted", "subpixel": "own", "condition": " ".join(causes), "causes": causes,
             "range_m": range_m, "predicted_m": predicted, "measured_m": 0.02 * range_m, "measured_ci95_m": ends,
+            "seeds": seeds,
         }  # fmt: skip
 
     both = ["rotation", "alignment"]
@@ -108,6 +109,7 @@ def test_a_budget_says_how_much_all_causes_make_and_which_most():
         entry(["rotation"], 1.0, {"matching": 0.001, "rotation": 0.01}, [0.01, 0.03]),
         entry(both, 4.0, {"matching": 0.001, "rotation": 0.09, "alignment": 0.02}, None),
         entry(both, 1.0, {"matching": 0.001, "rotation": 0.01, "alignment": 0.02}, [0.01, 0.03]),
+        entry(both, 8.0, {"matching": 0.1, "rotation": 0.01, "alignment": 0.02}, [0.01, 0.03], seeds=2),
     ]
     assert headline(rows(lambda *_: 0.01), Findings(budget=budget)) == (
         "With all causes together, 68 % of the errors of slanted are within 20 [10, 30] mm at 1.0 m, "

@@ -50,13 +50,13 @@ def test_cases_have_intervals_or_say_that_they_have_none(capsys):
     assert "without an interval" in capsys.readouterr().out
 
 
-def test_more_than_four_sentences_are_in_the_report(capsys):
+def test_more_than_three_sentences_are_in_the_report(capsys):
     said = [f"Sentence {number}, of 12 mm." for number in range(6)]
     show({"experiment": "mine", "headline": "So.", "conclusions": said, "comparison": {}})
     printed = capsys.readouterr().out
-    assert "Sentence 3, of 12\u00a0mm." in printed
-    assert "Sentence 4" not in printed
-    assert "- 2 more in the report" in printed
+    assert "Sentence 2, of 12\u00a0mm." in printed
+    assert "Sentence 3" not in printed
+    assert "- 3 more in the report" in printed
 
 
 def test_the_best_baseline_of_one_seed_has_no_interval():

@@ -125,7 +125,7 @@ def _dry_run(experiment: "Experiment", given: str, *, with_report: bool) -> int:
     time = (
         f"about {rounded} on {cpus} CPU{'s' * (cpus != 1)} (a guess from sizes of images and the matchers)"
         if not whole.unknown
-        else f"no estimate of the time: that of {listed(whole.unknown)} is not known"
+        else f"no estimate of the time: that of {listed(f'“{each}”' for each in whole.unknown)} is not known"
     )
     print(
         f"{experiment.name}: {len(whole.trials)} trial{'s' * (len(whole.trials) != 1)}, "

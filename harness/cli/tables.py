@@ -232,12 +232,16 @@ def _room_for_names(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> int:
 
 
 def _in_lines(name: str, width: int) -> str:
-    """A name in lines that end at a space or after a sign such as `/`, `:` and `_`, and never inside a word."""
+    """A name in lines that end at a space or after a sign such as `/`, `:` and `_`, at a hyphen only where a part would
+    be longer than a line, and never inside a word.
+    """
+    parts = re.findall(r".*?[\s/:_.(=]+|.+", name)
+    pieces = (piece for part in parts for piece in ([part] if len(part) <= width else re.findall(r".*?-+|.+", part)))
     lines = [""]
-    for part in re.findall(r".*?[\s/:_.(=-]+|.+", name):
-        if lines[-1] and len(lines[-1] + part.rstrip()) > width:
+    for piece in pieces:
+        if lines[-1] and len(lines[-1] + piece.rstrip()) > width:
             lines.append("")
-        lines[-1] += part
+        lines[-1] += piece
     return "\n".join(line.rstrip() for line in lines)
 
 

@@ -96,19 +96,18 @@ def _by(matcher: MatcherSettings) -> str:
 def overview(result: Result, sweep: Sweep) -> Iterator[str]:
     """Sentences on the axes of a sweep, and on how many of its trials are done."""
     counts = result.summary["trials"]
-    axes = [_varied(axis) for axis in sweep.axes]
-    labels = [method.label for method in sweep.methods]
-    methods = ("; " if any("," in label for label in labels) else ", ").join(labels)
-    over = f" over {'; '.join(axes)}" if axes else ""
-    seeds = f", {len(sweep.seeds)} seeds" if len(sweep.seeds) > 1 else ""
-    yield f"{counts['done']} trials{over}{seeds}; methods: {methods}."
+    trials = f"{counts['done']} trial{'s' * (counts['done'] != 1)}"
+    seeds = [f"{len(sweep.seeds)} seeds"] if len(sweep.seeds) > 1 else []
+    labels = [f"“{method.label}”" if "," in method.label else method.label for method in sweep.methods]
+    methods = f"method{'s' * (len(labels) != 1)}: {', '.join(labels)}"
+    yield f"{'; '.join([trials, *map(_varied, sweep.axes), *seeds, methods])}."
     if counts["done"] < counts["total"]:
         failed = f", {counts['failed']} of them failed" if counts["failed"] else ""
         yield f"{counts['total'] - counts['done']} of {counts['total']} trials are missing{failed}."
 
 
 def _varied(axis: Axis) -> str:
-    """An axis with its values: `window 7, 15 px`. Cases are counted: their names would not be told from each other."""
+    """An axis with its values: `window: 7, 15 px`. Cases are counted: their names would not be told from each other."""
     if axis.key == CASE:
         return f"{len(axis.values)} cases"
     texts = [
@@ -116,7 +115,7 @@ def _varied(axis: Axis) -> str:
         for value, text in zip(axis.values, axis.texts, strict=True)
     ]
     texts = texts if len(set(texts)) == len(texts) else axis.texts
-    return f"{axis.name} {_first_few(texts)}{f' {axis.unit}' if axis.unit else ''}"
+    return f"{axis.name}: {_first_few(texts)}{f' {axis.unit}' if axis.unit else ''}"
 
 
 def _first_few(texts: list[str]) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FIGURES = (("wall", "wall_range_median_abs_m"), ("all", "range_median_abs_m"))
 """Median |range error| of walls, where square windows fit; of everything where there are no walls."""
-_MOST = 4
+_MOST = 3
 """Sentences that a first screen has room for, beside the headline and its picture."""
 _FEW = "Intervals are over"
 _LEAST = 0.02
@@ -237,4 +237,6 @@ def _quoted(text: str) -> str:
 
 def value_text(value: Any) -> str:
     """A value of an axis."""
+    if isinstance(value, list) and all(isinstance(each, int | float) for each in value):
+        return " × ".join(f"{each:g}" for each in value)
     return f"{value:g}" if isinstance(value, float) else text_of(value) if not isinstance(value, dict) else shown(value)

@@ -129,7 +129,8 @@ def _of_the_budget(budget: Sequence[dict[str, Any]], labels: Mapping[MethodName,
         return None
     most = max(budget, key=lambda each: len(each["causes"]))
     mine = [each for each in budget if all(each[key] == most[key] for key in ("matcher", "subpixel", "condition"))]
-    mine.sort(key=lambda each: float(each["range_m"]))
+    most_seeds = max(each["seeds"] for each in mine)  # ranges that only some seeds have are of few pixels
+    mine = sorted((each for each in mine if each["seeds"] == most_seeds), key=lambda each: float(each["range_m"]))
     parts = []
     for each in dict.fromkeys((0, len(mine) - 1)):
         entry = mine[each]
