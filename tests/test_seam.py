@@ -101,7 +101,9 @@ def test_slanted_windows():
         refine_slanted(each.pair.images, each.pair.sensors, each.pair.motion, GRID, start).alpha_2
         for each in (here, there)
     ]
-    np.testing.assert_array_equal(np.isfinite(refined[0]), np.isfinite(refined[1]))
+    # The match back is read at the nearest pixel of view 2. Half-way between two it is either of them, by rounding, and
+    # beside an edge these differ; how far it misses is part of the standard deviation, which decides.
+    assert np.mean(np.isfinite(refined[0]) != np.isfinite(refined[1])) < 1e-3
     assert np.isfinite(refined[0]).mean() > 0.9
     # Images and planes are continued by six windows, beyond which next to nothing reaches back.
     assert np.nanmax(np.abs(refined[0] - refined[1])) < 1e-5 * GRID.phi_pitch

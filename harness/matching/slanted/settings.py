@@ -30,7 +30,8 @@ class Slanted(MatcherSettings):
     consistency_px: Positive = 1.0
     """Largest difference from view 2's own match, panorama pixels."""
     max_sigma_px: Positive = 1.0
-    """Largest predicted standard deviation of a match, panorama pixels; beyond it the pixel has none."""
+    """Largest predicted standard deviation of a match, panorama pixels; beyond it the pixel has none. The limit is the
+    narrower the less the pixel's surroundings bear the match out; see `doubt.factor`."""
 
     @model_validator(mode="after")
     def _have_a_centre(self) -> "Slanted":

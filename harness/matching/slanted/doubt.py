@@ -1,0 +1,94 @@
+"""What least squares cannot know of a match: whether its plane is that of the pixel's own surface.
+
+The standard deviation of a fit says how far noise moves the plane that its window shows. It knows nothing of a window
+that lies across a crease or a border, on texture beside a blank place, or on nothing that the two views have in common.
+Three things tell. The planes of the windows around differ, which bounds the standard deviation from below. Pixels near
+by remain unexplained. And what the plane was fitted to lies elsewhere. The last two are no errors by themselves; they
+make a large one likelier, so that such a match is held to a narrower limit: see `factor`.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from harness.geometry.angles import Array
+from harness.matching.slanted import _doubt_kernels as _kernels
+from harness.matching.slanted.field import Field, Samples, View, Warp, in_rows
+
+_USUAL = 0.2
+"""The share of the variance around a pixel that may remain unexplained before a match is doubted."""
+_BY_UNEXPLAINED = 2.0
+"""How fast doubt grows with that share: by e for each half. This and the next two were fitted to the logarithm of the
+odds of an error above 1 px (the scenes of `benchmarks/occlusion.py`, without `--unseen`)."""
+_BY_TEXTURE = 0.55
+"""The power with which doubt grows as the texture around the pixel falls below the window's."""
+_MOVED = 2.0
+"""The doubt of a plane taken from a window beside the pixel: it is extrapolated."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What lies around every mirror pixel; all `[height, width]`."""
+
+    disagreement: Array
+    """1/m: how far the planes around are from the pixel's own, there."""
+    unexplained: NDArray[np.float32]
+    """The residual's mean square about the pixel as a share of the image's variance there."""
+    texture_near: Array
+    """Sum of g² per squared motion over the pixel's surroundings."""
+    texture: Array
+    """The same over a window."""
+
+
+def surroundings_of(
+    field: Field, first: View, samples: Samples, warp: Warp, window_px: int, pool: ThreadPoolExecutor
+) -> Surroundings:
+    """What lies around every pixel of a field that view 2 was sampled at."""
+    shape, side = field.w.shape, 2 * (window_px // 4) + 1
+    square, disagreement = np.empty(shape, np.float32), np.empty(shape)
+    in_rows(
+        pool, len(square), _kernels.surroundings_rows, window_px // 2, warp.x, first.image, samples.known,
+        samples.value, field.plane, field.chosen, field.gain, field.offset, field.w, square, disagreement,
+    )  # fmt: skip
+    image = np.where(samples.known, first.image, np.float32(0))
+    count, mean, variance, unexplained = (
+        ndimage.uniform_filter(a, side, mode="constant", output=np.float64)
+        for a in (samples.known.astype(np.float32), image, np.square(image, dtype=np.float64), square)
+    )
+    # In units of the means over all pixels of the square, known or not. A grey level's rounding is below 1.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance -= mean * mean / count
+        unexplained /= np.maximum(variance, 0.0) + count
+    g2, motion = (np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion))
+
+    def density(over: int) -> Array:
+        texture, moved = (ndimage.uniform_filter(a, over, mode="constant") for a in (g2, motion))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.divide(texture, moved, out=texture)
+
+    return Surroundings(disagreement, unexplained.astype(np.float32), density(near(window_px)), density(window_px))
+
+
+def near(window_px: int) -> int:
+    """Side of a pixel's surroundings, odd: two fifths of the window's."""
+    return 2 * (window_px // 5) + 1
+
+
+def factor(around: Surroundings, index: NDArray[np.intp], window: NDArray[np.int64]) -> Array:
+    """How many times as narrow a limit the standard deviations of pixels are held to; below 1 for none.
+
+    Parameters
+    ----------
+    index
+        Flat indices of the mirror pixels.
+    window
+        Those of the windows that they take their planes from.
+    """
+    unexplained = np.clip(around.unexplained.ravel()[index] - _USUAL, 0.0, 2.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        texture = around.texture_near.ravel()[index] / around.texture.ravel()[window]
+        doubt = np.exp(_BY_UNEXPLAINED * unexplained) * np.clip(texture, 0.0, 2.0) ** -_BY_TEXTURE
+    return np.where(window != index, _MOVED * doubt, doubt)
