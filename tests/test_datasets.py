@@ -210,6 +210,17 @@ class TestMaking:
         assert "nothing to do" in capsys.readouterr().out
         assert {path: path.stat().st_mtime_ns for path in (tmp_path / "set").rglob("*")} == before
 
+    def test_a_finished_set_with_a_file_cut_off_is_not_called_finished(self, small_set, tmp_path, capsys):
+        shutil.copytree(small_set("rooms"), tmp_path / "set")
+        cut, gone, *_ = sorted((tmp_path / "set").rglob("range_1.npy"))
+        cut.write_bytes(cut.read_bytes()[:100])
+        gone.unlink()
+        given = tmp_path / "spec.toml"
+        given.write_text(dump_toml(small("rooms")), encoding="utf-8")
+        assert main(["dataset", str(given), "--out", str(tmp_path / "set")]) == 2
+        said = capsys.readouterr().err
+        assert f"{cut}: is missing or cut off, as 2 of the" in said
+
     def test_plan_says_time_and_space(self, capsys):
         tiny = ["rig.width_px=64", "rig.height_px=48", "samples=1", "furniture.curved=[0,0]"]
         assert main(["dataset", "rooms", "--dry-run", *(word for each in tiny for word in ("--set", each))]) == 0

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from harness.cli.exits import FAILED, OK
-from harness.cli.options import Commands, Parser, add_images, add_out
+from harness.cli.options import Commands, Parser, add_images, add_out, positive
 from harness.cli.range import add_matching, estimate_of
 from harness.errors import InputError
 
@@ -42,7 +42,9 @@ def add(commands: Commands) -> None:
 
 def add_band(command: Parser) -> None:
     """Declare the options for the obstacles' band of heights, and for the height of view 1 above the floor."""
-    command.add_argument("--height", type=float, required=True, metavar="M", help="viewpoint 1 above the floor, metres")
+    command.add_argument(
+        "--height", type=positive, required=True, metavar="M", help="viewpoint 1 above the floor, metres"
+    )
     command.add_argument(
         "--band",
         type=float,

@@ -172,14 +172,29 @@ def _has_size(path: Path, size: int) -> bool:
 
 
 def is_complete(spec: DatasetSpec, folder: Path) -> bool:
-    """Whether a folder has the manifest of this very set; if so, a remaining journal is removed."""
+    """Whether a folder has the manifest of this very set; if so, a remaining journal is removed.
+
+    Raises
+    ------
+    InputError
+        When it has, and a file is missing or not as long as it was. (`omnirange dataset check` reads all of them.)
+    """
     from harness.datasets.layouts.reading import read_json
 
     file = folder / MANIFEST
-    complete = file.is_file() and read_json(file).get("spec_sha256") == spec_hash(spec)
-    if complete:
-        (folder / JOURNAL).unlink(missing_ok=True)
-    return complete
+    manifest = read_json(file) if file.is_file() else {}
+    if manifest.get("spec_sha256") != spec_hash(spec):
+        return False
+    files = manifest["files"]
+    damaged = [path for path, each in files.items() if not _has_size(folder / path, each["bytes"])]
+    if damaged:
+        raise InputError(
+            f"is missing or cut off, as {len(damaged)} of the {len(files)} files of this finished set; "
+            "remove its folder and make it again",
+            file=folder / damaged[0],
+        )
+    (folder / JOURNAL).unlink(missing_ok=True)
+    return True
 
 
 # --- Running --------------------------------------------------------------------------------------------------------
