@@ -211,7 +211,7 @@ def check_images(data: StoredSet) -> Iterator[Finding]:
     sights = [sight for pair in data.some(_MOST_PAIRS) if (sight := sight_of(pair)) is not None]
     if not sights:
         return
-    where = f"{len(sights)} pairs"
+    where = f"{len(sights)} pairs" if len(sights) > 1 else "1 pair"
     stated = correlation(sights, as_stated)
     better = {said: correlation(sights, change) for said, change in _READINGS.items()}
     better["the images of a pair are swapped"] = correlation(_swapped(sights), as_stated)
@@ -246,7 +246,8 @@ def _fitted(sights: Sequence[Sight], small: _Small) -> tuple[str, float] | None:
         size = float(np.linalg.norm(middle))
     else:
         middle, size = np.median(np.abs(numbers), axis=0), float(np.median(sizes))
-    if gain < _GAIN or size < small.least:
+    # A single pair has no other to agree with.
+    if gain < (_GAIN if len(sights) > 1 else 3 * _GAIN) or size < small.least:
         return None
     return small.said.format(*middle, size=size), gain
 
