@@ -43,6 +43,8 @@ def test_a_condition_that_comes_first_is_what_a_sweep_is_about():
     said = headline(rows(error_of, methods=METHODS, axes=axes))
     assert said.startswith("noise.sigma_grey: the median range error (column (parabola), on walls) is ")
     assert "at 0, and 2 [2, 2] times that, " in said
+    alike = headline(rows(lambda _m, s, seed: 0.01 * luck(seed, int(s["noise.sigma_grey"]))))
+    assert alike.startswith("noise.sigma_grey makes no difference that these seeds show (")
     # Where cases name the methods, these are what it is about, whatever the conditions.
     labels = {("column", "none"): "plain", ("column", "parabola"): "fine"}
     assert headline(rows(error_of, methods=METHODS, axes=axes), labels=labels).startswith("Best of 4 settings: fine ")

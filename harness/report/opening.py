@@ -89,7 +89,9 @@ def _wanted(context: Context) -> list[str]:
     sweep, said = context.sweep, context.summary.get("headline") or ""
     if not sweep.several:
         return []
-    axes = sorted(sweep.axes, key=lambda axis: (said.startswith(f"{axis.key}:"), *_interest(axis)), reverse=True)
+    axes = sorted(
+        sweep.axes, key=lambda axis: (said.startswith((f"{axis.key}:", f"{axis.key} ")), *_interest(axis)), reverse=True
+    )
     best = ["figure-best-baseline"] if [axis.key for axis in axes] == [BASELINE] else []
     return [*_OF_RESULTS, *best, *(f"figure-{axis.slug}" for axis in axes), "figure-regions"]
 

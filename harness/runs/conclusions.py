@@ -79,7 +79,7 @@ def measured(table: pd.DataFrame) -> tuple[str, str] | None:
 
 
 def about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: tuple[str, str]) -> str | None:
-    """How much the error of the best method differs along an axis; None where that is not certain.
+    """How much the error of the best method differs along an axis, if it does; None where there is no interval.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure
     where, name = figure
     best = best_method(table, axes, name)
     along = _along(table[table["method"] == best], key, axes, name)
-    return next(_about_axes([along], f"{best}, {where}")) if along and _differs(along.ratio) else None
+    return next(_about_axes([along], f"{best}, {where}")) if along else None
 
 
 def table_of(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:

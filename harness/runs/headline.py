@@ -183,7 +183,7 @@ def _span(best: Sequence[dict[str, Any]]) -> str:
 
 
 def _of_the_condition(table: pd.DataFrame, axes: dict[str, list[Any]]) -> str | None:
-    """A sentence on the effect of the first axis other than scenes, if that is no choice and the effect is certain."""
+    """A sentence on the effect of the first axis other than scenes, if that is no choice; None without an interval."""
     figure = measured(table)
     subject = next((key for key in axes if key != "scene"), None)
     if figure is None or subject is None or is_choice(subject):

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from harness.report.data import Cell, Data, Heading, Table, count, number, words
+from harness.evaluation.statistics import mean_over_seeds
+from harness.report.data import Cell, Data, Heading, Table, count, interval, number, words
 from harness.report.markup import html
 from harness.report.section import About, Block, Context, Paragraph, TableBlock, section_of
 from harness.report.sweep import Axis, Sweep
@@ -18,9 +19,9 @@ AUC_DEG = 1.0
 _WORDS = """
 <p>In {{ estimated }} trial{{ "s" if estimated != 1 }} the matcher was given a motion that was estimated from the
 images. What its errors do to ranges is {{ "%.2f" | format(z) }} times their predicted standard deviations, the root of
-the mean square over trials. {% if ratio %}The median range error is {{ "%.3f" | format(ratio) }} times that with the
-true motion, the geometric mean over the {{ pairs ~ " pairs" if pairs != 1 else "pair" }} of trials that differ in
-nothing else.{% endif %}</p>
+the mean square over trials. {% if ratio %}The median range error is {{ "%.3f" | format(ratio) }} {{ between }} times
+that with the true motion, the geometric mean over the {{ pairs ~ " pairs" if pairs != 1 else "pair" }} of trials that
+differ in nothing else.{% endif %}</p>
 """
 _CAPTION = """
 Errors of the estimated motion, medians over seeds, and what they cost. AUC: the area under the share of motions whose
@@ -28,7 +29,8 @@ rotation and direction are both within an angle, up to one degree; 100 % where a
 covariance propagated to the range, the median over pixels as a share of the range; measured: 1.4826 times the median of
 what the errors of the motion do to exact matches. Error over σ: the root of the mean square, 1 where the covariance is
 right and trials are many. Ratio: median |range error| with the estimated motion over that with the true one, trial by
-trial.
+trial{% if several %}, with 95 % intervals over seeds; the other figures have none{% else %}; one seed, so without an
+interval{% endif %}.
 """
 
 
@@ -40,9 +42,21 @@ def section(context: Context) -> Iterator[Block]:
         return
     ratios = table["ratio"].dropna()
     z = float(np.sqrt(np.mean(table["motion_range_z"] ** 2)))
-    ratio = float(np.exp(np.log(ratios).mean())) if len(ratios) else None
-    yield Paragraph(html(_WORDS, estimated=len(table), z=z, ratio=ratio, pairs=len(ratios)))
-    yield TableBlock("table-motion-cost", _table(context.sweep, table), html(_CAPTION))
+    ratio, ends = _mean_ratio(table)
+    between = interval(ends, ".3f") if ends else "(one seed, without an interval)"
+    yield Paragraph(html(_WORDS, estimated=len(table), z=z, ratio=ratio, between=between, pairs=len(ratios)))
+    several = len(table["seed"].unique()) > 1
+    yield TableBlock("table-motion-cost", _table(context.sweep, table), html(_CAPTION, several=several))
+
+
+def _mean_ratio(trials: pd.DataFrame) -> tuple[float | None, tuple[float, float] | None]:
+    """The geometric mean of the ratios with its 95 % interval over seeds; None where there is none."""
+    table = trials.set_index("seed")[["ratio"]].dropna()
+    if table.empty:
+        return None, None
+    curve = mean_over_seeds(table, logarithmic=True)
+    low, high = float(curve.low[0]), float(curve.high[0])
+    return float(curve.mean[0]), (low, high) if np.isfinite(low) else None
 
 
 def _estimated(sweep: Sweep) -> pd.DataFrame | None:
@@ -88,12 +102,12 @@ def _table(sweep: Sweep, trials: pd.DataFrame) -> Table:
                 float(part["motion_range_predicted"].median()),
                 float(part["motion_range_measured"].median()),
                 float(np.sqrt(np.mean(part["motion_range_z"] ** 2))),
-                float(np.exp(np.log(part["ratio"]).mean())),
             ]
-            shown = zip(
-                values, (".4f", ".4f", ".1f", ".3f", ".3f", ".2f", ".3f"), (1, 1, 100, 100, 100, 1, 1), strict=True
-            )
+            ratio, ends = _mean_ratio(part)
+            shown = zip(values, (".4f", ".4f", ".1f", ".3f", ".3f", ".2f"), (1, 1, 100, 100, 100, 1), strict=True)
             cells = [number(value, form, scale) for value, form, scale in shown]
+            cells.append(number(ratio, ".3f", between=ends))
+            values += [np.nan if each is None else each for each in (ratio, *(ends or (None, None)))]
             rows.append([words(method.label, method.colour), *map(words, texts), count(len(part)), *cells])
             plain.append([method.label, *texts, len(part), *values])
     head = [Heading("Method", text=True), *(Heading(axis.label, text=True) for axis in axes), Heading("Seeds")]
@@ -106,5 +120,6 @@ def _table(sweep: Sweep, trials: pd.DataFrame) -> Table:
         Heading("Error over σ"),
         Heading("Range, ratio"),
     ]
-    names = ["rotation_deg", "direction_deg", "auc", "predicted_share", "measured_share", "error_over_sigma", "ratio"]
+    names = ["rotation_deg", "direction_deg", "auc", "predicted_share", "measured_share", "error_over_sigma"]
+    names += ["ratio", "ratio_ci95_low", "ratio_ci95_high"]
     return Table(head, rows, Data("motion-cost", ["method", *keys, "seeds", *names], plain))
