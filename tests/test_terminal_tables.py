@@ -20,7 +20,7 @@ def _eighty(monkeypatch):
     "name",
     [
         "harness_plugins.some_module:match_by_something",
-        "program /home/somebody/matchers/a_long_name.py",
+        "program /opt/matchers/somebody/a_long_name.py",
         "columns that follow the map, with the V fit, and a name that is longer than any line",
     ],
 )
