@@ -249,8 +249,8 @@ def fit_rows(
     least : samples that a window needs.
     slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
     far : whether to go beyond the solution; see `_fit`.
-    plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` and `[...]`: see
-    `_fit`.
+    plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` (nothing where it has
+    no pixels) and `[...]`: see `_fit`.
     """
     height, width = valid.shape
     tiles, size = (width + TILE - 1) // TILE, 2 * half + 1
@@ -284,9 +284,9 @@ def fit_rows(
                 column = begin + j
                 for axis in range(3):
                     plane[i, column, axis] = tile[(PLANE + axis) * TILE + j]
-                for k in range(6):
-                    covariance[i, column, k] = tile[(COVARIANCE + k) * TILE + j]
                 residual[i, column] = tile[RESIDUAL * TILE + j] if valid[i, column] else math.inf
-                gain[i, column] = tile[GAIN * TILE + j]
-                offset[i, column] = tile[OFFSET * TILE + j]
+                gain[i, column], offset[i, column] = tile[GAIN * TILE + j], tile[OFFSET * TILE + j]
                 share[i, column] = tile[SHARE * TILE + j]
+                if covariance.shape[0] > 0:
+                    for k in range(6):
+                        covariance[i, column, k] = tile[(COVARIANCE + k) * TILE + j]

@@ -136,9 +136,9 @@ def gather_patch(i, j, reach, valid, x, first_image, table):
 
 
 @kernel
-def misfit(table, n, size, m, a, b, limit, R, s, camera, coefficients):
-    """Mean square of I_1 - a I_2 - b over the n pixels of a patch, for plane m; infinite where view 2 sees less than
-    half of `size`. Stops, infinite, as soon as it must be above `limit`.
+def misfit(table, n, least, m, a, b, limit, R, s, camera, coefficients):
+    """Mean square of I_1 - a I_2 - b over the n pixels of a patch, for plane m; infinite where view 2 sees fewer than
+    `least`. Stops, infinite, as soon as it must be above `limit`.
     """
     # q = R x + (m·x) s is linear in x.
     m_x, m_y, m_z = m[0], m[1], m[2]
@@ -160,6 +160,6 @@ def misfit(table, n, size, m, a, b, limit, R, s, camera, coefficients):
             difference = table[FIRST + k] - a * grey - b
             total += difference * difference
             seen += 1.0
-            if total > limit * size:
+            if total > limit * n:
                 return math.inf
-    return total / seen if seen >= 0.5 * size else math.inf
+    return total / seen if seen >= least else math.inf

@@ -10,6 +10,7 @@ import numpy as np
 from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
 from harness.compiled import kernel
+from harness.matching.slanted._agreement_kernels import AGREED, OWN, TILE, TILE_ROWS, agree
 from harness.matching.slanted._sample_kernels import (
     AT_ONCE,
     GREY,
@@ -83,7 +84,7 @@ def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value,
 @kernel
 def choose_rows(
     first, end, half, reach, apart, centre_bonus, residual_weight, w_far, w_near, valid, x, t, R, s, camera,
-    first_image, coefficients, plane, residual, gain, offset, w, chosen, rival,
+    first_image, coefficients, plane, residual, gain, offset, w, chosen,
 ):  # fmt: skip
     """Give every pixel the plane of one of nine windows that it lies in: its own, or one moved by `half` pixels.
 
@@ -92,16 +93,21 @@ def choose_rows(
     own window (weight `residual_weight`). Without a patch (`reach` < 0) only windows are compared.
 
     apart : radians of alpha_2. centre_bonus : factor on the score of the own window.
-    w, chosen, rival : written; the inverse range (NaN: none), the window's flat index (-1: none), and how much worse
-    than the chosen plane the best one fits that is `apart` from it (infinite: there is none).
+    w, chosen : written; the inverse range (NaN: none), and the window's flat index (-1: none).
     """
     height, width = valid.shape
     window, w_there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
     table, size = np.empty(SIZE), float((2 * reach + 1) * (2 * reach + 1))
+    tile = np.empty(TILE_ROWS * TILE)
     for i in range(first, end):
         for j in range(width):
-            w[i, j], chosen[i, j], rival[i, j] = math.nan, -1, math.inf
+            if j % TILE == 0:
+                agree(i, j, half, apart, w_far, w_near, x, t, plane, residual, tile)
+            w[i, j], chosen[i, j] = math.nan, -1
             if not valid[i, j]:
+                continue
+            if tile[AGREED + j % TILE] == 1.0:
+                w[i, j], chosen[i, j] = tile[OWN + j % TILE], i * width + j
                 continue
             x_0, x_1, x_2 = x[i, j, 0], x[i, j, 1], x[i, j, 2]
             n, own, lowest, highest = 0, -1, math.inf, -math.inf
@@ -126,34 +132,32 @@ def choose_rows(
             pick = own
             if own < 0 or highest - lowest > same:
                 # Planes that agree here are tried once: the best of their windows, or the own one.
-                pick, least, second = -1, math.inf, math.inf
-                left = n
+                pick, least = -1, math.inf
+                untried = n
                 pixels = gather_patch(i, j, reach, valid, x, first_image, table) if reach >= 0 else 0
-                while left > 0:
+                while untried > 0:
                     k = own
-                    if k < 0 or left < n:
+                    if k < 0 or untried < n:
                         k = 0
                         for other in range(1, n):
                             if score[other] < score[k]:
                                 k = other
-                        if score[k] == math.inf:
+                        if score[k] >= least:
                             break
                     row, column = window[k] // width, window[k] % width
                     tried = score[k]
                     if reach >= 0:
-                        tried += misfit(
-                            table, pixels, size, plane[row, column], gain[row, column], offset[row, column],
-                            1.5 * least + 1.0, R, s, camera, coefficients,
-                        ) * (centre_bonus if k == own else 1.0)  # fmt: skip
+                        bonus = centre_bonus if k == own else 1.0
+                        tried += bonus * misfit(
+                            table, pixels, 0.5 * size, plane[row, column], gain[row, column], offset[row, column],
+                            (least - tried) / bonus, R, s, camera, coefficients,
+                        )  # fmt: skip
                     if tried < least:
-                        pick, least, second = k, tried, least
-                    elif tried < second:
-                        second = tried
+                        pick, least = k, tried
                     for other in range(n):
                         if score[other] < math.inf and abs(w_there[other] - w_there[k]) <= same:
                             score[other] = math.inf
-                            left -= 1
-                rival[i, j] = (second + 0.25) / (least + 0.25)
+                            untried -= 1
                 if pick < 0:
                     continue
             w[i, j], chosen[i, j] = w_there[pick], window[pick]

@@ -77,7 +77,7 @@ def near(window_px: int) -> int:
     return 2 * (window_px // 5) + 1
 
 
-def factor(around: Surroundings, index: NDArray[np.intp], window: NDArray[np.int64]) -> Array:
+def factor(around: Surroundings, index: NDArray[np.intp], window: NDArray[np.int32]) -> Array:
     """How many times as narrow a limit the standard deviations of pixels are held to; below 1 for none.
 
     Parameters

@@ -1,6 +1,7 @@
 """The field of planes over a mirror image, and its Gauss-Newton steps.
 
-A field takes 128 bytes a pixel. Only the part of the image that the sensor sees has one.
+A field takes 76 bytes a pixel, view 2's 52. Only the part of the image that the sensor sees has one. What is known to
+no better than a few digits, or is as exact as the images are, is in single precision.
 """
 
 from collections.abc import Callable
@@ -131,20 +132,18 @@ class Field:
 
     plane: Array
     """`[..., 3]`, m."""
-    covariance: Array
-    """`[..., 6]`: the inverse normal matrix in tangent coordinates, upper triangle by rows."""
-    residual: Array
+    covariance: Image
+    """`[..., 6]`: the inverse normal matrix in tangent coordinates, upper triangle; `[0, 0, 6]` if not needed."""
+    residual: Image
     """Variance in grey levels squared; infinite where there is no plane."""
-    gain: Array
-    offset: Array
-    share: Array
+    gain: Image
+    offset: Image
+    share: Image
     """How much of the sum of g² is noise."""
     w: Array
     """1/m, NaN where there is none."""
-    chosen: NDArray[np.int64]
+    chosen: NDArray[np.int32]
     """Flat index of the window; -1 where there is none."""
-    rival: Array
-    """How much worse the next best plane fits, as a ratio."""
 
 
 @dataclass(frozen=True)
@@ -184,6 +183,8 @@ def fit(
     iterations: int,
     pixel: float,
     pool: ThreadPoolExecutor,
+    *,
+    covariance: bool = True,
 ) -> Field:
     """The planes after some steps from a start.
 
@@ -193,19 +194,21 @@ def fit(
         `[rows, columns]`, 1/m; NaN where there is none.
     pixel
         Angle of a pixel of the panorama, radians.
+    covariance
+        Whether it is wanted.
     """
     shape, half = start.shape, settings.window_px // 2
     samples = no_samples(shape)
+    covariances, none = (np.zeros((*size, 6), np.float32) for size in (shape if covariance else (0, 0), (0, 0)))
     field = Field(
         plane=np.zeros((*shape, 3)),
-        covariance=np.zeros((*shape, 6)),
-        residual=np.full(shape, np.inf),
-        gain=np.ones(shape),
-        offset=np.zeros(shape),
-        share=np.ones(shape),
+        covariance=covariances,
+        residual=np.full(shape, np.inf, np.float32),
+        gain=np.ones(shape, np.float32),
+        offset=np.zeros(shape, np.float32),
+        share=np.ones(shape, np.float32),
         w=np.empty(shape),
-        chosen=np.full(shape, -1, np.int64),
-        rival=np.full(shape, np.inf),
+        chosen=np.full(shape, -1, np.int32),
     )
     in_rows(pool, len(start), _median_kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
     for iteration in range(iterations):
@@ -214,12 +217,13 @@ def fit(
         in_rows(
             pool, len(start), _fit_kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT,
             not sharp, warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope,
-            samples.motion, field.plane, field.covariance, field.residual, field.gain, field.offset, field.share,
+            samples.motion, field.plane, field.covariance if iteration == iterations - 1 else none, field.residual,
+            field.gain, field.offset, field.share,
         )  # fmt: skip
         in_rows(
             pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,
             _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, warp.valid, warp.x, warp.t,
             warp.R, warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
-            field.offset, field.w, field.chosen, field.rival,
+            field.offset, field.w, field.chosen,
         )  # fmt: skip
     return field

@@ -116,9 +116,9 @@ def refine_slanted(
     seams = seam_px(sensors[0], reach), seam_px(sensors[1], reach)
     closed = [closed_image(*each)[:2] for each in zip(images, sensors, seams, strict=True)]
     part_1, part_2 = (part_of(sensors[i], seams[i], closed[i][1]) for i in (0, 1))
-    first, second = view_of(*closed[0], part_1), view_of(*closed[1], part_2)
     forth_warp = warp_between(part_1, part_2, motion, closed[0][1])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
+        first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2))
         start = _start(start_alpha_2, forth_warp, grid)
         forth = fit(first, second, forth_warp, start, settings, settings.iterations, grid.phi_pitch, pool)
         start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
@@ -126,11 +126,12 @@ def refine_slanted(
         sample(forth.w, second, forth_warp, samples, pool)
         inflation = inflation_of(forth, first, samples, forth_warp, pool)
         around = surroundings_of(forth, first, samples, forth_warp, settings.window_px, pool)
-        read = _on_panorama(forth, inflation, around, forth_warp, part_1, grid, settings)
-        del forth, samples, inflation, around, forth_warp  # a field takes 128 bytes a pixel: one at a time
+        read = _on_panorama(forth, inflation, around, forth_warp, part_1, grid, settings, pool)
+        del forth, samples, inflation, around, forth_warp  # a field takes 76 bytes a pixel: one at a time
         back_warp = warp_between(part_2, part_1, _reversed(motion), closed[1][1])
-        reverse = fit(second, first, back_warp, start, settings, settings.sharp_iterations, grid.phi_pitch, pool)
-    return _matches(read, reverse, motion, part_2, grid, settings)
+        steps = settings.sharp_iterations
+        reverse = fit(second, first, back_warp, start, settings, steps, grid.phi_pitch, pool, covariance=False)
+        return _matches(read, reverse, motion, part_2, grid, settings, pool)
 
 
 def _reversed(motion: Motion) -> Motion:
@@ -183,12 +184,20 @@ def _bands(grid: Grid) -> list[slice]:
 
 
 def _on_panorama(
-    forth: Field, inflation: Array, around: Surroundings, warp: Warp, part: Part, grid: Grid, settings: Slanted
+    forth: Field,
+    inflation: Array,
+    around: Surroundings,
+    warp: Warp,
+    part: Part,
+    grid: Grid,
+    settings: Slanted,
+    pool: ThreadPoolExecutor,
 ) -> _Read:
     """Evaluate the planes in the directions of the panorama's pixels."""
-    result = _Read(*np.empty((3, *grid.shape)))
-    for rows in _bands(grid):
-        x = directions(grid)[rows]
+    result, panorama = _Read(*np.empty((3, *grid.shape))), directions(grid)
+
+    def read(rows: slice) -> None:
+        x = panorama[rows]
         index, window, w = _read(forth, x, part)
         length, across = np.linalg.norm(x - w[..., None] * warp.t, axis=-1), _across(warp.t, x)
         sigma_w = sigma_of(forth, inflation, x, window, warp, settings)
@@ -198,6 +207,8 @@ def _on_panorama(
             within = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
         result.w[rows], result.sigma[rows] = w, sigma
         result.doubt[rows] = np.where(within, factor(around, index, window), np.inf)
+
+    list(pool.map(read, _bands(grid)))
     return result
 
 
@@ -206,16 +217,25 @@ def _across(t: Array, x: Array) -> Array:
     return np.asarray(np.linalg.norm(np.cross(t, x), axis=-1))
 
 
-def _matches(read: _Read, reverse: Field, motion: Motion, part: Part, grid: Grid, settings: Slanted) -> Matches:
+def _matches(
+    read: _Read,
+    reverse: Field,
+    motion: Motion,
+    part: Part,
+    grid: Grid,
+    settings: Slanted,
+    pool: ThreadPoolExecutor,
+) -> Matches:
     """The planes that view 2's own confirm.
 
     motion : from view 1 to view 2. part : view 2's.
     """
     alpha_2, sigma_2, reasons = np.empty(grid.shape), np.empty(grid.shape), np.empty(grid.shape, np.uint8)
     limit, apart = settings.max_sigma_px * grid.phi_pitch, settings.consistency_px * grid.phi_pitch
-    t, R = motion.t_v1, motion.R_v2_from_v1
-    for rows in _bands(grid):
-        x, w = directions(grid)[rows], read.w[rows]
+    t, R, panorama = motion.t_v1, motion.R_v2_from_v1, directions(grid)
+
+    def confirm(rows: slice) -> None:
+        x, w = panorama[rows], read.w[rows]
         q = x - w[..., None] * t
         length, across = np.linalg.norm(q, axis=-1), _across(t, x)
         # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there.
@@ -230,10 +250,12 @@ def _matches(read: _Read, reverse: Field, motion: Motion, part: Part, grid: Grid
         matched = reason == Reason.MATCHED
         alpha_2[rows], reasons[rows] = np.where(matched, angle_between(q, t), np.nan), reason
         sigma_2[rows] = np.where(matched, sigma, np.nan)
+
+    list(pool.map(confirm, _bands(grid)))
     return Matches(alpha_2=alpha_2, confidence=1 / sigma_2, sigma_alpha_2=sigma_2, reason=reasons)
 
 
-def _read(field: Field, x: Array, part: Part) -> tuple[NDArray[np.intp], NDArray[np.int64], Array]:
+def _read(field: Field, x: Array, part: Part) -> tuple[NDArray[np.intp], NDArray[np.int32], Array]:
     """Flat index of the mirror pixel nearest to each direction, the window that it takes its plane from, and that
     plane's inverse range in the direction itself; NaN where the direction is not seen or there is no plane.
     """

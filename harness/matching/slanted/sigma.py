@@ -19,7 +19,7 @@ _CORRELATED_PX = 33
 
 
 def sigma_of(
-    field: Field, inflation: Array, x: Array, window: NDArray[np.int64], warp: Warp, settings: Slanted
+    field: Field, inflation: Array, x: Array, window: NDArray[np.int32], warp: Warp, settings: Slanted
 ) -> Array:
     """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
 
