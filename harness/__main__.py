@@ -4,10 +4,14 @@ Ctrl-C ends it quietly from the first line to the last: while libraries are load
 """
 
 import atexit
+import gc
 import signal
 import sys
 
 from harness.interrupts import EXIT_CODE, end_at_once
+
+_OBJECTS = 20_000
+"""How many objects are made before Python looks for garbage: most of what a command makes stays, and 700 is often."""
 
 
 def main() -> int:
@@ -16,12 +20,14 @@ def main() -> int:
     listens = at_first in (signal.default_int_handler, end_at_once)  # not when run in the background
     if listens:
         signal.signal(signal.SIGINT, end_at_once)
+    gc.set_threshold(_OBJECTS)
     from harness.cli import main as command
 
     code = None
     try:
         code = command()
     finally:
+        gc.freeze()  # Python looks for garbage as it shuts down, and all goes with the process
         if listens:
             # All is written. Python removes its handlers on shutdown, and the default one would kill the process.
             signal.signal(signal.SIGINT, end_at_once)

@@ -23,6 +23,14 @@ def can_be_copied() -> bool:
     return hasattr(os, "fork") and platform.system() == "Linux" and available_cpus() > 1
 
 
+def has_one_thread() -> bool:
+    """Whether this process has a single thread, those of libraries included; False where the system does not say."""
+    try:
+        return sum(1 for _ in Path("/proc/self/task").iterdir()) == 1
+    except OSError:
+        return False
+
+
 def give_back_memory() -> bool:
     """Whether memory of a megabyte or more goes back to the system as soon as it is free.
 

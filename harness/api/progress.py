@@ -53,6 +53,7 @@ class Progress:
             console=self._console,
             disable=not self._console.is_terminal,
             transient=True,
+            auto_refresh=False,  # no thread of its own: workers may be forked while it is shown
         )
         self._task = self._bar.add_task(escape(name), total=total, completed=done, pace="")
 
@@ -83,7 +84,7 @@ class Progress:
         rate = (self._done - self._before) / max(time.monotonic() - self._begun, 1e-9)
         failures = f", {self._failed} failed" if self._failed else ""
         pace = f"{failures.lstrip(', ')} {rate:.1f}/s, {duration((self._total - self._done) / rate)} left".lstrip()
-        self._bar.update(self._task, completed=self._done, pace=pace)
+        self._bar.update(self._task, completed=self._done, pace=pace, refresh=True)
         if self._is_notebook:
             self._write_over(f"{self._name}: {self._done} of {self._total} {self._noun}{failures}, {pace}")
         elif not self._console.is_terminal and time.monotonic() - self._said > _LINE_EVERY_S:
@@ -131,6 +132,7 @@ class Steps:
             console=console,
             disable=not console.is_terminal,
             transient=True,
+            auto_refresh=False,
         )
         self._task = self._bar.add_task(what, total=None)
         if not console.is_terminal:
@@ -145,7 +147,7 @@ class Steps:
 
     def update(self, done: int, total: int) -> None:
         """Show the number of steps that are done."""
-        self._bar.update(self._task, completed=done, total=total)
+        self._bar.update(self._task, completed=done, total=total, refresh=True)
 
 
 def duration(seconds: float) -> str:

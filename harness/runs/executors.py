@@ -15,10 +15,12 @@ from typing import Any
 
 from harness import interrupts
 from harness.errors import InputError
-from harness.machine import available_cpus
+from harness.machine import available_cpus, has_one_thread
 
 QUICK_S = 4.0
 """Work below which more processes cost more than they save: each takes a second to start."""
+QUICK_WHEN_FORKED_S = 1.0
+"""The same where workers are forks of this process, and have loaded all that it has."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Environment of a process that does one thing at a time; read when the libraries are imported."""
@@ -73,7 +75,8 @@ def backend_for(work_s: float, trials: int, workers: int | None = None, dask: st
                 key="workers",
             )
         workers = 1
-    if workers is None and (work_s < QUICK_S or trials < 2 or available_cpus() == 1):
+    quick_s = QUICK_WHEN_FORKED_S if _start_method() == "fork" else QUICK_S
+    if workers is None and (work_s < quick_s or trials < 2 or available_cpus() == 1):
         return Backend(_in_process, workers=1, slots=1, threads=None)
     count = min(workers or available_cpus(), trials)
     if count == 1:
@@ -106,7 +109,8 @@ class _Pool(ProcessPoolExecutor):
     """
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        with _without_script():  # processes are begun here, one by one, as there is work
+        # Processes are begun here, as there is work. They ignore Ctrl-C once they have begun.
+        with _without_script(), _ctrl_c_held_back():
             return super().submit(fn, *args, **kwargs)
 
 
@@ -121,9 +125,17 @@ def _without_script() -> Iterator[None]:
         main.update({"__spec__": None} | hidden)
 
 
+def _start_method() -> str:
+    """How workers are begun: as forks of this process if it has no other thread, whose locks they would inherit."""
+    there = multiprocessing.get_all_start_methods()
+    if "fork" in there and has_one_thread():
+        return "fork"
+    return "forkserver" if "forkserver" in there else "spawn"
+
+
 @contextmanager
 def _in_processes(count: int) -> Iterator[Executor]:
-    kind = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    kind = _start_method()
     context: Any = multiprocessing.get_context(kind)
     before = set(multiprocessing.active_children())
     settings = WORKER | {"PYTHONSAFEPATH": "1"}  # the second: a folder `harness` where one stands is not ours
@@ -161,11 +173,21 @@ def _begin_server(context: Any) -> None:
 
     context.set_forkserver_preload(["harness.runs.server"])  # imported once, for all
     resource_tracker.ensure_running()  # first, as it changes the mask of blocked signals
+    with _ctrl_c_held_back():
+        forkserver.ensure_running()
+
+
+@contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Ctrl-C in between comes at the end."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        forkserver.ensure_running()
+        yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)  # Ctrl-C in between comes now
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _end_server() -> None:
