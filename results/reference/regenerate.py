@@ -138,9 +138,18 @@ _QUICK = {
 }
 """Changes that make any experiment short."""
 _KINDS = ("sets", "axes")
+_SMALL = {
+    "sensor.camera.width_px": 320,
+    "sensor.camera.height_px": 240,
+    "sensor.camera.focal_px": 307.06,
+    "sensor.camera.cx_px": 159.5,
+    "sensor.camera.cy_px": 119.5,
+}
 _QUICK_MORE: dict[str, dict[str, Any]] = {
-    "limit": {"axes": {"seed": [1, 2, 3]}},
-    "law_best": {"axes": {"view_2.baseline_m": [0.25, 0.5, 1.0]}},
+    "matchers": {"sets": _SMALL},
+    "limit": {"sets": _SMALL, "axes": {"seed": [1, 2, 3]}},
+    "budget": {"sets": _SMALL},
+    "law_best": {"sets": _SMALL, "axes": {"view_2.baseline_m": [0.25, 0.5, 1.0], "noise.sigma_grey": [8.0]}},
     "localise": {"sets": {"localisation.images": [2], "localisation.queries": 4}},
 }
 

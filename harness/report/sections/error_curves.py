@@ -68,8 +68,11 @@ def section(context: Context) -> Iterator[Block]:
     seeds = len(sweep.seeds)
     if sweep.several:
         yield Paragraph(html(_WORDS, seeds=seeds, few_seeds=seeds < FEW_SEEDS))
-    yield LineKey(key_picture(sweep, laws=any(each.law for each in figures)))
+    laws: bool | None = None
     for each in figures:
+        if each.law != laws:  # a key has what its figures have
+            laws = each.law
+            yield LineKey(key_picture(sweep, laws=laws))
         caption = html(_ERRORS, swept=each, several=sweep.several, axes=len(sweep.axes))
         yield Figure(f"figure-{each.id}", each.pictures, caption, data=each.data)
 
