@@ -296,9 +296,15 @@ def test_two_photographs_become_a_scan(tmp_path, capsys):
     [
         (("--height", "1", "--band", "2", "1"), "low_m must be below high_m"),
         (("--height", "1", "--bearings", "0"), "--bearings: must be at least 1; found 0"),
-        (("--height", "nan"), "--height: must be a finite number; found nan"),
+        (("--height", "nan"), "--height: must be a number above 0; found 'nan'"),
+        (("--height", "-1"), "--height: must be a number above 0; found '-1'"),
     ],
 )
 def test_a_scan_that_cannot_be_is_refused_before_anything_is_matched(options, said, tmp_path, capsys):
-    assert main(["scan", "no.png", "no.png", "--sensor", "mirror", *options, "--out", str(tmp_path / "s")]) == 2
+    arguments = ["scan", "no.png", "no.png", "--sensor", "mirror", *options, "--out", str(tmp_path / "s")]
+    try:
+        code = main(arguments)
+    except SystemExit as error:  # what the parser refuses itself
+        code = error.code
+    assert code == 2
     assert said in capsys.readouterr().err
