@@ -120,6 +120,15 @@ def test_dry_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert not (tmp_path / "no").exists()
 
 
+def test_who_had_the_law_tested_unasked_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axes = "[axes]\n'view_2.baseline_m' = [0.2, 0.3, 0.4]\n"
+    for key, told in (("", True), ("law = false\n", False), ("law = true\n", False)):
+        file = write_small(tmp_path / "e.toml", axes)
+        file.write_text(key + file.read_text())
+        assert main(["run", str(file), "--dry-run"]) == 0
+        assert ("the law is not tested; `law = true`" in capsys.readouterr().err) == told
+
+
 def test_dry_run_says_what_would_hardly_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
     """The mirror's focal length gives an equirectangular image 60 degrees of azimuth: a sixth of the panorama."""
     assert main(["run", "paper", "--dry-run", "--set", "sensor.model.kind=equirectangular"]) == 0

@@ -23,6 +23,8 @@ _START_S = 1.5
 """Seconds until the first trial runs: libraries and compiled code are loaded."""
 _REPORT_S = 3.5
 """Seconds that a report takes."""
+_LEAST_BASELINES = 3
+"""Baselines over which the law can be tested."""
 _MOST_CHECKED = 8
 """Most different sensors that a dry run checks."""
 
@@ -66,6 +68,7 @@ def run(options: Namespace) -> int:
     from harness.runs.run import is_reported, open_run, run_plan, run_status
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
+    _say_law(experiment)
     if options.dry_run:
         return _dry_run(experiment, options.experiment, with_report=not options.no_report)
     shown = options.out or Path("results") / experiment.name
@@ -101,6 +104,15 @@ def run(options: Namespace) -> int:
         return write(
             experiment, store, folder, given=options.experiment, shown=shown, with_report=not options.no_report
         )
+
+
+def _say_law(experiment: "Experiment") -> None:
+    """Tell for one version more that the law is not tested unasked."""
+    from harness.runs.headline import BASELINE
+
+    if "law" not in experiment.model_fields_set and len(experiment.axes.get(BASELINE, ())) >= _LEAST_BASELINES:
+        text = f"{experiment.name}: the law is not tested; `law = true` in the experiment's file asks for it, `law = "
+        warnings.warn(f"{text}false` says that it is meant (earlier versions tested it unasked)", Notice, stacklevel=1)
 
 
 def _dry_run(experiment: "Experiment", given: str, *, with_report: bool) -> int:
