@@ -72,23 +72,50 @@ CAUSES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, repr=False)
 class Effects(OneLine):
-    """Derivatives of tiles by errors: `[n, k]` for the k names."""
+    """Derivatives of matches by errors: `[n, k]` for the k names."""
 
     names: tuple[str, ...]
     across: Array
     """Radians across."""
     w: Array
-    """Inverse range, 1/|t|, in the direction in which the tile appears."""
+    """Inverse range, 1/|t|, in the direction in which a match appears."""
+    w_1: Array
+    """`[n]`, the inverse ranges themselves."""
+    outermost_px: float
+    """Distance from the centre, pixels, at which errors are counted."""
 
     def columns(self, names: tuple[str, ...]) -> list[int]:
         """The columns of these errors, of either view."""
         return [i for i, each in enumerate(self.names) if each.removesuffix(" of view 2") in names]
 
 
-def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Effects:
-    """Derivatives of tiles by errors of the geometry."""
-    x, t = tiles.x_1, turn.t
-    y = normalise(x - tiles.w[:, None] * t)
+def typical_sizes(names: tuple[str, ...]) -> Array:
+    """`TYPICAL` of some errors."""
+    return np.array([TYPICAL[each.removesuffix(" of view 2")] for each in names])
+
+
+def columns_of(effects: Effects, cause: str) -> list[int]:
+    """The columns of a cause's errors: of one of `CAUSES`, otherwise of all together."""
+    return effects.columns(CAUSES.get(cause, tuple(TYPICAL)))
+
+
+def effects_of(
+    x: Array, planes: Array, sensors: tuple[Sensor, Sensor], turn: Turn, outermost_px: float | None = None
+) -> Effects:
+    """Derivatives of matches by errors of the geometry.
+
+    Parameters
+    ----------
+    x
+        `[n, 3]`, unit directions from view 1.
+    planes
+        `[n, 3]`: the inverse range in direction x is m · x, in 1/|t|.
+    outermost_px
+        Distance from the centre at which errors of the calibration are counted; that of the outermost match unless
+        given.
+    """
+    w, t = np.sum(planes * x, axis=1), turn.t
+    y = normalise(x - w[:, None] * t)
     n = normalise(np.cross(t, x))
     alpha_1, alpha_2 = (np.arccos(np.clip(each @ t, -1, 1)) for each in (x, y))
     sine_1, sine_2 = np.sin(alpha_1), np.sin(alpha_2)
@@ -101,13 +128,13 @@ def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Eff
         # w = sin(alpha_2 - alpha_1)/sin(alpha_2); the plane's inverse range in direction x + dx is larger by m · dx.
         parallax = alpha_2 - alpha_1
         w = (np.cos(parallax) * (d_2 - d_1) - np.sin(parallax) * np.cos(alpha_2) / sine_2 * d_2) / sine_2
-        return across, w - np.sum(tiles.planes * dx, axis=1)
+        return across, w - np.sum(planes * dx, axis=1)
 
     none = np.zeros_like(x)
     names, moves = list(_TURNS + _STEPS), []
     moves += [moved(none, np.cross(y, axis), none) for axis in np.eye(3)]
     moves += [moved(none, none, np.broadcast_to(axis, x.shape)) for axis in directions_aside(t)]
-    fields = _pixel_fields(sensors, x, y @ turn.R.T)
+    fields, outermost_px = _pixel_fields(sensors, x, y @ turn.R.T, outermost_px)
     for name in CALIBRATION:
         first, second = (-np.einsum("nij,nj->ni", S, shift[name]) for S, shift in fields)
         if sensors[0] == sensors[1]:
@@ -116,7 +143,8 @@ def effects_of(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Eff
         else:
             names += [name, f"{name} of view 2"]
             moves += [moved(first, none, none), moved(none, second @ turn.R, none)]
-    return Effects(tuple(names), *(np.stack(each, axis=1) for each in zip(*moves, strict=True)))
+    across, moved_w = (np.stack(each, axis=1) for each in zip(*moves, strict=True))
+    return Effects(tuple(names), across, moved_w, w, outermost_px)
 
 
 def directions_aside(t: Array) -> tuple[Array, Array]:
@@ -129,16 +157,20 @@ def directions_aside(t: Array) -> tuple[Array, Array]:
     return level, np.cross(t, level)
 
 
-def _pixel_fields(sensors: tuple[Sensor, Sensor], x_1: Array, x_2: Array) -> list[tuple[Array, dict[str, Array]]]:
-    """For each view, derivatives of bearings by pixels `[n, 3, 2]`, and the pixels' shifts `[n, 2]` by each error."""
+def _pixel_fields(
+    sensors: tuple[Sensor, Sensor], x_1: Array, x_2: Array, outermost_px: float | None
+) -> tuple[list[tuple[Array, dict[str, Array]]], float]:
+    """For each view, derivatives of bearings by pixels `[n, 3, 2]`, and the pixels' shifts `[n, 2]` by each error; and
+    the distance from the centre at which these are counted.
+    """
     fields = []
     radii = [
         project(sensor, x)[0] - [sensor.camera.cx_px, sensor.camera.cy_px]
         for sensor, x in zip(sensors, (x_1, x_2), strict=True)
     ]
-    longest = max(float(np.max(np.linalg.norm(each, axis=1), initial=1.0)) for each in radii)
+    outermost_px = outermost_px or max(float(np.max(np.linalg.norm(each, axis=1), initial=1.0)) for each in radii)
     for sensor, x, radius in zip(sensors, (x_1, x_2), radii, strict=True):
-        q = radius / longest
+        q = radius / outermost_px
         u, v, square = q[:, :1], q[:, 1:], np.sum(q * q, axis=1, keepdims=True)
         one, zero = np.ones_like(u), np.zeros_like(u)
         shifts = {
@@ -154,7 +186,7 @@ def _pixel_fields(sensors: tuple[Sensor, Sensor], x_1: Array, x_2: Array) -> lis
             "skew": np.hstack([v, u]),
         }
         fields.append((spreads(sensor, x), shifts))
-    return fields
+    return fields, outermost_px
 
 
 # -- The fit -----------------------------------------------------------------------------------------------------------
@@ -211,8 +243,8 @@ class Causes(OneLine):
 
 def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Causes:
     """Fit errors of the geometry to the tiles' offsets across their curves."""
-    effects = effects_of(tiles, sensors, turn)
-    size = np.array([TYPICAL[each.removesuffix(" of view 2")] for each in effects.names])
+    effects = effects_of(tiles.x_1, tiles.planes, sensors, turn)
+    size = typical_sizes(effects.names)
     E, e = effects.across * size, tiles.delta
     # A tile's own residual misses errors common to neighbours: sigma is scaled to the scatter about the fit.
     floor = np.hypot(FLOOR_PX / tiles.px_per_rad, FIRST_ORDER * 1.4826 * np.median(np.abs(e)) if len(e) else 0.0)

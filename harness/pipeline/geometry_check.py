@@ -12,18 +12,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.special import erf
 
 from harness.camera.sensor import pixel_directions
 from harness.display import OneLine
 from harness.geometry.angles import Array
-from harness.geometry.panorama import directions, pixel_of, pixel_that_holds
+from harness.geometry.panorama import pixel_that_holds
 from harness.matching.pair import Pair
 from harness.motion.across import Across, fit_across
 from harness.motion.causes import Cause, Causes, fit_causes
 from harness.motion.residuals import Turn
+from harness.pipeline.geometry_cost import Cost, cost_of
 
 LEAST_TILES = 16
 """Tiles that a verdict needs: as many as errors that are fitted, which their prior holds as well."""
@@ -37,18 +35,8 @@ LEAST_COVERED = 0.5
 """Share of the ranges that have to be within one standard deviation of the matching alone; 0.68 of them should."""
 MOST_COVERED = 0.15
 """Share of covered ranges below which a geometry that also costs more than `MOST_SHARE` is called wrong."""
-_NEIGHBOURHOOD = 0.05
-"""Share of the tiles that give the geometry's part about a tile."""
-_LEAST_NEIGHBOURS = 8
-_PERCENTILE = 62.0
-"""The percentile of the errors in a neighbourhood. The 68th covers more than that: the error's pattern is smooth, so
-that many are near the largest."""
-_MIDDLE_RAD = 0.02
-"""Distance from a tile's middle below which its own value counts most: half a tile."""
 _WORTH_SAYING = 0.1
 """Size of an error beside the largest one, at least."""
-_NO_RANGE = 0.02
-"""Least inverse range, 1/|t|, that an error is compared with."""
 
 
 class Verdict(StrEnum):
@@ -82,6 +70,8 @@ class GeometryCheck(OneLine):
     """Windows with texture and ranges; those of `tiles` look alike in both views."""
     textured: int
     """Windows of view 1 with texture."""
+    cost: Cost | None = None
+    """What the likeliest error does to ranges; None where there is none."""
 
     @property
     def across_px(self) -> Array:
@@ -114,8 +104,10 @@ class GeometryCheck(OneLine):
 
     @property
     def median_share(self) -> float:
-        """Median of `error_share`."""
-        return float(np.median(self.error_share)) if len(self.tiles) else math.nan
+        """Median, over the panorama, of the standard deviation that the geometry adds, as a share of the range."""
+        if self.cost is None:
+            return 0.0 if len(self.tiles) else math.nan
+        return self.cost.median
 
     @property
     def likely(self) -> tuple[str, ...]:
@@ -230,28 +222,22 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
         few = len(tiles) < LEAST_MATCHED * textured
         verdict, covered = (Verdict.UNKNOWN, math.nan) if few else (Verdict.OK, 0.6827)
         return GeometryCheck(verdict, tiles, causes, none, covered, tried, textured)
-    row, column = (np.rint(each).astype(np.intp) for each in pixel_of(pair.grid, tiles.x_1))
-    row = np.clip(row, 0, pair.grid.height_px - 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        matching = (sigma_m / range_m)[row, column % pair.grid.width_px]
-    share, covered = _cost(tiles, causes, matching)
-    verdict = Verdict.OK if covered >= LEAST_COVERED else Verdict.DOUBTFUL
-    if np.median(share) > MOST_SHARE and covered < MOST_COVERED:
+    cost = cost_of(tiles, causes, pair.sensors, pair.motion, pair.grid, (range_m, sigma_m))
+    if cost is None:
+        return GeometryCheck(Verdict.UNKNOWN, tiles, causes, none, math.nan, tried, textured)
+    verdict = Verdict.OK if cost.covered >= LEAST_COVERED else Verdict.DOUBTFUL
+    if cost.median > MOST_SHARE and cost.covered < MOST_COVERED:
         verdict = Verdict.WRONG
-    return GeometryCheck(verdict, tiles, causes, share, covered, tried, textured)
+    return GeometryCheck(verdict, tiles, causes, cost.at_tiles, cost.covered, tried, textured, cost)
 
 
-def geometry_share(check: GeometryCheck, pair: Pair) -> Array:
-    """The geometry's standard deviation at every pixel of the panorama, as a share of the range: between tiles the mean
-    of those about it, weighted by 1/distance².
+def geometry_share(check: GeometryCheck, pair: Pair, range_m: Array) -> Array:
+    """The geometry's standard deviation at every pixel of the panorama, as a share of the range; NaN where there is no
+    range.
     """
-    if not check.error_share.any():
-        return np.zeros(pair.grid.shape)
-    count = min(_LEAST_NEIGHBOURS, len(check.tiles))
-    apart, near = cKDTree(check.tiles.x_1).query(directions(pair.grid).reshape(-1, 3), k=count)
-    weight = 1 / (apart**2 + _MIDDLE_RAD**2)
-    share = np.sum(weight * check.error_share[near], axis=1) / np.sum(weight, axis=1)
-    return np.asarray(share.reshape(pair.grid.shape))
+    if check.cost is None:
+        return np.where(np.isfinite(range_m), 0.0, np.nan)
+    return check.cost.everywhere(pair.grid, pair.motion.baseline_m / range_m)
 
 
 def _inverse_ranges(pair: Pair, range_m: Array) -> Array:
@@ -262,28 +248,6 @@ def _inverse_ranges(pair: Pair, range_m: Array) -> Array:
     w = np.full(x.shape[:2], np.nan)
     w[inside] = pair.motion.baseline_m / range_m[row[inside].astype(np.intp), column[inside]]
     return w
-
-
-def _cost(tiles: Across, causes: Causes, matching: NDArray[np.floating]) -> tuple[Array, float]:
-    """Each tile's standard deviation as a share of the range, and how many ranges the matching's own covers.
-
-    What the likeliest error does to the range, or one that cannot be told from it if that does more; through the
-    texture too, see `Across.aside`. To it comes the spread of the error that remains open.
-    """
-    effects, w = causes.effects, np.maximum(tiles.w, _NO_RANGE)
-    thetas = np.stack([each.theta for each in causes.likely] or [causes.theta], axis=1)
-    moved = (effects.w @ thetas + tiles.aside[:, None] * (effects.across @ thetas)) / w[:, None]
-    spread = np.maximum(np.einsum("ni,ij,nj->n", effects.w, causes.covariance, effects.w), 0.0) / w**2
-    count = min(len(tiles), max(_LEAST_NEIGHBOURS, round(_NEIGHBOURHOOD * len(tiles))))
-    _, near = cKDTree(tiles.x_1).query(tiles.x_1, k=count)
-    local = np.percentile(np.abs(moved)[near], _PERCENTILE, axis=1)
-    share = np.sqrt(np.max(local, axis=1) ** 2 + np.mean(spread[near], axis=1))
-    known = np.isfinite(matching) & (matching > 0)
-    if not known.any():
-        return np.asarray(share), 0.0
-    ratio, wide = moved[known] / matching[known, None], np.sqrt(2 * (1 + spread[known] / matching[known] ** 2))
-    covered = np.mean(erf((1 - ratio) / wide[:, None]) + erf((1 + ratio) / wide[:, None]), axis=0) / 2
-    return np.asarray(share), float(np.min(covered))
 
 
 def _robust(values: Array) -> float:

@@ -199,7 +199,7 @@ def estimate(
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
     range_m, reason, matching_m = _ranges(pair, matcher, matches)
     forget_large(pair.grid)
-    geometry_m = geometry_share(geometry, pair) * range_m
+    geometry_m = geometry_share(geometry, pair, range_m) * range_m
     motion_m = np.where(np.isfinite(range_m), 0.0, np.nan)
     if motion_error is not None:
         motion_m = range_sigma(directions(pair.grid), range_m, motion.t_v1, motion_error)

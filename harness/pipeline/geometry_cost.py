@@ -1,0 +1,186 @@
+"""What errors of a geometry do to ranges, as a standard deviation for every pixel.
+
+The likeliest error theta is known with its sign, and so is what it does to every range, to first order. But a standard
+deviation has to hold for errors of its kind, not trace the zeros of this one: its pattern is the root of the mean
+square over all errors of theta's kind, of typical sizes and any direction, and of that pattern's median over the image;
+its height the one that has 68 % of the pixels within one standard deviation of their ranges, by what theta does there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import erf
+
+from harness.camera.sensor import Sensor
+from harness.display import OneLine
+from harness.geometry.angles import Array
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.motion.across import Across
+from harness.motion.causes import Cause, Causes, Effects, columns_of, effects_of, typical_sizes
+from harness.motion.residuals import Turn
+
+NO_RANGE = 0.02
+"""Least inverse range, 1/|t|, that an error is compared with."""
+ONE_SIGMA = 0.6827
+_SAMPLES = 8000
+_EVEN = 1.0
+"""What of the pattern's squared median is added to its square: kinds of few numbers have zeros in common."""
+_MUCH_LESS = 25.0
+"""Difference of log-likelihoods beyond which an error is no longer counted: a generous one, as residuals of neighbours
+are not independent."""
+_UNDERSTATED = 1.05
+"""Errors of ranges over what theta does to first order, in the median: windows follow what lies across as well."""
+_FIRST_ORDER = 0.15
+"""Standard deviation of errors of ranges about what theta does to first order, as a share of it."""
+_DOUBLINGS, _BISECTIONS = 60, 40
+_NEAREST = 4
+_MIDDLE = 0.02
+_BY_RANGE = 0.2
+"""Distance, as an angle, of two pixels side by side whose ranges differ by a factor e."""
+
+
+@dataclass(frozen=True, repr=False)
+class Cost(OneLine):
+    """Standard deviation that the geometry adds, as a share of the range, at `k` pixels spread over the panorama."""
+
+    x: Array
+    """`[k, 3]`, unit directions from view 1."""
+    w: Array
+    """`[k]`, inverse ranges, 1/|t|."""
+    share: Array
+    """`[k]`."""
+    at_tiles: Array
+    """The same at the tiles."""
+    covered: float
+    """Share of the ranges that the matching's standard deviation alone should cover."""
+
+    @property
+    def median(self) -> float:
+        """Median of `share`."""
+        return float(np.median(self.share))
+
+    def everywhere(self, grid: Grid, w: Array) -> Array:
+        """The share at all pixels of a panorama, by those that are alike in direction and range; NaN without a range.
+
+        Parameters
+        ----------
+        w
+            `[height, width]`, inverse ranges, 1/|t|.
+        """
+        known = np.isfinite(w)
+        share = np.full(w.shape, np.nan)
+        if not known.any():
+            return share
+        apart, near = cKDTree(_place(self.x, self.w)).query(
+            _place(directions(grid)[known], w[known]), k=min(_NEAREST, len(self.x))
+        )
+        apart, near = apart.reshape(len(near), -1), near.reshape(len(near), -1)
+        weight = 1 / (apart**2 + _MIDDLE**2)
+        share[known] = np.sum(weight * self.share[near], axis=1) / np.sum(weight, axis=1)
+        return share
+
+
+def cost_of(
+    tiles: Across,
+    causes: Causes,
+    sensors: tuple[Sensor, Sensor],
+    motion: Motion,
+    grid: Grid,
+    ranges: tuple[Array, Array],
+) -> Cost | None:
+    """What a significant error costs; None where there are no ranges.
+
+    Parameters
+    ----------
+    ranges
+        `[height, width]` on the panorama: ranges, and the matching's standard deviations; NaN where there is none.
+    """
+    turn = Turn(np.asarray(motion.R_v2_from_v1, np.float64), motion.t_v1 / motion.baseline_m)
+    chosen = _spread(np.isfinite(ranges[0]) & np.isfinite(ranges[1]))
+    if not chosen.any():
+        return None
+    x, w = directions(grid)[chosen], motion.baseline_m / ranges[0][chosen]
+    matching = ranges[1][chosen] / ranges[0][chosen]
+    here = effects_of(x, _planes(tiles, x, w), sensors, turn, causes.effects.outermost_px)
+    open_here, open_there = (_still_open(each, causes) for each in (here, causes.effects))
+    highest, there, covered = np.zeros(len(x)), np.zeros(len(tiles)), 1.0
+    for cause in _possible(causes):
+        by_theta = _UNDERSTATED * _shares(here) @ cause.theta
+        unsure = np.sqrt((_FIRST_ORDER * by_theta) ** 2 + open_here + matching**2)
+        pattern, level = _pattern(here, cause.name)
+        height = _height(pattern, by_theta, unsure, open_here + matching**2)
+        covered = min(covered, _within(matching, by_theta, unsure))
+        highest = np.maximum(highest, height * pattern)
+        there = np.maximum(there, height * _pattern(causes.effects, cause.name, level)[0])
+    return Cost(x, w, np.sqrt(highest**2 + open_here), np.sqrt(there**2 + open_there), covered)
+
+
+def _possible(causes: Causes) -> tuple[Cause, ...]:
+    """The likeliest cause, and those that are not much less likely."""
+    best, *others = causes.likely or (Cause("", 1.0, {}, causes.theta),)
+    most = max((each.explains for each in causes.likely), default=1.0)
+    near = tuple(each for each in (best, *others) if (most - each.explains) * causes.gain < _MUCH_LESS)
+    return near or (best,)
+
+
+def _place(x: Array, w: Array) -> Array:
+    return np.concatenate([x, _BY_RANGE * np.log(np.maximum(w, NO_RANGE))[..., None]], axis=-1)
+
+
+def _spread(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Some of these pixels, evenly spread."""
+    step = max(1, round(float(np.sqrt(known.sum() / _SAMPLES))))
+    chosen = np.zeros_like(known)
+    chosen[step // 2 :: step, step // 2 :: step] = known[step // 2 :: step, step // 2 :: step]
+    return chosen if chosen.any() else known
+
+
+def _planes(tiles: Across, x: Array, w: Array) -> Array:
+    """Planes `[k, 3]` through some points, with the slope of the nearest tile's."""
+    planes = tiles.planes[cKDTree(tiles.x_1).query(x)[1]]
+    return np.asarray(planes + (w - np.sum(planes * x, axis=1))[:, None] * x)
+
+
+def _shares(effects: Effects) -> Array:
+    """Derivatives `[n, k]` of ranges by errors, as shares of the range but for the sign."""
+    return np.asarray(effects.w / np.maximum(effects.w_1, NO_RANGE)[:, None])
+
+
+def _still_open(effects: Effects, causes: Causes) -> Array:
+    """Variance `[n]` of the share by what the measurements leave open."""
+    shares = _shares(effects)
+    return np.maximum(np.einsum("ni,ij,nj->n", shares, causes.covariance, shares), 0.0)
+
+
+def _pattern(effects: Effects, cause: str, level: float | None = None) -> tuple[Array, float]:
+    """Root mean square `[n]` of the share over errors of a kind, and the median that it contains."""
+    columns = columns_of(effects, cause)
+    pattern = np.sqrt(np.sum((_shares(effects)[:, columns] * typical_sizes(effects.names)[columns]) ** 2, axis=1))
+    level = float(np.median(pattern)) if level is None else level
+    return np.sqrt(pattern**2 + _EVEN * level**2), level
+
+
+def _within(sigma: Array, error: Array, unsure: Array) -> float:
+    """Share of normal deviates of these means and standard deviations that are within sigma."""
+    wide = np.sqrt(2) * unsure
+    return float(np.mean(erf((sigma - error) / wide) + erf((sigma + error) / wide)) / 2)
+
+
+def _height(pattern: Array, error: Array, unsure: Array, besides: Array) -> float:
+    """The factor of the pattern with which one standard deviation covers what it should."""
+
+    def covered(height: float) -> float:
+        return _within(np.sqrt((height * pattern) ** 2 + besides), error, unsure)
+
+    low, high = 0.0, 1.0
+    for _ in range(_DOUBLINGS):
+        if covered(high) >= ONE_SIGMA:
+            break
+        low, high = high, 2 * high
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if covered(middle) < ONE_SIGMA else (low, middle)
+    return high
