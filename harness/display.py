@@ -51,6 +51,11 @@ def listed(words: Iterable[str], last: str = "and") -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else "none"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with a noun that takes an s: `1 trial`, `2 trials`."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 _BEFORE_A_UNIT = re.compile(r"(?<=[\d\]]) (?=(?:%|dB|mm|m|px)(?!\w))")
 
 

@@ -151,5 +151,5 @@ def test_a_run_that_finds_next_to_nothing_says_so(changes, words, tmp_path, caps
     sets = [part for change in changes for part in ("--set", change)]
     assert main(["run", str(given), *sets, "--out", str(tmp_path / "out"), "--no-report", "--workers", "1"]) == 0
     said = capsys.readouterr().err
-    assert "omnirange: 1 of 1 trials have a range for less than 5% of the pixels that both views see" in said
+    assert "omnirange: 1 of 1 trials has a range for less than 5% of the pixels that both views see" in said
     assert words in said

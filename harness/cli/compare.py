@@ -7,6 +7,7 @@ from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_out
 from harness.cli.tables import differences_table
+from harness.display import counted
 
 
 def add(commands: Commands) -> None:
@@ -43,7 +44,8 @@ def run(options: Namespace) -> int:
             console.print(f"{second} against {first}: {pairing.why_none}", markup=False, highlight=False)
             continue
         changed = "; ".join(f"{key}: {old} -> {new}" for key, (old, new) in pairing.differing.items())
-        title = f"{second} against {first}: {pairing.pairs} pairs, {pairing.seeds} seeds; {changed or 'same settings'}"
+        pairs = f"{counted(pairing.pairs, 'pair')}, {counted(pairing.seeds, 'seed')}"
+        title = f"{second} against {first}: {pairs}; {changed or 'same settings'}"
         console.print(title, markup=False, highlight=False)
         console.print(differences_table(cells for name, *cells in lines if name == second))
         for phrase in pairing.left_out:

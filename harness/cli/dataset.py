@@ -10,6 +10,7 @@ from harness import interrupts, shipped
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_backend, add_changes, add_out
+from harness.display import counted
 from harness.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,14 +93,14 @@ def run(options: Namespace) -> int:
         try:
             left = spec.scenes - len(journal.done)
             backend = backend_for(float(spec.pairs - done), max(left, 1), options.workers, options.dask)
-            progress.say(f"{spec.pairs - done} pairs to make {backend.name}, {done} made before")
+            progress.say(f"{counted(spec.pairs - done, 'pair')} to make {backend.name}, {done} made before")
             make(spec, folder, backend, journal, progress.count)
         except KeyboardInterrupt:
             progress.stop()
             done = len(journal.done) * spec.pairs_per_scene
             raise KeyboardInterrupt(f"{done} of {spec.pairs} pairs are made; run the same command to resume") from None
         progress.finish()
-    print(f"{spec.pairs} pairs in {spec.scenes} scenes, {spec.layout} layout: {folder}")
+    print(f"{counted(spec.pairs, 'pair')} in {counted(spec.scenes, 'scene')}, {spec.layout} layout: {folder}")
     return OK
 
 
@@ -109,7 +110,7 @@ def _check(folder: Path, names: list[str]) -> int:
     from harness.cli.check import marks
 
     data = open_dataset(folder)
-    print(f"{folder}: {len(data)} pairs in {data.stored.layout.title} layout")
+    print(f"{folder}: {counted(len(data), 'pair')} in {data.stored.layout.title} layout")
     mark, faults, done = marks(), 0, 0
     for check, findings in data.checks(names):
         interrupts.check()
@@ -136,9 +137,9 @@ def _plan(spec: "DatasetSpec") -> None:
     cost = measure(spec)
     seconds, cpus = cost.seconds(spec), available_cpus()
     print(
-        f"{spec.name}: {spec.pairs} pairs in {spec.scenes} scenes, {cost.bytes(spec) / 1e9:.3g} GB, about "
-        f"{duration(_START_S + seconds / cpus)} on {cpus} CPUs (measured on a few: {cost.seconds_a_pair:.2f} s of CPU "
-        f"time and {cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene)"
+        f"{spec.name}: {counted(spec.pairs, 'pair')} in {counted(spec.scenes, 'scene')}, "
+        f"{cost.bytes(spec) / 1e9:.3g} GB, about {duration(_START_S + seconds / cpus)} on {cpus} CPUs "
+        f"(measured on a few: {cost.seconds_a_pair:.2f} s of CPU time and {cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene)"
     )
     for workers in (16, 128):
         print(f"  on {workers} workers of a cluster, each as fast: {duration(_START_S + seconds / workers)}")

@@ -13,7 +13,7 @@ from harness.api.progress import Progress, duration
 from harness.cli import options as declare
 from harness.cli.exits import OK
 from harness.cli.results import say_unused_rows, show, show_report, write
-from harness.display import listed
+from harness.display import counted, listed
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -91,7 +91,9 @@ def run(options: Namespace) -> int:
                 left = before.plan
                 if left.trials:
                     backend = backend_for(left.total_s, len(left.trials), options.workers, options.dask)
-                    progress.say(f"{len(left.trials)} trials to run {backend.name}, {before.done} done before")
+                    progress.say(
+                        f"{counted(len(left.trials), 'trial')} to run {backend.name}, {before.done} done before"
+                    )
                     run_plan(left, store, backend, progress.update, maps)
             except KeyboardInterrupt:
                 progress.stop()
@@ -140,8 +142,7 @@ def _dry_run(experiment: "Experiment", given: str, *, with_report: bool) -> int:
         else f"no estimate of the time: that of {listed(f'“{each}”' for each in whole.unknown)} is not known"
     )
     print(
-        f"{experiment.name}: {len(whole.trials)} trial{'s' * (len(whole.trials) != 1)}, "
-        f"{whole.renders} distinct render{'s' * (whole.renders != 1)}, {time}"
+        f"{experiment.name}: {counted(len(whole.trials), 'trial')}, {counted(whole.renders, 'distinct render')}, {time}"
     )
     counts = Counter(each.coordinates.get(CASE) for each in experiment.planned)
     for name, count in counts.items():

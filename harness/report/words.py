@@ -5,6 +5,7 @@ from typing import Any
 
 from harness.camera.models import Mirror
 from harness.camera.sensor import Sensor
+from harness.display import counted
 from harness.errors import with_article
 from harness.evaluation.metric_table import Metric
 from harness.evaluation.metrics import CORE
@@ -96,7 +97,7 @@ def _by(matcher: MatcherSettings) -> str:
 def overview(result: Result, sweep: Sweep) -> Iterator[str]:
     """Sentences on the axes of a sweep, and on how many of its trials are done."""
     counts = result.summary["trials"]
-    trials = f"{counts['done']} trial{'s' * (counts['done'] != 1)}"
+    trials = counted(counts["done"], "trial")
     seeds = [f"{len(sweep.seeds)} seeds"] if len(sweep.seeds) > 1 else []
     labels = [f"“{method.label}”" if "," in method.label else method.label for method in sweep.methods]
     methods = f"method{'s' * (len(labels) != 1)}: {', '.join(labels)}"

@@ -65,8 +65,9 @@ def too_sparse(trials: Iterable[tuple[Trial, Mapping[str, Any]]]) -> str:
             reasons.update(payload["reasons"])
     if not sparse:
         return ""
+    have = "has" if len(sparse) == 1 else "have"
     sentence = (
-        f"{len(sparse)} of {total} trials have a range for less than {LITTLE:.0%} of the pixels that both views see"
+        f"{len(sparse)} of {total} trials {have} a range for less than {LITTLE:.0%} of the pixels that both views see"
     )
     if not reasons.total():
         return f"{sentence}: there are hardly any such pixels; see trial.view_1, trial.view_2 and trial.sensor.field"
