@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import harness
@@ -77,6 +78,18 @@ def test_spreads_are_how_bearings_move_with_pixels(still):
         ahead, back = (unproject(SENSOR, pixels + s * step * np.eye(2)[axis])[0] for s in (1, -1))
         # Central differences: a third derivative of a few units, times step², and rounding over step.
         assert np.allclose((ahead - back) / (2 * step), spreads(SENSOR, still.bearings[:50])[..., axis], atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flip", [False, True])
+def test_of_a_large_image_the_seen_part_is_enough(monkeypatch, flip):
+    whole = find_features(picture(), SENSOR, flip=flip)
+    monkeypatch.setattr("harness.motion.features._LARGE_PX", 0)
+    part = find_features(picture(), SENSOR, flip=flip)
+    distance, _ = cKDTree(part.pixels).query(whole.pixels)
+    # Single precision of the keypoints, but for the coarsest, whose surroundings end elsewhere.
+    assert np.mean(distance < 1e-3) > 0.95
+    assert len(part.pixels) == pytest.approx(len(whole.pixels), rel=0.03)
 
 
 @pytest.mark.slow

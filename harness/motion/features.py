@@ -33,6 +33,12 @@ _SIGMAS = 0.4, 3.0
 """Least and largest standard deviation, in that unit."""
 _BORDER = 3.0
 """Least distance to the border of the field, in units of the keypoint's scale: beyond it the image is extrapolated."""
+_LARGE_PX = 2_000_000
+"""Pixels of an image from which only the part that the sensor sees is searched, as SIFT takes 230 bytes for each. The
+coarsest keypoints depend a little on how far an image goes on beyond."""
+_OCTAVES_PX = 64
+"""That part begins at a multiple of this: the pixels of all octaves but the coarsest then lie where they do on the
+whole image."""
 _ROWS = 512
 """Number of descriptors that are compared with all others at a time."""
 
@@ -103,10 +109,12 @@ def find_features(image: Image, sensor: Sensor, *, flip: bool = False) -> Featur
     image, known = without_gaps(image, pixel_directions(sensor)[1])
     filled = image[nearest_known(known)]  # black beyond the rim would make keypoints of its own
     levels = np.clip(np.rint(filled[:, ::-1] if flip else filled), 0, 255).astype(np.uint8)
-    del filled  # SIFT's pyramids take 230 bytes a pixel
+    del filled
+    rows, columns = _seen_part(known[:, ::-1] if flip else known)
     sift = cv2.SIFT_create(nfeatures=MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    keypoints, descriptors = sift.detectAndCompute(np.ascontiguousarray(levels), None)
+    keypoints, descriptors = sift.detectAndCompute(np.ascontiguousarray(levels[rows, columns]), None)
     pixels = np.array([each.pt for each in keypoints], dtype=np.float64).reshape(-1, 2)
+    pixels += columns.start, rows.start
     scale = np.array([each.size / 2 for each in keypoints])
     contrast = np.array([each.response for each in keypoints])
     if flip:
@@ -124,6 +132,15 @@ def find_features(image: Image, sensor: Sensor, *, flip: bool = False) -> Featur
         bearings=bearings[usable],
         spreads=spreads(sensor, bearings[usable]) * sigma[:, None, None],
     )
+
+
+def _seen_part(known: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """The rows and columns of an image that are searched: all, or of a large one those with known pixels."""
+    if known.size <= _LARGE_PX or not known.any():
+        return slice(0, known.shape[0]), slice(0, known.shape[1])
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    first = (int(each[0]) // _OCTAVES_PX * _OCTAVES_PX for each in (rows, columns))
+    return slice(next(first), int(rows[-1]) + 1), slice(next(first), int(columns[-1]) + 1)
 
 
 def spreads(sensor: Sensor, bearings: Array) -> Array:

@@ -152,7 +152,7 @@ def match_semi_global(pair: Pair, matcher: SemiGlobal) -> Matches:
     return pair.shared("sub-pixel", matcher, lambda: match(result, geometry, matcher, pair.available_threads))
 
 
-_LARGE_PX = 1_000_000
+_LARGE_PX = 500_000
 """Pixels of a panorama from which a pair's geometry is not kept for the next pair: it takes 150 bytes for each."""
 
 

@@ -48,7 +48,7 @@ class Slanted(MatcherSettings):
 
     def match_seconds(self, image_mp: float, curve_mp: float) -> float:
         """See `MatcherSettings.match_seconds`: a coarse search on the panorama, and windows on the image."""
-        return 3.0 * image_mp * (self.window_px / 17) ** 2 + 0.5 * curve_mp
+        return 1.8 * image_mp * (self.window_px / 17) ** 2 + 0.5 * curve_mp
 
     def support(self, log_sigma_px: float) -> Support:  # noqa: ARG002 - the mirror images themselves are matched
         """The window; the start, and planes taken from beside it, are not counted."""
