@@ -139,7 +139,8 @@ def _plan(spec: "DatasetSpec") -> None:
     print(
         f"{spec.name}: {counted(spec.pairs, 'pair')} in {counted(spec.scenes, 'scene')}, "
         f"{cost.bytes(spec) / 1e9:.3g} GB, about {duration(_START_S + seconds / cpus)} on {cpus} CPUs "
-        f"(measured on a few: {cost.seconds_a_pair:.2f} s of CPU time and {cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene)"
+        f"(measured on a few: {cost.seconds_a_pair:.2f} s of CPU time and "
+        f"{cost.bytes_a_pair / 1e6:.2g} MB a pair, {cost.seconds_a_scene:.2f} s a scene)"
     )
     for workers in (16, 128):
         print(f"  on {workers} workers of a cluster, each as fast: {duration(_START_S + seconds / workers)}")
