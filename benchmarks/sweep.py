@@ -11,6 +11,7 @@ against that of one, then bounds what they would gain on idle cores.
 
 import argparse
 import math
+import multiprocessing
 import os
 import statistics
 import subprocess
@@ -29,7 +30,7 @@ import psutil  # noqa: E402
 
 from harness.pipeline.render_cache import RenderCache  # noqa: E402
 from harness.runs import run, worker  # noqa: E402
-from harness.runs.executors import workplace  # noqa: E402
+from harness.runs.executors import backend_for  # noqa: E402
 from harness.runs.experiment import Experiment  # noqa: E402
 from harness.runs.load import load_experiment  # noqa: E402
 
@@ -40,6 +41,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=2000, help="of the long sweep; the short one has a tenth")
     parser.add_argument("--pair-trials", type=int, default=200, help="of a sweep with one worker and one with two")
     parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--quick", action="store_true", help="the pairs alone")
     options = parser.parse_args()
 
     sized(options.experiment, 1)  # compile everything, in this process
@@ -55,17 +57,21 @@ def main() -> None:
         bounds.append(2 * took[1].cpu_s / took[2].cpu_s)
         print(
             f"{len(pair.planned)} trials: {took[1].seconds:.1f} s with 1 worker, {took[2].seconds:.1f} s with 2: "
-            f"{ratios[-1]:.2f}; CPU {took[1].cpu_s:.1f} s and {took[2].cpu_s:.1f} s: at most {bounds[-1]:.2f}"
+            f"{ratios[-1]:.2f}, {len(pair.planned) / took[2].seconds:.1f} a second; "
+            f"CPU {took[1].cpu_s:.1f} s and {took[2].cpu_s:.1f} s: at most {bounds[-1]:.2f}"
         )
     print(f"two workers against one: {statistics.median(ratios):.2f} (median of {len(ratios)}; at least 1.7 wanted)")
     print(f"on idle cores at most: {statistics.median(bounds):.2f}")
+
+    if options.quick:
+        return
 
     short, long = (sized(options.experiment, n) for n in (options.trials // 10, options.trials))
     if len(short.planned) == len(long.planned):
         parser.error("--trials is too small: the short sweep and the long one are the same")
     short_s = sweep(short, 2).seconds
     folder = Path(ROOM.name) / "long"
-    whole = sweep(long, 2, folder=folder)
+    whole = sweep(long, 2, folder=folder, watched=True)
     long_s, memory = whole.seconds, whole.memory
     exponent = math.log(long_s / short_s) / math.log(len(long.planned) / len(short.planned))
     print(f"{len(short.planned)} trials in {short_s:.1f} s, {len(long.planned)} in {long_s:.1f} s")
@@ -107,13 +113,35 @@ class Took:
 
     seconds: float = 0.0
     cpu_s: float = 0.0
-    """CPU time of this process and of its workers."""
+    """CPU time of this process and of its workers, if it was not watched."""
     memory: list[int] = field(default_factory=list)
     """Resident bytes of the largest worker, twice a second."""
 
 
-def sweep(experiment: Experiment, workers: int, *, folder: Path | None = None, most: int | None = None) -> Took:
-    """Run a sweep with an empty cache."""
+def sweep(
+    experiment: Experiment,
+    workers: int,
+    *,
+    folder: Path | None = None,
+    most: int | None = None,
+    watched: bool = False,
+) -> Took:
+    """Run a sweep with an empty cache, in a process of its own: one that has run a trial has threads of libraries, and
+    its workers are not forks.
+
+    watched : record the workers' memory. That takes a thread, too.
+    """
+    context = multiprocessing.get_context("fork")
+    receive, send = context.Pipe(duplex=False)
+    process = context.Process(target=lambda: send.send(_sweep(experiment, workers, folder, most, watched)))
+    process.start()
+    send.close()
+    took: Took = receive.recv()
+    process.join()
+    return took
+
+
+def _sweep(experiment: Experiment, workers: int, folder: Path | None, most: int | None, watched: bool) -> Took:
     RenderCache().clear()
     worker.forget()
     took, ended = Took(), threading.Event()
@@ -125,29 +153,27 @@ def sweep(experiment: Experiment, workers: int, *, folder: Path | None = None, m
             left = run.run_status(experiment, store).plan
             if most:
                 left = type(left)(left.trials[:most], left.seconds[:most], left.new_geometry[:most])
-            watch.start()
-            begin = time.perf_counter()
-            run.sweep(left, store, workplace(left.total_s, len(left.trials), workers))
-            took.seconds = time.perf_counter() - begin
-            ended.set()
-            watch.join()
+            if watched:
+                watch.start()
+            begin, before = time.perf_counter(), sum(os.times()[:4])
+            run.run_plan(left, store, backend_for(left.total_s, len(left.trials), workers))
+            took.seconds, took.cpu_s = time.perf_counter() - begin, sum(os.times()[:4]) - before
+            if watched:
+                ended.set()
+                watch.join()
     return took
 
 
 def _watch(took: Took, ended: threading.Event) -> None:
     own = psutil.Process()
-    cpu: dict[int, float] = {}
-    before = sum(own.cpu_times()[:2])
     while not ended.wait(0.5):
         sizes = [own.memory_info().rss]
         for child in own.children(recursive=True):
             try:
                 sizes.append(child.memory_info().rss)
-                cpu[child.pid] = sum(child.cpu_times()[:2])
             except psutil.Error:  # it has just ended
                 continue
         took.memory.append(max(sizes[1:] or sizes))
-    took.cpu_s = sum(own.cpu_times()[:2]) - before + sum(cpu.values())
 
 
 if __name__ == "__main__":
