@@ -3,7 +3,8 @@
 On the shipped scenes and on random rooms, without noise and with noise of 10 grey levels. Each line has, over the
 pixels that both views see at least 30 degrees from the baseline: density, median error, the share above 1 px (bad-1),
 the shares above 1, 2 and 3 predicted standard deviations, and how many of the pixels without texture are matched
-(blank), and their share of all. Of StereoSGBM the line is that of the setting, of the best ones of
+(blank). Over all pixels that far from the baseline whose point lies in view 2's field, `hidden` is the precision and
+recall of "view 2 does not see this". Of StereoSGBM the line is that of the setting, of the best ones of
 `experiments/peers.toml`, with the lowest bad-1 on the pair itself.
 
     pip install 'omnirange[peers]'
@@ -22,7 +23,7 @@ from matching import BEST_OF_PEERS
 from harness.datasets.rigs import draw_poses
 from harness.datasets.rooms import draw_room
 from harness.datasets.specification import DatasetSpec, Furniture, Rig, Surfaces
-from harness.matching.interface import MatcherSettings, Matches
+from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.semi_global.match import SemiGlobal
 from harness.matching.slanted.settings import Slanted
 from harness.pipeline.specification import Noise, Rendering, SecondView, Trial
@@ -82,6 +83,8 @@ def figures(outcome: Outcome, matches: Matches) -> dict[str, float]:
     if matches.sigma_alpha_2 is not None:
         z = np.abs(error[matched]) / matches.sigma_alpha_2[expected.domain][matched]
     blank = truth.textureless[expected.domain]
+    looked_at = expected.sideways & np.isfinite(truth.range_m) & truth.in_field_2
+    hidden, said = looked_at & ~truth.unoccluded, looked_at & (matches.reasons == Reason.OCCLUDED)
     return {
         "density": float(matched.mean()),
         "median": float(np.median(off)),
@@ -89,10 +92,19 @@ def figures(outcome: Outcome, matches: Matches) -> dict[str, float]:
         **{f"z{k}": float(np.mean(z > k)) for k in (1, 2, 3)},
         "blank": float(np.mean(matched[blank])) if blank.any() else math.nan,
         "blank_share": float(blank.mean()),
+        "precision": share(hidden & said, said),
+        "recall": share(hidden & said, hidden),
     }
 
 
-HEADING = f"{'':32} {'density':>8} {'median':>7} {'bad-1':>7} {'z>1':>6} {'z>2':>6} {'z>3':>6} {'blank':>12}"
+def share(part: np.ndarray, whole: np.ndarray) -> float:
+    """How much of the whole is part of it; NaN where there is none."""
+    return float(np.count_nonzero(part) / np.count_nonzero(whole)) if whole.any() else math.nan
+
+
+HEADING = (
+    f"{'':32} {'density':>8} {'median':>7} {'bad-1':>7} {'z>1':>6} {'z>2':>6} {'z>3':>6} {'blank':>12} {'hidden':>12}"
+)
 
 
 def line(name: str, f: dict[str, float]) -> str:
@@ -100,6 +112,7 @@ def line(name: str, f: dict[str, float]) -> str:
         f"{name:32} {100 * f['density']:8.2f} {f['median']:7.4f} {100 * f['bad_1']:7.3f}"
         + "".join(f" {100 * f[f'z{k}']:6.2f}" for k in (1, 2, 3))
         + f" {100 * f['blank']:5.0f} /{100 * f['blank_share']:4.1f}"
+        + f" {100 * f['precision']:5.0f} {100 * f['recall']:5.0f}"
     )
 
 

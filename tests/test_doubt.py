@@ -73,8 +73,9 @@ def test_on_the_far_side_of_a_border_planes_need_not_agree():
 
 def one_pixel(unexplained=0.1, near=1.0, whole=1.0):
     """Two pixels alike."""
+    residual = np.ones(2, np.float32)
     return Surroundings(
-        np.zeros(2), np.full(2, unexplained, np.float32), np.full(2, near, float), np.full(2, whole, float)
+        np.zeros(2), residual, np.full(2, unexplained, np.float32), np.full(2, near, float), np.full(2, whole, float)
     )
 
 

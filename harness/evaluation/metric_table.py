@@ -166,6 +166,8 @@ METRICS: dict[str, Metric] = _metrics(
     Metric("map_missed_borders", "Map", "borders missed", "%", 100, ".2f", "lower"),
     Metric("map_ceiling_iou_free", "Map", "IoU, free, true ranges", "", 1, ".3f", "higher"),
     Metric("map_ceiling_iou_occupied", "Map", "IoU, occupied, true ranges", "", 1, ".3f", "higher"),
+    Metric("occlusion_precision", "Occlusion", "precision", "%", 100, ".1f", "higher"),
+    Metric("occlusion_recall", "Occlusion", "recall", "%", 100, ".1f", "higher"),
     Metric("refined", "Refined", "", "%", 100, ".1f", "higher"),
 )
 """All metrics by name, in the order of the columns. An entry with `of` needs nothing else: rows have it, and all that

@@ -208,9 +208,11 @@ class Reason(IntEnum):
     NO_MATCH = 6
     """The matcher found none, or rejected it as too uncertain."""
     INCONSISTENT = 7
-    """The match from view 2 back to view 1 leads elsewhere: most likely a point that view 2 does not see."""
+    """The match from view 2 back to view 1 leads elsewhere."""
     OFF_CURVE = 8
     """In view 2 the point lies beside its epipolar curve, unlike its surroundings: most likely it has moved."""
+    OCCLUDED = 9
+    """View 2 sees a nearer surface in front of the point: it has no match there."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,6 +16,7 @@ from harness.evaluation.metrics import (
     share_of_estimates,
 )
 from harness.evaluation.motion_cost import motion_figures
+from harness.evaluation.occlusion_scores import occlusion_scores
 from harness.evaluation.regions import FLOOR, VISIBLE, WALL
 from harness.evaluation.rounding import rounding
 from harness.evaluation.tally import tally
@@ -81,6 +82,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
             **{f"wall_{k}": v for k, v in _figures(regions, WALL).items()},
             **{f"floor_{k}": v for k, v in _figures(regions, FLOOR).items()},
             **{f"solid_angle_{k}": v for k, v in measure_by_solid_angle(errors).items()},
+            **occlusion_scores(outcome.regions, outcome.reason == Reason.OCCLUDED),
             "refined": None if refined is None else share_of_estimates(errors, refined),
             **_of_confidence(optional),
             **_of_motion(outcome),

@@ -17,7 +17,7 @@ from harness.report.theme import HALF, WIDE, Picture
 
 _OF_PARTS = ("density", "range_median_abs_m", "range_rmse_m", "disparity_median_abs_px", "bad_1px")
 _OF_PAIRS = (*_OF_PARTS, "range_abs_rel", "range_bias_m")
-_NOT_HERE = ("motion_", "view_", "refined", "scan_")
+_NOT_HERE = ("motion_", "view_", "refined", "scan_", "occlusion_")
 _SPLITS = {"visibility": "Visibility", "kind": "Kind", "alpha_1": "Angle α₁", "range": "Range"}
 _MOST_PAIRS = 300
 _HEIGHT = 330

@@ -39,7 +39,7 @@ _CAUSES = (
         },
     ),
     (
-        (Reason.NO_MATCH, Reason.INCONSISTENT, Reason.MATCHED),
+        (Reason.NO_MATCH, Reason.INCONSISTENT, Reason.OCCLUDED, Reason.MATCHED),
         "the matcher rejected its matches as uncertain",
         {"matching.d_min_m": "", "matching.d_max_m": "(the scene's ranges)", "noise.sigma_grey": "", "exposure_2": ""},
     ),

@@ -27,6 +27,8 @@ _BY_TEXTURE = 0.55
 """The power with which doubt grows as the texture around the pixel falls below the window's."""
 _MOVED = 2.0
 """The doubt of a plane taken from a window beside the pixel: it is extrapolated."""
+_UNLIKE = 2.0
+"""By how much the residual of something else exceeds that of noise: it is the sum of two textures."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,10 @@ class Surroundings:
 
     disagreement: Array
     """1/m: how far the planes around are from the pixel's own, there."""
+    residual: NDArray[np.float32]
+    """The residual's mean square about the pixel, grey levels squared."""
     unexplained: NDArray[np.float32]
-    """The residual's mean square about the pixel as a share of the image's variance there."""
+    """The same as a share of the image's variance there."""
     texture_near: Array
     """Sum of g² per squared motion over the pixel's surroundings."""
     texture: Array
@@ -54,14 +58,15 @@ def surroundings_of(
         samples.value, field.plane, field.chosen, field.gain, field.offset, field.w, square, disagreement,
     )  # fmt: skip
     image = np.where(samples.known, first.image, np.float32(0))
-    count, mean, variance, unexplained = (
+    count, mean, variance, residual = (
         ndimage.uniform_filter(a, side, mode="constant", output=np.float64)
         for a in (samples.known.astype(np.float32), image, np.square(image, dtype=np.float64), square)
     )
-    # In units of the means over all pixels of the square, known or not. A grey level's rounding is below 1.
+    # Means are over all pixels of the square, known or not. A grey level's rounding is below 1.
     with np.errstate(invalid="ignore", divide="ignore"):
         variance -= mean * mean / count
-        unexplained /= np.maximum(variance, 0.0) + count
+        unexplained = residual / (np.maximum(variance, 0.0) + count)
+        residual /= count
     g2, motion = (np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion))
 
     def density(over: int) -> Array:
@@ -69,7 +74,23 @@ def surroundings_of(
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.divide(texture, moved, out=texture)
 
-    return Surroundings(disagreement, unexplained.astype(np.float32), density(near(window_px)), density(window_px))
+    return Surroundings(
+        disagreement,
+        residual.astype(np.float32),
+        unexplained.astype(np.float32),
+        density(near(window_px)),
+        density(window_px),
+    )
+
+
+def unlike(field: Field, around: Surroundings) -> NDArray[np.bool_]:
+    """Mirror pixels, `[height, width]`, whose surroundings view 2 does not show where their planes say: what is left is
+    `_UNLIKE` times what is left in the middle of all pixels, which is noise.
+    """
+    there = around.residual[field.chosen >= 0]
+    limit = _UNLIKE * np.nanmedian(there) if there.size else np.inf
+    with np.errstate(invalid="ignore"):
+        return np.asarray(around.residual > limit)
 
 
 def near(window_px: int) -> int:

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from harness.camera._field_kernels import FieldLimits
 from harness.camera.fill import across_seam, nearest_known
-from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions
+from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, project
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
 from harness.matching.slanted import _fit_kernels, _median_kernels
@@ -227,3 +227,17 @@ def fit(
             field.offset, field.w, field.chosen,
         )  # fmt: skip
     return field
+
+
+def read_planes(field: Field, x: Array, part: Part) -> tuple[NDArray[np.intp], NDArray[np.int32], Array]:
+    """Flat index of the mirror pixel nearest to each direction, the window that it takes its plane from, and that
+    plane's inverse range in the direction itself; NaN where the direction is not seen or there is no plane.
+    """
+    height, width = field.w.shape
+    pixels, valid = project(part.sensor, x)
+    column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
+    row, column = row - part.rows.start, column + part.seam - part.columns.start
+    index = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
+    window = field.chosen.ravel()[index]
+    w = np.sum(field.plane.reshape(-1, 3)[window] * x, axis=-1)
+    return index, window, np.where(valid & (window >= 0), w, np.nan)

@@ -26,40 +26,36 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from harness.camera.fill import across_seam, closed_image
-from harness.camera.sensor import Sensor, project, seam_px
-from harness.geometry.angles import Array, angle_between, normalise
+from harness.camera.sensor import Sensor, seam_px
+from harness.geometry.angles import Array, angle_between
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
 from harness.matching.interface import Matches, Reason
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.matching.slanted.doubt import Surroundings, factor, surroundings_of
+from harness.matching.slanted.back import Reverse, seen_back, tell_occluded
+from harness.matching.slanted.doubt import Surroundings, factor, surroundings_of, unlike
 from harness.matching.slanted.field import (
     Field,
     Image,
+    Mask,
     Part,
     Warp,
     fit,
     no_samples,
     part_of,
+    read_planes,
     sample,
     view_of,
     warp_between,
 )
 from harness.matching.slanted.settings import Slanted
-from harness.matching.slanted.sigma import inflation_of, sigma_of
+from harness.matching.slanted.sigma import CONFIRMED, at_least, inflation_of, sigma_of
 
 _ACROSS_SEAM = 6
 """How many windows a periodic image is continued by on both sides."""
-
-_DISAGREEMENT = 0.75
-_CONFIRMED = 0.5
-"""The standard deviation is at least these parts of what the planes around differ by, and of what the match back from
-view 2 misses the pixel by. With both, errors at noise 10 lie within one, two and three as often as Gaussian ones, to a
-few per cent; larger parts cover more than one in 68 %."""
 
 _ROWS = 32
 """Rows of the panorama that are read at a time."""
@@ -131,7 +127,7 @@ def refine_slanted(
         back_warp = warp_between(part_2, part_1, _reversed(motion), closed[1][1])
         steps = settings.sharp_iterations
         reverse = fit(second, first, back_warp, start, settings, steps, grid.phi_pitch, pool, covariance=False)
-        return _matches(read, reverse, motion, part_2, grid, settings, pool)
+        return _matches(read, Reverse(reverse, part_2, motion), grid, settings, pool)
 
 
 def _reversed(motion: Motion) -> Motion:
@@ -176,6 +172,8 @@ class _Read:
     """Standard deviation of alpha_2, radians."""
     doubt: Array
     """See `doubt.factor`; infinite outside the limits."""
+    unlike: Mask
+    """See `doubt.unlike`."""
 
 
 def _bands(grid: Grid) -> list[slice]:
@@ -194,18 +192,20 @@ def _on_panorama(
     pool: ThreadPoolExecutor,
 ) -> _Read:
     """Evaluate the planes in the directions of the panorama's pixels."""
-    result, panorama = _Read(*np.empty((3, *grid.shape))), directions(grid)
+    result = _Read(np.empty(grid.shape), np.empty(grid.shape), np.empty(grid.shape), np.empty(grid.shape, bool))
+    unexplained = unlike(forth, around).ravel()
+    panorama = directions(grid)
 
     def read(rows: slice) -> None:
         x = panorama[rows]
-        index, window, w = _read(forth, x, part)
+        index, window, w = read_planes(forth, x, part)
         length, across = np.linalg.norm(x - w[..., None] * warp.t, axis=-1), _across(warp.t, x)
         sigma_w = sigma_of(forth, inflation, x, window, warp, settings)
         # d alpha_2/dw = |t × x|/|x - w t|²
-        sigma = across / length**2 * np.fmax(sigma_w, _DISAGREEMENT * around.disagreement.ravel()[index])
+        sigma = across / length**2 * at_least(sigma_w, around.disagreement.ravel()[index])
         with np.errstate(invalid="ignore"):
             within = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
-        result.w[rows], result.sigma[rows] = w, sigma
+        result.w[rows], result.sigma[rows], result.unlike[rows] = w, sigma, unexplained[index]
         result.doubt[rows] = np.where(within, factor(around, index, window), np.inf)
 
     list(pool.map(read, _bands(grid)))
@@ -217,53 +217,26 @@ def _across(t: Array, x: Array) -> Array:
     return np.asarray(np.linalg.norm(np.cross(t, x), axis=-1))
 
 
-def _matches(
-    read: _Read,
-    reverse: Field,
-    motion: Motion,
-    part: Part,
-    grid: Grid,
-    settings: Slanted,
-    pool: ThreadPoolExecutor,
-) -> Matches:
-    """The planes that view 2's own confirm.
-
-    motion : from view 1 to view 2. part : view 2's.
-    """
+def _matches(read: _Read, reverse: Reverse, grid: Grid, settings: Slanted, pool: ThreadPoolExecutor) -> Matches:
+    """The planes that view 2's own confirm, and reasons for the rest."""
     alpha_2, sigma_2, reasons = np.empty(grid.shape), np.empty(grid.shape), np.empty(grid.shape, np.uint8)
     limit, apart = settings.max_sigma_px * grid.phi_pitch, settings.consistency_px * grid.phi_pitch
-    t, R, panorama = motion.t_v1, motion.R_v2_from_v1, directions(grid)
+    t, panorama = reverse.motion.t_v1, directions(grid)
 
     def confirm(rows: slice) -> None:
-        x, w = panorama[rows], read.w[rows]
-        q = x - w[..., None] * t
-        length, across = np.linalg.norm(q, axis=-1), _across(t, x)
-        # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there.
-        _, _, w_2 = _read(reverse, normalise(q @ R.T), part)
-        missed = np.abs(w_2 - w / length) * across * length
-        sigma = np.fmax(read.sigma[rows], _CONFIRMED * missed)
+        x = panorama[rows]
+        q, nearer = seen_back(x, read.w[rows], reverse)
+        missed = np.abs(nearer)
+        sigma = np.fmax(read.sigma[rows], CONFIRMED * missed)
         with np.errstate(invalid="ignore"):
             reason = np.where(missed <= apart, np.uint8(Reason.MATCHED), np.uint8(Reason.INCONSISTENT))
             reason[~(read.doubt[rows] * read.sigma[rows] <= limit)] = Reason.NO_MATCH
             reason[(reason == Reason.MATCHED) & ~(read.doubt[rows] * sigma <= limit)] = Reason.NO_MATCH
-        reason[across <= 1e-9 * np.linalg.norm(t)] = Reason.NO_EPIPOLAR_PLANE
+        reason[_across(t, x) <= 1e-9 * np.linalg.norm(t)] = Reason.NO_EPIPOLAR_PLANE
         matched = reason == Reason.MATCHED
         alpha_2[rows], reasons[rows] = np.where(matched, angle_between(q, t), np.nan), reason
         sigma_2[rows] = np.where(matched, sigma, np.nan)
 
     list(pool.map(confirm, _bands(grid)))
+    tell_occluded(reasons, read.w, read.unlike, reverse, grid, apart)
     return Matches(alpha_2=alpha_2, confidence=1 / sigma_2, sigma_alpha_2=sigma_2, reason=reasons)
-
-
-def _read(field: Field, x: Array, part: Part) -> tuple[NDArray[np.intp], NDArray[np.int32], Array]:
-    """Flat index of the mirror pixel nearest to each direction, the window that it takes its plane from, and that
-    plane's inverse range in the direction itself; NaN where the direction is not seen or there is no plane.
-    """
-    height, width = field.w.shape
-    pixels, valid = project(part.sensor, x)
-    column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
-    row, column = row - part.rows.start, column + part.seam - part.columns.start
-    index = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
-    window = field.chosen.ravel()[index]
-    w = np.sum(field.plane.reshape(-1, 3)[window] * x, axis=-1)
-    return index, window, np.where(valid & (window >= 0), w, np.nan)

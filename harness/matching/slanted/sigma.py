@@ -17,6 +17,12 @@ from harness.matching.slanted.settings import Slanted
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
 
+_DISAGREEMENT = 0.75
+CONFIRMED = 0.5
+"""The standard deviation is at least these parts of what the planes around differ by, and of what the match back from
+view 2 misses the pixel by. With both, errors at noise 10 lie within one, two and three as often as Gaussian ones, to a
+few per cent; larger parts cover more than one in 68 %."""
+
 
 def sigma_of(
     field: Field, inflation: Array, x: Array, window: NDArray[np.int32], warp: Warp, settings: Slanted
@@ -42,6 +48,11 @@ def sigma_of(
     residual = field.residual.ravel()[window] + 1e-10
     with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
         return np.sqrt(spread * residual * smoothed * inflation.ravel()[window])
+
+
+def at_least(sigma_w: Array, disagreement: Array) -> Array:
+    """Standard deviations of inverse range, no less than three quarters of what the planes around differ by."""
+    return np.asarray(np.fmax(sigma_w, _DISAGREEMENT * disagreement))
 
 
 def smoothed_noise(iterations: int, sharp_iterations: int) -> Array:

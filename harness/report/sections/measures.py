@@ -53,7 +53,9 @@ without an estimate count in the density alone. A50 to A99: quantiles of the abs
 |error|/<i>d</i>. SqRel: mean of error²/<i>d</i>. SILog: standard deviation of log(estimate/<i>d</i>). δ: share of
 estimates within that factor of the truth. Seam: mean over rows of the difference between the errors in the first and
 in the last column. Boundaries: pixels where Sobel’s gradient of the range is longer than stated, in estimate and truth;
-one without an estimate is missed. Normals: by the points of the four neighbours. Refined: share of estimates that the
+one without an estimate is missed. Normals: by the points of the four neighbours. Occlusion: of pixels that a matcher
+says view 2 does not see, how many it does not (precision), and of all such pixels, how many are said to be (recall).
+Refined: share of estimates that the
 sub-pixel step could move.
 """
 

@@ -1,0 +1,83 @@
+"""What view 2's own planes say of the points that view 1's make: confirmed, contradicted, or hidden."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.geometry.angles import Array, normalise
+from harness.geometry.panorama import Grid, directions
+from harness.geometry.pose import Motion
+from harness.matching.interface import Reason
+from harness.matching.slanted.field import Field, Mask, Part, read_planes
+
+
+@dataclass(frozen=True)
+class Reverse:
+    """View 2 fitted to view 1."""
+
+    field: Field
+    part: Part
+    """View 2's."""
+    motion: Motion
+    """From view 1 to view 2."""
+
+
+def seen_back(x: Array, w: Array, reverse: Reverse) -> tuple[Array, Array]:
+    """Points in directions x of view 1 at inverse ranges w, from viewpoint 2 in view 1's orientation and in units of
+    their range from viewpoint 1; and by how much view 2's own surface there is nearer, radians of alpha_2, NaN where it
+    has none.
+    """
+    t, R = reverse.motion.t_v1, reverse.motion.R_v2_from_v1
+    q = x - w[..., None] * t
+    length = np.linalg.norm(q, axis=-1)
+    # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there. With
+    # d alpha_2/dw = |t × x|/|q|² and w_2 = w/|q|, alpha_2 changes by |t × x| |q| for a unit of w_2.
+    _, _, w_2 = read_planes(reverse.field, normalise(q @ R.T), reverse.part)
+    return q, (w_2 - w / length) * np.linalg.norm(np.cross(t, x), axis=-1) * length
+
+
+def tell_occluded(
+    reasons: NDArray[np.uint8], w: Array, unlike: Mask, reverse: Reverse, grid: Grid, apart: float
+) -> None:
+    """Mark pixels without a match that view 2 cannot see.
+
+    What a hidden pixel shows goes on from the matched pixels around, and is the farthest of what they show: the nearer
+    surface is the one that hides it. It is hidden if view 2 sees something nearer where that would be, by more than
+    `apart`, and if nothing that was found in view 2 is like it. Without the latter, pixels at the edge of the nearer
+    surface, and in blank places, would be said to be hidden.
+
+    Parameters
+    ----------
+    reasons
+        `[height, width]`; written.
+    w
+        Inverse ranges, right where there is a match.
+    unlike
+        Pixels whose surroundings no plane explains.
+    """
+    row, column = np.nonzero(((reasons == Reason.NO_MATCH) | (reasons == Reason.INCONSISTENT)) & unlike)
+    behind = farthest_beside(np.where(reasons == Reason.MATCHED, w, np.nan))[row, column]
+    _, nearer = seen_back(directions(grid)[row, column], behind, reverse)
+    with np.errstate(invalid="ignore"):
+        hidden = nearer > apart
+    reasons[row[hidden], column[hidden]] = Reason.OCCLUDED
+
+
+def farthest_beside(w: Array) -> Array:
+    """The least of the nearest known values in either direction along row and column; NaN where there is none.
+
+    Rows go round.
+    """
+    width = w.shape[1]
+    around = np.concatenate([w, w, w], axis=1)
+    left, right = _last_known(around, 1), _last_known(around[:, ::-1], 1)[:, ::-1]
+    beside = np.fmin(left, right)[:, width : 2 * width]
+    return np.asarray(np.fmin(beside, np.fmin(_last_known(w, 0), _last_known(w[::-1], 0)[::-1])))
+
+
+def _last_known(w: Array, axis: int) -> Array:
+    """The last known value up to each place along an axis."""
+    place = np.arange(w.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
+    last = np.maximum.accumulate(np.where(np.isnan(w), 0, place), axis=axis)
+    return np.asarray(np.take_along_axis(w, last, axis))
