@@ -7,6 +7,8 @@ import signal
 import subprocess
 from pathlib import Path
 
+FORK_SAFE: set[int] = set()
+"""Native ids of threads that hold no lock while the process forks."""
 _M_MMAP_THRESHOLD = -3
 """The option's number in malloc.h of the GNU C library."""
 
@@ -24,9 +26,12 @@ def can_be_copied() -> bool:
 
 
 def has_one_thread() -> bool:
-    """Whether this process has a single thread, those of libraries included; False where the system does not say."""
+    """Whether this process has a single thread, those of libraries included; False where the system does not say.
+
+    Threads in `FORK_SAFE` do not count.
+    """
     try:
-        return sum(1 for _ in Path("/proc/self/task").iterdir()) == 1
+        return len({int(each.name) for each in Path("/proc/self/task").iterdir()} - FORK_SAFE) == 1
     except OSError:
         return False
 

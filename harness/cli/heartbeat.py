@@ -1,5 +1,6 @@
 """A sign of life on a terminal while a command is silent, as it loads libraries or computes."""
 
+import os
 import sys
 import threading
 import time
@@ -8,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any, TextIO
 
 from harness.api.progress import duration
+from harness.machine import FORK_SAFE
 
 SILENCE_S = 1.5
 """Longest silence on a terminal, seconds; people begin to wonder at about two seconds."""
@@ -64,6 +66,24 @@ class Pulse:
             self._shown = max(self._shown, len(text))
 
 
+_beating: list[Pulse] = []
+"""The pulse that beats, if any."""
+
+
+def _hold() -> None:
+    for pulse in _beating:
+        pulse.lock.acquire()
+
+
+def _let_go() -> None:
+    for pulse in _beating:
+        pulse.lock.release()
+
+
+if hasattr(os, "register_at_fork"):  # no fork finds the thread in the middle of a write
+    os.register_at_fork(before=_hold, after_in_parent=_let_go, after_in_child=_let_go)
+
+
 @contextmanager
 def heartbeat() -> Iterator[None]:
     """Say on a terminal that a command is at work whenever it has been silent for long; nothing elsewhere."""
@@ -80,11 +100,15 @@ def heartbeat() -> Iterator[None]:
 
     thread = threading.Thread(target=beat, daemon=True)
     thread.start()
+    _beating.append(pulse)
+    FORK_SAFE.add(thread.native_id or 0)
     try:
         yield
     finally:
         ended.set()
         thread.join()
+        FORK_SAFE.discard(thread.native_id or 0)
+        _beating.remove(pulse)
         with pulse.lock:
             pulse.clear()
         sys.stdout, sys.stderr = out, err

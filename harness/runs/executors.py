@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -110,7 +111,9 @@ class _Pool(ProcessPoolExecutor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         # Processes are begun here, as there is work. They ignore Ctrl-C once they have begun.
-        with _without_script(), _ctrl_c_held_back():
+        with _without_script(), _ctrl_c_held_back(), warnings.catch_warnings():
+            # Python 3.12 and later warn of forks beside threads, of which there are none but safe ones.
+            warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
             return super().submit(fn, *args, **kwargs)
 
 
