@@ -1,13 +1,14 @@
 """How long our matchers take, beside OpenCV's StereoSGBM and StereoBM on the same pair of views: columns, semi-global
 matching, and slanted windows.
 
-Prints ratios: the median over interleaved repetitions, so that a busy machine slows all down alike. All use the same
-number of threads (StereoSGBM's default mode works on one, whatever it is given; its three-way mode on all). What
-depends on the geometry alone is made beforehand: epipolar tables for ours, rectification maps for OpenCV. The column
-matcher is timed from the filtered panoramas to the best sample of every pixel, moved to the minimum of the parabola;
-semi-global matching from the views resampled about the baseline to `Matches`, the check of consistency included;
-slanted windows from the mirror images and the answer of semi-global matching to `Matches`, and again with all that
-semi-global matching does before; OpenCV's from the rectified 8-bit images to disparities, which are sub-pixel as well.
+Prints ratios: the median over interleaved repetitions, so that a busy machine slows all down alike; of time on the
+clock, and of CPU time, which does not depend on whether the second core is free. All use the same number of threads
+(StereoSGBM's default mode works on one, whatever it is given; its three-way mode on all). What depends on the geometry
+alone is made beforehand: epipolar tables for ours, rectification maps for OpenCV. The column matcher is timed from the
+filtered panoramas to the best sample of every pixel, moved to the minimum of the parabola; semi-global matching from
+the views resampled about the baseline to `Matches`, the check of consistency included; slanted windows from the mirror
+images and the answer of semi-global matching to `Matches`, and again with all that semi-global matching does before;
+OpenCV's from the rectified 8-bit images to disparities, which are sub-pixel as well.
 
 The rectification is OpenCV's LONGLATI: columns are angles to the baseline, 0 to 180 degrees, rows half planes around
 it, 0 to 360 degrees, both in steps of a panorama's column. No smaller rectangle holds the panorama, for every such half
@@ -85,10 +86,11 @@ def opencv_matchers(window: int) -> dict[str, Callable[[np.ndarray, np.ndarray],
     return {name: matcher.compute for name, matcher in {**semi, "BM": cv2.StereoBM.create(DISPARITIES, window)}.items()}
 
 
-def seconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
+def seconds(work: Callable[[], object]) -> tuple[float, float]:
+    """Time on the clock, and CPU time of all threads."""
+    start, cpu = time.perf_counter(), time.process_time()
     work()
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - cpu
 
 
 def main() -> None:
@@ -154,7 +156,8 @@ def main() -> None:
 
 
 def heading(first: str) -> str:
-    return f"{first:>16} {'ours ms':>8}" + "".join(f"{'/ ' + name:>15} {'a pixel':>8}" for name in opencv_matchers(7))
+    ratios = "".join(f"{'/ ' + name:>15} {'CPU':>6} {'a pixel':>8}" for name in opencv_matchers(7))
+    return f"{first:>16} {'ours ms':>8} {'CPU ms':>8}" + ratios
 
 
 def compared(
@@ -168,9 +171,12 @@ def compared(
     theirs = [lambda f=compute: f(*pair) for compute in opencv.values()]
     ours()
     times = [(seconds(ours), *map(seconds, theirs)) for _ in range(repetitions)]
-    ratios = [statistics.median(row[0] / row[i + 1] for row in times) for i in range(len(theirs))]
-    mine = statistics.median(row[0] for row in times)
-    return f" {1e3 * mine:8.1f}" + "".join(f"{ratio:15.2f} {ratio / share:8.2f}" for ratio in ratios)
+    ratios = [
+        [statistics.median(row[0][clock] / row[i + 1][clock] for row in times) for clock in (0, 1)]
+        for i in range(len(theirs))
+    ]
+    mine = "".join(f" {1e3 * statistics.median(row[0][clock] for row in times):8.1f}" for clock in (0, 1))
+    return mine + "".join(f"{wall:15.2f} {cpu:6.2f} {wall / share:8.2f}" for wall, cpu in ratios)
 
 
 def median_error_px(pair: list[np.ndarray], outcome: Outcome) -> float:

@@ -1,6 +1,7 @@
 """The standard deviation of what slanted windows find: that of least squares, corrected; see `sigma_of`."""
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -36,11 +37,12 @@ def sigma_of(
       planes that noise alone would give, smoothed n times and less and less of each; see `smoothed_noise`.
     """
     # Tangents at the middle of the window, as in the kernel.
-    c = warp.x.reshape(-1, 3)[window]
-    sideways = np.stack([-c[..., 1], c[..., 0], np.zeros_like(c[..., 0])], axis=-1)
-    cosine = np.linalg.norm(sideways, axis=-1, keepdims=True)
-    e = np.where(cosine > 1e-9, sideways / np.maximum(cosine, 1e-9), [0.0, 1.0, 0.0])
-    one, a, b = (np.sum(x * axis, axis=-1) for axis in (c, e, np.cross(c, e)))
+    (c_0, c_1, c_2), (x_0, x_1, x_2) = (np.moveaxis(each, -1, 0) for each in (warp.x.reshape(-1, 3)[window], x))
+    cosine = np.hypot(c_0, c_1)
+    off_axis, divisor = cosine > 1e-9, np.maximum(cosine, 1e-9)
+    e_0, e_1 = np.where(off_axis, -c_1 / divisor, 0.0), np.where(off_axis, c_0 / divisor, 1.0)
+    one, a = x_0 * c_0 + x_1 * c_1 + x_2 * c_2, x_0 * e_0 + x_1 * e_1
+    b = c_2 * (x_1 * e_0 - x_0 * e_1) + x_2 * (c_0 * e_1 - c_1 * e_0)
     c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
     spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
     smoothed = polyval(field.share.ravel()[window], smoothed_noise(settings.iterations, settings.sharp_iterations))
@@ -55,8 +57,9 @@ def at_least(sigma_w: Array, disagreement: Array) -> Array:
     return np.asarray(np.fmax(sigma_w, _DISAGREEMENT * disagreement))
 
 
+@lru_cache(maxsize=8)
 def smoothed_noise(iterations: int, sharp_iterations: int) -> Array:
-    """Coefficients of the variance, in units of s² C, as a polynomial of f.
+    """Coefficients of the variance, in units of s² C, as a polynomial of f; read-only.
 
     Two planes, one smoothed k times over a window and one l times, correlate as (b_n+2(0)/b_2(0))², n = k + l: planes
     of neighbouring windows share pixels, which is smoothing too, and b_m is the density of the sum of m evenly
@@ -70,6 +73,7 @@ def smoothed_noise(iterations: int, sharp_iterations: int) -> Array:
         for m, other in enumerate(weights):
             product = np.convolve(one, other)
             total[: len(product)] += product * centre_of_spline(k + m + 2) ** 2
+    total.flags.writeable = False
     return total
 
 
