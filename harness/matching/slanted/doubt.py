@@ -58,9 +58,9 @@ def surroundings_of(
         samples.value, field.plane, field.chosen, field.gain, field.offset, field.w, square, disagreement,
     )  # fmt: skip
     image = np.where(samples.known, first.image, np.float32(0))
-    count, mean, variance, residual = (
-        ndimage.uniform_filter(a, side, mode="constant", output=np.float64)
-        for a in (samples.known.astype(np.float32), image, np.square(image, dtype=np.float64), square)
+    count, mean, variance, residual = pool.map(
+        lambda a: ndimage.uniform_filter(a, side, mode="constant", output=np.float64),
+        (samples.known.astype(np.float32), image, np.square(image, dtype=np.float64), square),
     )
     # Means are over all pixels of the square, known or not. A grey level's rounding is below 1.
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -70,7 +70,7 @@ def surroundings_of(
     g2, motion = (np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion))
 
     def density(over: int) -> Array:
-        texture, moved = (ndimage.uniform_filter(a, over, mode="constant") for a in (g2, motion))
+        texture, moved = pool.map(lambda a: ndimage.uniform_filter(a, over, mode="constant"), (g2, motion))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.divide(texture, moved, out=texture)
 

@@ -44,6 +44,7 @@ from harness.matching.slanted.field import (
     Part,
     Warp,
     fit,
+    in_rows,
     no_samples,
     part_of,
     read_planes,
@@ -115,7 +116,7 @@ def refine_slanted(
     forth_warp = warp_between(part_1, part_2, motion, closed[0][1])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
         first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2))
-        start = _start(start_alpha_2, forth_warp, grid)
+        start = _start(start_alpha_2, forth_warp, grid, pool)
         forth = fit(first, second, forth_warp, start, settings, settings.iterations, grid.phi_pitch, pool)
         start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
         samples = no_samples(forth.w.shape)
@@ -135,17 +136,21 @@ def _reversed(motion: Motion) -> Motion:
     return Motion(R_v2_from_v1=R.T, t_v1=-R @ motion.t_v1)
 
 
-def _start(alpha_2: Array, warp: Warp, grid: Grid) -> Array:
+def _start(alpha_2: Array, warp: Warp, grid: Grid, pool: ThreadPoolExecutor) -> Array:
     """Inverse range of every mirror pixel that the panorama covers; NaN elsewhere.
 
     From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1).
     """
-    row, column, inside = pixel_that_holds(grid, np.nan_to_num(warp.x))
     with np.errstate(invalid="ignore", divide="ignore"):
         w = np.sin(alpha_2 - angle_between(directions(grid), warp.t)) / (np.linalg.norm(warp.t) * np.sin(alpha_2))
-    covered = warp.valid & inside
     field = np.full(warp.valid.shape, np.nan)
-    field[covered] = w[row[covered].astype(np.intp), column[covered]]
+
+    def cover(first: int, end: int) -> None:
+        row, column, inside = pixel_that_holds(grid, np.nan_to_num(warp.x[first:end]))
+        covered = warp.valid[first:end] & inside
+        field[first:end][covered] = w[row[covered].astype(np.intp), column[covered]]
+
+    in_rows(pool, len(field), cover)
     return field
 
 
