@@ -1,10 +1,12 @@
 """What surroundings say of a match: against plain loops, and on an edge whose planes are known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from harness.matching.slanted import _doubt_kernels as _kernels
-from harness.matching.slanted.doubt import Surroundings, factor
+from harness.matching.slanted.doubt import Surroundings, factor, unlike
 
 
 def field(shape=(40, 50), seed=1):
@@ -96,3 +98,14 @@ def test_what_makes_doubt():
 
 def test_nothing_known_is_no_certainty():
     assert not factor(one_pixel(near=np.nan), INDEX, INDEX)[0] <= 1e9
+
+
+def test_unlike_is_what_leaves_twice_the_middle_residual():
+    around = one_pixel()
+    residual = np.array([1.0, 2.0, 3.0, 4.5, 100.0, np.nan], np.float32)
+    object.__setattr__(around, "residual", residual)
+    # The last two have no plane, and do not count towards the middle, which is 2.5.
+    field = SimpleNamespace(chosen=np.array([0, 1, 2, 3, -1, -1]))
+    assert unlike(field, around).tolist() == [False, False, False, False, True, False]
+    around.residual[3] = 6.0
+    assert unlike(field, around).tolist() == [False, False, False, True, True, False]
