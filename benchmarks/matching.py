@@ -125,7 +125,7 @@ def main() -> None:
         def ours(
             matcher: SemiGlobal = matcher, views: tuple[View, View] = views, geometry: Geometry = geometry
         ) -> None:
-            semi_global.match(semi_global.search(views, geometry, matcher, THREADS), geometry, matcher)
+            semi_global.match(semi_global.search(views, geometry, matcher, THREADS), geometry, matcher, THREADS)
 
         name = f"{matcher.paths} paths, {matcher.d_max_m:g} m"
         print(f"{name:>16}" + compared(ours, opencv_matchers(7), pair, repetitions, share))

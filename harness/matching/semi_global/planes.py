@@ -32,21 +32,33 @@ def fitted_to_planes(k: Array, curves: Curves, plane_px: int, threads: int) -> A
     k
         `[height, width]`; NaN where no plane could be fitted.
     """
-    matched = np.isfinite(k)
-    sine, cosine = sine_and_cosine(curves)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1), in units of 1/|t|.
-        tangent = np.tan(np.where(matched, k, 0.0) * curves.step)
-        w = np.where(matched, tangent / (sine + cosine * tangent), 0.0)
-        # d alpha_2/dw = |t × x|/|x - w t|²
-        slope = np.where(matched, sine / (1.0 - 2.0 * w * cosine + w * w) / curves.grid.phi_pitch, 0.0)
-    reach = plane_px // 2
-    w, slope = (np.pad(each, ((0, 0), (reach, reach)), mode="wrap") for each in (w, slope))
+    matched, reach = np.isfinite(k), plane_px // 2
+    all_sines, all_cosines = sine_and_cosine(curves)
+    padded_w, padded_slope = np.empty((2, len(k), k.shape[1] + 2 * reach))
+
+    def lay_out(first: int, end: int) -> None:
+        at, sine, cosine = (each[first:end] for each in (matched, all_sines, all_cosines))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1), in units of 1/|t|.
+            tangent = np.tan(np.where(at, k[first:end], 0.0) * curves.step[first:end])
+            w = np.where(at, tangent / (sine + cosine * tangent), 0.0)
+            # d alpha_2/dw = |t × x|/|x - w t|²
+            slope = np.where(at, sine / (1.0 - 2.0 * w * cosine + w * w) / curves.grid.phi_pitch, 0.0)
+        for values, padded in ((w, padded_w), (slope, padded_slope)):
+            padded[first:end] = np.pad(values, ((0, 0), (reach, reach)), mode="wrap")
+
     offsets = _offsets(reach)
     taps = _taps(curves.grid, offsets)
     fitted = np.empty(k.shape)
-    in_bands(lambda first, end: kernels.fit_rows(first, end, w, slope, offsets, taps, fitted), len(k), threads, threads)
-    return np.asarray(np.arctan2(fitted * sine, 1.0 - fitted * cosine) / curves.step)
+
+    def fit(first: int, end: int) -> None:
+        kernels.fit_rows(first, end, padded_w, padded_slope, offsets, taps, fitted)
+        w, sine, cosine = (each[first:end] for each in (fitted, all_sines, all_cosines))
+        fitted[first:end] = np.arctan2(w * sine, 1.0 - w * cosine) / curves.step[first:end]
+
+    for work in (lay_out, fit):
+        in_bands(work, len(k), threads, threads)
+    return fitted
 
 
 @lru_cache(maxsize=4)
