@@ -204,7 +204,7 @@ def test_terminal_and_report_have_a_line_for_each_case(out: Path, capsys: pytest
     assert 'id="figure-sweep-matching-window-px"' in page
     assert 'id="figure-sweep-case"' not in page  # names are no positions on a line
     assert 'id="figure-sweep-view-2-baseline-m"' not in page
-    assert "over 3 cases; window 5, 7" in page
+    assert "3 cases; window: 5, 7 px" in page
 
 
 @pytest.mark.slow
