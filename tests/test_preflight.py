@@ -12,6 +12,8 @@ from harness.files import check_own
 from harness.runs import preflight
 from harness.runs.load import load_experiment
 
+EXPERIMENTS = Path(__file__).parent.parent / "experiments"
+
 
 def small(tmp_path, **axes):
     return load_experiment(write_small(tmp_path / "e.toml"), axes={"seed": [1], **axes})
@@ -32,6 +34,20 @@ def test_some_trials_that_will_fail_are_said(tmp_path):
     count = len(experiment.planned)
     with pytest.warns(Notice, match=f"{count // 2} of {count} trials will fail; the first: trial.view_2: scene box"):
         preflight.preflight(experiment.planned, len(experiment.planned), "e.toml")
+
+
+def test_a_new_view_inside_an_object_is_said(tmp_path):
+    experiment = small(tmp_path, **{"novel_views.distances_m": [[0.1], [0.1, 9.0]]})
+    with pytest.warns(Notice, match=r"trials will fail; the first: trial.novel_views: scene box"):
+        preflight.preflight(experiment.planned, len(experiment.planned), "e.toml")
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
+def test_no_trial_of_a_shipped_experiment_will_fail(name, monkeypatch):
+    """With all extras: a run that fails as it is shipped teaches nobody anything. No `Notice` is an error here."""
+    monkeypatch.setattr(preflight, "_is_installed", lambda _: True)
+    planned = load_experiment(name).planned
+    preflight.preflight(planned, len(planned), f"{name}.toml")
 
 
 @pytest.mark.parametrize(

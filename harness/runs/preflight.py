@@ -67,9 +67,11 @@ def _is_installed(module: str) -> bool:
 
 def _unreachable(planned: Planned, known: dict[_Position, InputError | None]) -> InputError | None:
     """The error that a viewpoint is outside the scene, or inside an object of it; None if it is neither."""
-    scene = planned.trial.scene
+    trial, scene = planned.trial, planned.trial.scene
     name = fingerprint(scene)
-    for pose, key in zip(planned.trial.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True):
+    viewpoints = [*zip(trial.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True)]
+    viewpoints += [(pose, "trial.novel_views") for pose in trial.novel_views.poses(trial.poses[0])]
+    for pose, key in viewpoints:
         where = (name, pose.position_m)
         if where not in known and len(known) < _MOST_POSITIONS:
             of_scene = scene_in_words(scene, planned.scene_file)
