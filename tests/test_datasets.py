@@ -220,6 +220,10 @@ class TestMaking:
         assert main(["dataset", str(given), "--out", str(tmp_path / "set")]) == 2
         said = capsys.readouterr().err
         assert f"{cut}: is missing or cut off, as 2 of the" in said
+        manifest = tmp_path / "set" / MANIFEST
+        manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"files": 3}))
+        assert main(["dataset", str(given), "--out", str(tmp_path / "set")]) == 2
+        assert f"{manifest}: has no table of the set's files" in capsys.readouterr().err
 
     def test_plan_says_time_and_space(self, capsys):
         tiny = ["rig.width_px=64", "rig.height_px=48", "samples=1", "furniture.curved=[0,0]"]

@@ -185,8 +185,12 @@ def is_complete(spec: DatasetSpec, folder: Path) -> bool:
     manifest = read_json(file) if file.is_file() else {}
     if manifest.get("spec_sha256") != spec_hash(spec):
         return False
-    files = manifest["files"]
-    damaged = [path for path, each in files.items() if not _has_size(folder / path, each["bytes"])]
+    try:
+        files = as_file_records(manifest["files"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        text = "has no table of the set's files with their lengths; remove the set's folder and make it again"
+        raise InputError(text, file=file) from None
+    damaged = [path for path, each in files.items() if not _has_size(folder / path, each.size)]
     if damaged:
         raise InputError(
             f"is missing or cut off, as {len(damaged)} of the {len(files)} files of this finished set; "
