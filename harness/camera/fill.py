@@ -38,6 +38,15 @@ def nearest_known(known: NDArray[np.bool_]) -> Indices:
     return rows, columns
 
 
+def last_known(values: NDArray[S], axis: int) -> NDArray[S]:
+    """The last known value up to each place along an axis, 0 or 1, `[height, width]`; what is not finite where there is
+    none before it.
+    """
+    place = np.arange(values.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
+    last = np.maximum.accumulate(np.where(np.isfinite(values), place, 0), axis=axis)
+    return np.take_along_axis(values, last, axis)
+
+
 def without_gaps(image: Image, visible: Mask, hidden: Mask | None = None) -> tuple[Image, Mask]:
     """An image with its gaps filled, and the mask of known pixels (visible and not a gap), both `[height, width]`.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from harness.cli import completers
 from harness.cli.exits import OK
 from harness.cli.options import Commands, add_out, positive
+from harness.display import counted
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -103,7 +104,8 @@ def _show(score: "DatasetScore", out: Path | None) -> None:
         rows.append([*cells, f"{metric.heading}{f', {metric.unit}' if metric.unit else ''}".replace("\u00a0", " ")])
     console = Console()
     console.print(plain_table(["pixels", "by solid angle", "figure"], rows))
-    note = f"means over {len(score.pairs)} pairs, over pixels that both views see 30 degrees or more off the baseline"
+    pixels = "pixels that both views see 30 degrees or more off the baseline"
+    note = f"means over {counted(len(score.pairs), 'pair')}, over {pixels}"
     console.print(note, highlight=False, markup=False, soft_wrap=True)
     if out is not None:
         console.print(f"page: {out / 'score.html'}", soft_wrap=True, highlight=False, markup=False)

@@ -8,6 +8,7 @@ from harness.camera.sensor import project
 from harness.datasets.checks.finding import Finding, StoredSet
 from harness.datasets.layouts.helvipad import polar_of, range_of_disparity
 from harness.datasets.layouts.layout import StoredPair
+from harness.display import counted
 from harness.geometry.angles import Array
 
 _MOST_PAIRS = 12
@@ -37,7 +38,7 @@ def check_disparity(data: StoredSet) -> Iterator[Finding]:
         else "no usual mistake explains it"
     )
     text = f"disparities give ranges that are {median['']:.0%} off those of the set (median); {cause}"
-    yield Finding("disparity", f"{len(readings[''])} pairs", text)
+    yield Finding("disparity", counted(len(readings[""]), "pair"), text)
 
 
 def _disparity_off(pair: StoredPair) -> dict[str, float]:

@@ -14,6 +14,7 @@ from harness.camera.sensor import lens_from_sensor
 from harness.datasets.checks.finding import Finding, StoredSet
 from harness.datasets.checks.sight import Change, Pixels, Sight, across_px, correlation, fit, outline_profile, sight_of
 from harness.datasets.layouts.helvipad import polar_of, range_of_disparity
+from harness.display import counted
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
 
@@ -211,7 +212,7 @@ def check_images(data: StoredSet) -> Iterator[Finding]:
     sights = [sight for pair in data.some(_MOST_PAIRS) if (sight := sight_of(pair)) is not None]
     if not sights:
         return
-    where = f"{len(sights)} pairs" if len(sights) > 1 else "1 pair"
+    where = counted(len(sights), "pair")
     stated = correlation(sights, as_stated)
     better = {said: correlation(sights, change) for said, change in _READINGS.items()}
     better["the images of a pair are swapped"] = correlation(_swapped(sights), as_stated)
@@ -288,4 +289,4 @@ def check_outlines(data: StoredSet) -> Iterator[Finding]:
                 f"the map is shifted against image 1 along {name}: across {len(steps)} outlines image 1 changes by "
                 f"{before:.2f}, {at:.2f}, {after:.2f} a pixel before, at and after them ({deviations:+.1f} sigma)"
             )
-            yield Finding("outlines", f"{len(profiles)} pairs", text)
+            yield Finding("outlines", counted(len(profiles), "pair"), text)

@@ -12,6 +12,7 @@ import numpy as np
 from harness.camera.sensor import lens_from_sensor
 from harness.datasets.checks.finding import Finding, StoredSet
 from harness.datasets.layouts.layout import StoredPair, TruthMap
+from harness.display import counted
 from harness.geometry.angles import Array
 
 _WINDOW_PX = 13
@@ -40,7 +41,7 @@ def check_planes(data: StoredSet) -> Iterator[Finding]:
     if best != "range" and median[best] < _DECISIVE * median["range"]:
         yield Finding(
             "planes",
-            f"{len(misfits)} pairs",
+            counted(len(misfits), "pair"),
             f"the maps have {READINGS[best]}, as planes show: they are flat to {median[best]:.1e} of the range if read "
             f"so, to {median['range']:.1e} as ranges",
         )

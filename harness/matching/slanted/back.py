@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.camera.fill import last_known
 from harness.geometry.angles import Array, normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
@@ -71,13 +72,6 @@ def farthest_beside(w: Array) -> Array:
     """
     width = w.shape[1]
     around = np.concatenate([w, w, w], axis=1)
-    left, right = _last_known(around, 1), _last_known(around[:, ::-1], 1)[:, ::-1]
+    left, right = last_known(around, 1), last_known(around[:, ::-1], 1)[:, ::-1]
     beside = np.fmin(left, right)[:, width : 2 * width]
-    return np.asarray(np.fmin(beside, np.fmin(_last_known(w, 0), _last_known(w[::-1], 0)[::-1])))
-
-
-def _last_known(w: Array, axis: int) -> Array:
-    """The last known value up to each place along an axis."""
-    place = np.arange(w.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
-    last = np.maximum.accumulate(np.where(np.isnan(w), 0, place), axis=axis)
-    return np.asarray(np.take_along_axis(w, last, axis))
+    return np.asarray(np.fmin(beside, np.fmin(last_known(w, 0), last_known(w[::-1], 0)[::-1])))

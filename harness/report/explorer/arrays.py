@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from harness.camera.fill import last_known
+
 _LEVEL = 6
 _LARGEST = 2**30
 """Whole numbers are within this, and so in 32 bits."""
@@ -46,10 +48,7 @@ def pack(values: ArrayLike) -> Packed:
 
 def in_steps(values: NDArray[np.floating], step: float) -> NDArray[np.floating]:
     """Values as whole numbers of steps; a missing one repeats its predecessor in the row, which takes no space."""
-    known = np.isfinite(values)
-    before = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), axis=1)
-    filled = np.take_along_axis(values, before, axis=1)
-    return np.rint(np.nan_to_num(filled, posinf=0.0, neginf=0.0) / step)
+    return np.rint(np.nan_to_num(last_known(values, 1), posinf=0.0, neginf=0.0) / step)
 
 
 def on_scale(values: NDArray[np.floating], unit: float, octave: int) -> NDArray[np.floating]:
