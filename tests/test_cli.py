@@ -129,6 +129,14 @@ def test_who_had_the_law_tested_unasked_is_told(tmp_path: Path, capsys: pytest.C
         assert ("the law is not tested; `law = true`" in capsys.readouterr().err) == told
 
 
+def test_a_law_that_cannot_be_tested_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write_small(tmp_path / "e.toml")
+    file.write_text("law = true\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
+    for axis, told in (("0.5", True), ("0.25,0.5,1", False)):
+        assert main(["run", str(file), "--axis", f"view_2.baseline_m={axis}", "--dry-run"]) == 0
+        assert ("law: the law cannot be tested with 1 baseline; it takes 3" in capsys.readouterr().err) == told
+
+
 def test_dry_run_says_what_would_hardly_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
     """The mirror's focal length gives an equirectangular image 60 degrees of azimuth: a sixth of the panorama."""
     assert main(["run", "paper", "--dry-run", "--set", "sensor.model.kind=equirectangular"]) == 0

@@ -431,6 +431,7 @@ def test_the_better_of_two_pixels_keeps_a_match(seed, tolerance):
     ("wrong", "message"),
     [
         ({"box_px": 4}, "odd"),
+        ({"plane_px": 8}, "plane_px must be odd"),
         ({"p1_bits": 9, "p2_bits": 8}, "must not be above p2_bits"),
         ({"p1_bits": 20, "p2_bits": 90}, "must not be above 103.5"),
         ({"paths": 5}, "4 or 8"),

@@ -109,9 +109,13 @@ def run(options: Namespace) -> int:
 
 
 def _say_law(experiment: "Experiment") -> None:
-    """Tell for one version more that the law is not tested unasked."""
+    """Tell that the law cannot be tested, where it is asked for; and for one version more that it is not unasked."""
     from harness.runs.headline import BASELINE
 
+    baselines = len({each.trial.view_2.baseline_m for each in experiment.planned})
+    if experiment.law and baselines < _LEAST_BASELINES:
+        text = f"{experiment.name}: law: the law cannot be tested with {counted(baselines, 'baseline')}; it takes "
+        warnings.warn(f"{text}{_LEAST_BASELINES}, such as --axis {BASELINE}=0.25,0.5,1", Notice, stacklevel=1)
     if "law" not in experiment.model_fields_set and len(experiment.axes.get(BASELINE, ())) >= _LEAST_BASELINES:
         text = f"{experiment.name}: the law is not tested; `law = true` in the experiment's file asks for it, `law = "
         warnings.warn(f"{text}false` says that it is meant (earlier versions tested it unasked)", Notice, stacklevel=1)
