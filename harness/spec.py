@@ -325,6 +325,8 @@ class _Problem:
     """Location in the file: `loc` without the names of union members."""
     parents: list[Any]
     """The annotations that the value around it may have."""
+    alternatives: list[Any]
+    """Those and the other members of their union, which the value's tag excludes."""
     members: list[Any]
     """The annotations that the value itself may have."""
     fork: int | None
@@ -336,7 +338,7 @@ def _locate(model: type[BaseModel], error: Any) -> _Problem:
     # only be read with the types beside it.
     location: list[int | str] = []
     here: list[Any] = [model]
-    parents = here
+    parents = alternatives = before = here
     fork = None
     member_is_next = False
     for part in error["loc"]:
@@ -347,9 +349,10 @@ def _locate(model: type[BaseModel], error: Any) -> _Problem:
             here, member_is_next = tagged or named or here, False
         else:
             location.append(part)
-            parents, here = here, [each for parent in here for each in inside(parent, part)]
+            parents, alternatives = here, before
+            here = before = [each for parent in here for each in inside(parent, part)]
             member_is_next = len(here) > 1
-    return _Problem(error, tuple(location), parents, here, fork)
+    return _Problem(error, tuple(location), parents, alternatives, here, fork)
 
 
 def _explain(problems: list[_Problem]) -> tuple[Location, str]:
@@ -375,7 +378,7 @@ def _describe(problem: _Problem) -> tuple[Location, str]:
     if kind == "extra_forbidden":
         word = str(location[-1])
         valid = sorted({name for each in problem.parents for name in getattr(each, "model_fields", ())})
-        return location, f"unknown key '{_brief(word)}'; {nearest(word, valid)}"
+        return location, f"unknown key '{_brief(word)}'; {_owners(word, problem.alternatives) or nearest(word, valid)}"
     if kind == "missing" and isinstance(location[-1], int):
         wanted = max(len(get_args(each)) for each in problem.parents)
         return location[:-1], f"must be a list of {wanted}; found a list of {len(given)}"
@@ -393,6 +396,15 @@ def _describe(problem: _Problem) -> tuple[Location, str]:
     if kind in ("value_error", "assertion_error"):
         return location, str(context["error"])
     return location, f"must be {_expected(problem)}; found {_shown(given)}"
+
+
+def _owners(word: str, alternatives: list[Any]) -> str:
+    """Which members of a union have a key, by their tags, as a hint; empty if none has."""
+    for tag in ("kind", "model"):
+        owners = [each for each in alternatives if word in getattr(each, "model_fields", ())]
+        if names := sorted({f"'{name}'" for each in owners for name in tags(each, tag)}):
+            return f"it is a key of {tag} {' or '.join(names)}"
+    return ""
 
 
 _EXPECTED = {

@@ -138,6 +138,12 @@ def test_an_experiment_comes_from_a_name_a_path_a_table_or_an_object(small: Path
         ({"axes": {"seed": "12"}}, "axes: seed: must be a list of values; found '12'"),
         ({"axes": {"sed": [3]}}, "axes: sed: unknown key 'sed'; did you mean 'seed'?"),
         ({"axes": {"matching.window_px": [4]}}, "axes: matching.window_px: window_px must be odd"),
+        (
+            {"sets": {"matching.plane_px": 3}},
+            "sets: matching.plane_px: unknown key 'plane_px'; it is a key of kind 'sgm'",
+        ),
+        ({"sets": {"trial.seed": 3}}, "sets: trial.seed: begins at the trial; write 'seed'"),
+        ({"axes": {"law": [True]}}, "axes: law: is a key of the experiment, not of its trials; write it at the top of"),
         ({"sets": {"matching.windw_px": 3}}, "sets: matching.windw_px: unknown key 'windw_px'; did you mean"),
     ],
 )

@@ -38,7 +38,7 @@ def test_some_trials_that_will_fail_are_said(tmp_path):
 
 def test_a_new_view_inside_an_object_is_said(tmp_path):
     experiment = small(tmp_path, **{"novel_views.distances_m": [[0.1], [0.1, 9.0]]})
-    with pytest.warns(Notice, match=r"trials will fail; the first: trial.novel_views: scene box"):
+    with pytest.warns(Notice, match=r"trials will fail; the first: trial.novel_views.distances_m\[1\]: scene box"):
         preflight.preflight(experiment.planned, len(experiment.planned), "e.toml")
 
 

@@ -127,6 +127,13 @@ def _cases_up_to_date(cases: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _up_to_date(keys: DottedKeys, given: dict[str, Any], option: str) -> dict[str, Any]:
     """The settings that an option gives, under the present names of their keys."""
+    for key in given:
+        name, _, rest = key.partition(".")
+        if name == "trial" and rest:
+            raise InputError(f"begins at the trial; write '{rest}'", file=option, key=key)
+        if name in Experiment.model_fields:
+            problem = "is a key of the experiment, not of its trials; write it at the top of the experiment's file"
+            raise InputError(problem, file=option, key=key)
     try:
         present, renamed = dotted_up_to_date(keys, given)
     except InputError as error:

@@ -70,7 +70,8 @@ def _unreachable(planned: Planned, known: dict[_Position, InputError | None]) ->
     trial, scene = planned.trial, planned.trial.scene
     name = fingerprint(scene)
     viewpoints = [*zip(trial.poses, ("trial.view_1.position_m", "trial.view_2"), strict=True)]
-    viewpoints += [(pose, "trial.novel_views") for pose in trial.novel_views.poses(trial.poses[0])]
+    new = trial.novel_views.poses(trial.poses[0])
+    viewpoints += [(pose, f"trial.novel_views.distances_m[{number}]") for number, pose in enumerate(new)]
     for pose, key in viewpoints:
         where = (name, pose.position_m)
         if where not in known and len(known) < _MOST_POSITIONS:

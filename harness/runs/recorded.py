@@ -80,9 +80,7 @@ def recorded(store: Store, file: Path) -> RecordedExperiment:
     """
     plan = store.fact(_PLAN)
     if plan is None:
-        raise InputError(
-            "was started by an earlier version of omnirange, which stored no plan; run the experiment again", file=file
-        )
+        raise InputError("holds no plan of a run, or that of an early version; run the experiment again", file=file)
     # No notice of former names here: the file is the program's own.
     # A run of a version that had no key `law` tested it wherever it could, and its report still says what it said.
     written = {"law": True} | store.fact(_EXPERIMENT)
