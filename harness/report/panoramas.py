@@ -12,7 +12,7 @@ from harness.geometry.panorama import Grid
 from harness.report import theme
 from harness.report.theme import WIDE
 
-_LEFT, _PLOT = 50, 845
+_LEFT, _PLOT = 54, 841
 """Left edge and width of panoramas, CSS pixels: all of them line up."""
 
 
@@ -25,9 +25,9 @@ def panorama_axes(grid: Grid, *, top: int = 6, bar: bool = True, label: bool = T
     if not label:
         ax.set_xlabel("")
     ax.set_ylim(grid.z_min, grid.z_max)
-    ax.set_ylabel("$z$")
+    ax.set_ylabel("$z$", labelpad=1)
     right = ax.secondary_yaxis("right", functions=(_elevation, _z_of_elevation))  # type: ignore[arg-type]
-    right.set_ylabel("elevation (°)", labelpad=2)
+    right.set_ylabel("elevation (°)", labelpad=4)
     lowest, highest = _elevation(np.array([grid.z_min, grid.z_max]))
     step = 10 if highest - lowest < 90 else 20
     ticks = np.arange(math.ceil(lowest / step) * step, highest + 1e-9, step)
