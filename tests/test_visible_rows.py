@@ -24,11 +24,14 @@ from harness.spec import dump_toml, parse
 AUTO = Grid(z_min="auto", z_max="auto")
 SMALL = Camera(width_px=160, height_px=120, focal_px=153.53, cx_px=79.5, cy_px=59.5)
 MIRROR = Sensor(camera=SMALL)
-AHEAD = Sensor(
-    model=KannalaBrandt(k1=0, k2=0, k3=0, k4=0),
-    camera={"width_px": 160, "height_px": 120, "focal_px": "fit", "cx_px": "centre", "cy_px": "centre"},
-    field=FieldOfView(angle_max_deg=60),
-    mount=Mount(looks="forward"),
+AHEAD, WIDE = (
+    Sensor(
+        model=KannalaBrandt(k1=0, k2=0, k3=0, k4=0),
+        camera={"width_px": 160, "height_px": 120, "focal_px": "fit", "cx_px": "centre", "cy_px": "centre"},
+        field=FieldOfView(angle_max_deg=angle_deg),
+        mount=Mount(looks="forward"),
+    )
+    for angle_deg in (60, 110)
 )
 PIXEL_DEG = 3.0
 """More than what two pixels of these images span anywhere: the cubic interpolation takes those within two."""
@@ -46,16 +49,24 @@ def test_all_around() -> None:
 
 
 def test_a_lens_that_looks_ahead() -> None:
-    """A cone of 60° spans 60° of azimuth to either side at the horizon, arccos(cos 60°/cos e) at an elevation e: four
-    fifths of it, 48°, up to 41.6°."""
+    """A cone of 60° spans 60° of azimuth to either side at the horizon, arccos(cos 60°/cos e) at an elevation e. Half
+    of its solid angle is where it spans less than 57.2°: four fifths of that, 45.8°, it spans up to 44.2°."""
     low, high = elevations(with_rows(AUTO, (AHEAD,)))
     # Cubic taps are up to 2.8 pixels of 1° away, which leaves a cone of 57°; an azimuth more or less moves the limit by
-    # 0.9°, as its slope is 0.6 there and the azimuths are 3° apart, half of it to either side.
-    lowest, highest = (
-        math.degrees(math.acos(math.cos(math.radians(cone)) / math.cos(math.radians(0.8 * cone)))) for cone in (57, 60)
-    )
-    assert lowest - 0.9 < high < highest + 0.9
+    # 1.6°, as the azimuths are 3° apart, half of it to either side, and the elevation changes 1.06 times as fast.
+    lowest, highest = (_four_fifths_of_the_median(cone) for cone in (57, 60))
+    assert highest == pytest.approx(44.2, abs=0.05)
+    assert lowest - 1.6 < high < highest + 1.6
     assert low == pytest.approx(-high, abs=0.2)
+
+
+def _four_fifths_of_the_median(cone_deg: float) -> float:
+    """The elevation, degrees, up to which a cone about the horizon spans four fifths of its median azimuth."""
+    elevation = np.radians(np.linspace(0, cone_deg, 100_001)[:-1])
+    half = np.arccos(np.cos(np.radians(cone_deg)) / np.cos(elevation))  # falls from the horizon on
+    within = np.cumsum(half * np.cos(elevation))
+    median = half[np.searchsorted(within, within[-1] / 2)]
+    return math.degrees(math.acos(math.cos(math.radians(cone_deg)) / math.cos(0.8 * median)))
 
 
 def test_straight_up_there_are_no_rows() -> None:
@@ -75,6 +86,13 @@ def test_what_both_see() -> None:
     assert first[1] - 10 < tilted[1] < first[1] - 5
     same = elevations(with_rows(AUTO, (MIRROR, MIRROR), Pose(yaw_deg=50).R_world_from_view.T))
     assert same == pytest.approx(first, abs=1)  # the blind disc is a few pixels wide, and they are square
+
+
+def test_cameras_that_look_to_different_sides() -> None:
+    """Two lenses of 220° at right angles see 130° of the horizon both, and all around only beyond 70° of elevation:
+    where the rows that are seen best were counted, nothing else was left."""
+    low, high = elevations(with_rows(AUTO, (WIDE, WIDE), Pose(yaw_deg=90).R_world_from_view.T))
+    assert (low, high) == (pytest.approx(-75, abs=1e-9), pytest.approx(75, abs=1e-9))
 
 
 def test_the_rows_are_seen() -> None:

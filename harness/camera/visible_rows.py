@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import can_be_sampled
@@ -16,7 +17,8 @@ STEEPEST_DEG = 75.0
 """The steepest elevation that is tried: towards the poles, the rows of a cylinder cover ever smaller angles."""
 AZIMUTHS = 120
 MOSTLY = 0.8
-"""An elevation counts where both sensors see at least this share of the azimuths that they see at the best one."""
+"""An elevation counts where both sensors see at least this share of the azimuths that they see at a typical one. The
+best one would not do: of two cameras that look to different sides the zenith alone is seen all around."""
 
 
 def is_open(grid: Grid) -> bool:
@@ -29,8 +31,8 @@ def with_rows(grid: Grid, sensors: tuple[Sensor, ...], R_v2_from_v1: Array | Non
 
     Elevations are tried every 0.1 degrees from -75 to 75, at 120 azimuths. A direction counts if every image can be
     sampled there, with all taps of the cubic interpolation visible; an elevation counts if at least four fifths as many
-    of its directions count as at the best elevation. `z_min` and `z_max` are the tangents of the ends of the longest
-    unbroken run of such elevations.
+    of its directions count as at a typical elevation, the median over the solid angle of what counts. `z_min` and
+    `z_max` are the tangents of the ends of the longest unbroken run of such elevations.
 
     Parameters
     ----------
@@ -70,8 +72,15 @@ def _rows(sensors: tuple[Sensor, ...], rotation: bytes) -> tuple[float, float] |
     visible_azimuths = visible.sum(axis=1)
     if not visible_azimuths.any():
         return None
-    counts = visible_azimuths >= MOSTLY * visible_azimuths.max()
+    counts = visible_azimuths >= MOSTLY * _typical(visible_azimuths, visible_azimuths * level[:, 0])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], counts, [False]])))
     first, end = edges[0::2], edges[1::2]
     longest = np.argmax(end - first)
     return float(np.tan(elevations[first[longest]])), float(np.tan(elevations[end[longest] - 1]))
+
+
+def _typical(values: NDArray[np.integer], weights: Array) -> float:
+    """The weighted median: the least value up to which there is half the weight."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(below, below[-1] / 2)])
