@@ -212,7 +212,8 @@ class Reason(IntEnum):
     OFF_CURVE = 8
     """In view 2 the point lies beside its epipolar curve, unlike its surroundings: most likely it has moved."""
     OCCLUDED = 9
-    """View 2 sees a nearer surface in front of the point: it has no match there."""
+    """There is no match, and view 2 seems to see a nearer surface in front of the point. Of the pixels said to be so, a
+    tenth to a half are, depending on the scene: see `occlusion_precision`."""
 
 
 @dataclass(frozen=True, repr=False)

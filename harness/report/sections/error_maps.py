@@ -30,7 +30,7 @@ REASONS = {
     Reason.NO_MATCH: ("no match found", "#F0E442"),
     Reason.INCONSISTENT: ("inconsistent with view 2", "#0072B2"),
     Reason.OFF_CURVE: ("off its epipolar curve: it has moved", "#D55E00"),
-    Reason.OCCLUDED: ("hidden from view 2", "#6F7D8C"),
+    Reason.OCCLUDED: ("perhaps hidden from view 2", "#6F7D8C"),
 }
 """The reasons in words, and their colours on the map."""
 _A_LINE = 4
