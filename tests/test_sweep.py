@@ -16,8 +16,9 @@ import psutil
 import pytest
 from sweeps import begin, kill_group, omnirange, rows, wait_for, write_small
 
-from harness.runs import run
-from harness.runs.executors import Backend
+from harness.runs import run, worker
+from harness.runs.details import Made, made_beforehand
+from harness.runs.executors import Backend, backend_for
 from harness.runs.load import load_experiment
 from harness.runs.plan import plan
 from harness.runs.store import Store
@@ -292,6 +293,58 @@ class _Brittle(Executor):
         else:
             future.set_result(fn(batch))
         return future
+
+
+class _Later(Executor):
+    """Runs what was submitted when a step of other work has been taken since."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self._waiting: list[tuple[Future, object, object]] = []
+
+    def submit(self, fn, /, batch):
+        self._waiting.append((Future(), fn, batch))
+        self.said.append("trial")
+        return self._waiting[-1][0]
+
+    def steps(self, count: int):
+        for number in range(count):
+            self.said.append(f"step {number}")
+            waiting, self._waiting = self._waiting, []
+            for future, fn, batch in waiting:
+                future.set_result(fn(batch))
+            yield
+
+
+def test_while_workers_are_busy_other_work_is_done_in_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path))
+    experiment = load_experiment(str(write_small(tmp_path / "small.toml", "[axes]\nseed = [1, 2, 3, 4, 5]\n")))
+    later = _Later()
+    backend = Backend(lambda: nullcontext(later), workers=2, slots=2, threads=1)
+    with Store() as store:
+        run.run_plan(run.run_status(experiment, store).plan, store, backend, meanwhile=later.steps(9))
+        assert run.run_status(experiment, store).done == 5
+    # Workers are given work first; steps that nobody waits for are left out.
+    assert later.said == ["trial", "trial", "step 0", "trial", "trial", "step 1", "trial", "step 2"]
+
+
+def test_details_that_were_made_beforehand_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMNIRANGE_CACHE", str(tmp_path))
+    axes = '[axes]\nseed = [1, 2]\n"matching.subpixel" = ["none", "parabola"]\n'
+    experiment = load_experiment(str(write_small(tmp_path / "small.toml", axes)))
+    made: dict[str, Made] = {}
+    assert len(list(made_beforehand(experiment, made))) == 2 * 2  # two steps for each method
+    kept = []
+    for beforehand in (made, {}):
+        worker.forget()
+        with run.open_run(experiment, tmp_path / str(len(beforehand))) as store:
+            run.run_plan(run.run_status(experiment, store).plan, store, backend_for(0.0, 1))
+            result = run.result_from(experiment, run.rows_of(experiment, store), store, beforehand=beforehand)
+            assert [each.trial for each in result.outcomes] == [each.outcome.trial for each in made.values()]
+            kept.append((result.summary, [store.answer(key) for key in result.details.keys]))
+            assert (result.outcomes[0] is next(iter(made.values())).outcome) == bool(beforehand)
+    assert kept[0] == kept[1]
+    assert all(kept[0][1])
 
 
 def test_a_trial_that_kills_its_worker_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

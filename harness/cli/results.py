@@ -5,6 +5,7 @@ import sys
 import textwrap
 import warnings
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from harness import interrupts
@@ -15,6 +16,7 @@ from harness.display import unbroken
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
+    from harness.runs.details import Beforehand
     from harness.runs.experiment import Experiment
     from harness.runs.store import Store, UnusedRows
 
@@ -28,6 +30,7 @@ def write(
     shown: Path | None = None,
     with_report: bool = True,
     run_code: bool = True,
+    beforehand: "Beforehand" = MappingProxyType({}),
 ) -> int:
     """Write all output files of a run, print a summary, and return the exit code.
 
@@ -41,6 +44,8 @@ def write(
         The folder as the user gave it, for messages.
     run_code
         Whether matchers that are not part of this program may be run.
+    beforehand
+        Outcomes of the base trial that are there already, by the trials' keys.
 
     Raises
     ------
@@ -57,11 +62,11 @@ def write(
     interrupts.check()
     now = run_status(experiment, store)
     if now.done and with_report:
-        from harness.report.build import build_report
-
-        result = result_from(experiment, rows, store, run_code=run_code)
+        result = result_from(experiment, rows, store, run_code=run_code, beforehand=beforehand)
         write_summary(result, store, folder)  # first, so that a failure of the report does not lose it
         show(result.summary)
+        from harness.report.build import build_report  # only now, as drawing libraries take long to load
+
         not_drawn: list[str] = []
         gc.freeze()  # millions of long-lived rows: no garbage collection while figures are drawn
         try:

@@ -5,6 +5,7 @@ import os
 import warnings
 from argparse import Namespace
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,12 +18,15 @@ from harness.display import counted, listed
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
+    from harness.runs.details import Made
     from harness.runs.experiment import Experiment
 
 _START_S = 1.5
 """Seconds until the first trial runs: libraries and compiled code are loaded."""
 _REPORT_S = 3.5
 """Seconds that a report takes."""
+_SHORT_S = 0.5
+"""Seconds of a trial below which the base trial is run here while workers run the others: they do not wait for long."""
 _LEAST_BASELINES = 3
 """Baselines over which the law can be tested."""
 _MOST_CHECKED = 8
@@ -86,6 +90,7 @@ def run(options: Namespace) -> int:
             return OK
         if before.left:
             preflight(before.left, before.total, options.experiment)
+        beforehand: dict[str, Made] = {}
         with Progress(experiment.name, before.total, before.done) as progress:
             try:
                 left = before.plan
@@ -94,7 +99,9 @@ def run(options: Namespace) -> int:
                     progress.say(
                         f"{counted(len(left.trials), 'trial')} to run {backend.name}, {before.done} done before"
                     )
-                    run_plan(left, store, backend, progress.update, maps)
+                    idle = backend.workers > 1 and left.total_s < _SHORT_S * len(left.trials)
+                    meanwhile = _meanwhile(experiment, beforehand) if idle and not options.no_report else ()
+                    run_plan(left, store, backend, progress.update, maps, meanwhile)
             except KeyboardInterrupt:
                 progress.stop()
                 states = store.states(each.key for each in experiment.planned)
@@ -104,8 +111,24 @@ def run(options: Namespace) -> int:
                 ) from None
             progress.finish()
         return write(
-            experiment, store, folder, given=options.experiment, shown=shown, with_report=not options.no_report
+            experiment,
+            store,
+            folder,
+            given=options.experiment,
+            shown=shown,
+            with_report=not options.no_report,
+            beforehand=beforehand,
         )
+
+
+def _meanwhile(experiment: "Experiment", beforehand: "dict[str, Made]") -> Iterator[None]:
+    """What the report needs besides the rows, in steps: the base trial's outcomes, and libraries."""
+    from harness.runs.details import made_beforehand
+
+    yield from made_beforehand(experiment, beforehand)
+    from harness.report import build  # noqa: F401
+
+    yield
 
 
 def _say_law(experiment: "Experiment") -> None:

@@ -226,7 +226,7 @@ def _shorter(text: str) -> str:
     """The same drawing in two thirds of the bytes: coordinates as fine as can be seen, without useless attributes."""
     text = re.sub(r" d='([^']*)' transform='scale\(0\.015625\)'", lambda glyph: _glyph(glyph[1]), text)
     text = re.sub(r"(?<= d=')[^']*(?= ')", lambda d: _path(d[0]), text)
-    text = re.sub(r"(?<=transform=')[^']*", lambda each: re.sub(r"(\.\d{3})\d+", r"\1", each[0]), text)
+    text = re.sub(r"(?<=transform=')[^']*", lambda each: re.sub(r"(?<=\.\d{3})\d+", "", each[0]), text)
     text = re.sub(r" id='[A-Za-z_.]*[A-Za-z0-9]_\d+'", "", text)
     names = {name: f"g{i}" for i, name in enumerate(dict.fromkeys(re.findall(r"<path id='([A-Za-z]+-[^']*)'", text)))}
     text = re.sub(r"(?<=[#'])(?:STIX|DejaVu)[A-Za-z]*-[^']*(?=')", lambda name: names.get(name[0], name[0]), text)
@@ -242,11 +242,11 @@ def _glyph(path: str) -> str:
 
 
 def _path(path: str) -> str:
-    return _close(re.sub(r"(\.\d\d)\d+", r"\1", path))
+    return _close(re.sub(r"(?<=\.\d\d)\d+", "", path))  # a group in what replaces it would be put in by Python code
 
 
 def _close(path: str) -> str:
-    return re.sub(r" ?([A-Za-z]) ?", r"\1", path)
+    return re.sub(r" (?=[A-Za-z])|(?<=[A-Za-z]) ", "", path)
 
 
 def _few_colours(png: str) -> str:

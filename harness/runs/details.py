@@ -8,7 +8,9 @@ import hashlib
 import io
 import json
 import zipfile
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -60,8 +62,60 @@ class Details:
     """The methods' comparison for `summary.json`, as stored with the run; None if it is still to be computed."""
 
 
+@dataclass(frozen=True)
+class Made:
+    """An outcome that is there before it is asked for."""
+
+    outcome: Outcome
+    packed: bytes
+    """What `packed` makes of its matches."""
+
+
+Beforehand = Mapping[str, Made]
+"""Outcomes of the base trial by each method, by the trials' keys."""
+
+
+def made_beforehand(experiment: Experiment, made: dict[str, Made]) -> Iterator[None]:
+    """Run the base trial by each method, in steps: while workers run the other trials.
+
+    Without methods that fail, and matchers that are not part of this program.
+    """
+    for trial in _by_each_method(experiment, experiment.trial):
+        if not trial.matching.runs_third_party_code:
+            try:
+                outcome = worker.run_here(trial, threads=1)
+                yield
+                made[trial.key] = Made(outcome, packed(outcome.matches))
+            except Exception:  # noqa: BLE001 - it is run again where its failure is told
+                interrupts.check()
+            yield
+
+
+def _by_each_method(experiment: Experiment, base: Trial) -> list[Trial]:
+    """A trial by each of the first methods of an experiment."""
+    # A case that names a method is shown with all settings that it gives the matcher.
+    matchings = {name: _matching_of_case(experiment, case) for name, case in experiment.method_labels.items()}
+    return [
+        base.model_copy(update={"matching": matchings[name]}) if name in matchings else with_method(base, trial)
+        for name, trial in list(_methods(experiment).items())[:MOST_DETAILS]
+    ]
+
+
+def _methods(experiment: Experiment) -> dict[MethodName, Trial]:
+    """The first trial of each method."""
+    methods: dict[MethodName, Trial] = {}
+    for each in experiment.planned:
+        methods.setdefault(each.method, each.trial)
+    return methods
+
+
 def details_of(
-    experiment: Experiment, done: list[Planned], store: Store | None = None, *, run_code: bool = True
+    experiment: Experiment,
+    done: list[Planned],
+    store: Store | None = None,
+    *,
+    run_code: bool = True,
+    beforehand: Beforehand = MappingProxyType({}),
 ) -> Details:
     """Run the trials to be shown; matching itself only where its result is not stored.
 
@@ -75,28 +129,26 @@ def details_of(
         The run's file, which stores the results; None for a run in memory.
     run_code
         Whether matchers may be run that are not part of this program.
+    beforehand
+        Those of `made_beforehand`.
     """
     stored = _Stored(experiment, store)
-    methods: dict[MethodName, Trial] = {}
-    for each in experiment.planned:
-        methods.setdefault(each.method, each.trial)
-    # A case that names a method is shown with all settings that it gives the matcher.
-    matchings = {name: _matching_of_case(experiment, case) for name, case in experiment.method_labels.items()}
-    chosen = list(methods.items())[:MOST_DETAILS]
     beyond = [
         LeftOut(
             experiment.method_labels.get(name, _label(name)),
             f"at most {MOST_DETAILS} methods are compared pixel by pixel; trials.csv has its figures",
         )
-        for name in list(methods)[MOST_DETAILS:]
+        for name in list(_methods(experiment))[MOST_DETAILS:]
     ]
     details = Details([], [], [], [], None)
     for base in dict.fromkeys((experiment.trial, done[0].trial)):
-        trials = [
-            base.model_copy(update={"matching": matchings[name]}) if name in matchings else with_method(base, trial)
-            for name, trial in chosen
+        trials = _by_each_method(experiment, base)
+        attempts = [
+            (trial.key, beforehand[trial.key].outcome)
+            if beforehand and trial.key in beforehand
+            else stored.outcome_of(trial, run_code=run_code)
+            for trial in trials
         ]
-        attempts = [stored.outcome_of(trial, run_code=run_code) for trial in trials]
         shown = [attempt for attempt in attempts if not isinstance(attempt, LeftOut)]
         missing = [*(attempt for attempt in attempts if isinstance(attempt, LeftOut)), *beyond]
         if shown or not details.trials:
@@ -119,7 +171,13 @@ def _label(method: MethodName) -> str:
     return " ".join(each for each in method if each not in {"own", "none"})
 
 
-def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, store: Store) -> None:
+def keep(
+    details: Details,
+    comparison: dict[str, Any],
+    experiment: Experiment,
+    store: Store,
+    beforehand: Beforehand = MappingProxyType({}),
+) -> None:
     """Store the results of the trials shown in a run's file, with their comparison."""
     if details.left_out and isinstance(experiment, RecordedExperiment):
         return  # the stored results are more complete than these
@@ -130,7 +188,9 @@ def keep(details: Details, comparison: dict[str, Any], experiment: Experiment, s
     fact = {"plan": _plan_hash(experiment), "trials": trials, "comparison": comparison}
     if store.fact(_FACT) != fact:
         pairs = zip(details.keys, details.outcomes, strict=True)
-        store.set_answers({key: packed(outcome.matches) for key, outcome in pairs})
+        store.set_answers(
+            {key: beforehand[key].packed if key in beforehand else packed(outcome.matches) for key, outcome in pairs}
+        )
         store.set_fact(_FACT, fact)
 
 

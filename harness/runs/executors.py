@@ -82,7 +82,8 @@ def backend_for(work_s: float, trials: int, workers: int | None = None, dask: st
     count = min(workers or available_cpus(), trials)
     if count == 1:
         return Backend(_in_process, workers=1, slots=1)
-    return Backend(lambda: _in_processes(count), count, slots=count + 1, name=f"in {count} processes")
+    # Some batches for each to go on with while this process is busy, too.
+    return Backend(lambda: _in_processes(count), count, slots=3 * count, name=f"in {count} processes")
 
 
 @contextmanager

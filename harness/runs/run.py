@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from harness.runs.case_figures import figures_of_cases
 from harness.runs.cases import CASE
 from harness.runs.claims import claims_of
 from harness.runs.conclusions import conclusions
-from harness.runs.details import Details, details_of, keep
+from harness.runs.details import Beforehand, Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.further_scores import FURTHER
@@ -176,6 +177,7 @@ def run_plan(
     backend: executors.Backend,
     observe: Callable[[Sequence[Finished]], None] = lambda _: None,
     maps: Path | None = None,
+    meanwhile: Iterable[object] = (),
 ) -> None:
     """Run the remaining trials; see `scheduler.run_batches`.
 
@@ -190,7 +192,7 @@ def run_plan(
         )
     # One worker takes single trials: there is nobody else to keep busy, and a kill costs one trial.
     longest = 0.0 if backend.workers == 1 and not backend.remote else plan.total_s / (12 * backend.workers)
-    run_batches(plan.batches(min(longest, 1.0)), store, backend, observe, maps)
+    run_batches(plan.batches(min(longest, 1.0)), store, backend, observe, maps, meanwhile)
 
 
 def result_of(experiment: Experiment, store: Store, *, run_code: bool = True) -> Result:
@@ -205,7 +207,12 @@ def rows_of(experiment: Experiment, store: Store) -> list[Row]:
 
 
 def result_from(
-    experiment: Experiment, rows: list[Row], store: Store | None = None, *, run_code: bool = True
+    experiment: Experiment,
+    rows: list[Row],
+    store: Store | None = None,
+    *,
+    run_code: bool = True,
+    beforehand: Beforehand = MappingProxyType({}),
 ) -> Result:
     """The result that follows from the rows, with the trials that are shown in detail; see `details.details_of`.
 
@@ -217,10 +224,10 @@ def result_from(
     done = [row for row in rows if row.state == "done"]
     if not done:
         raise InputError("no trial was finished with the present version of the program, so there is nothing to report")
-    details = details_of(experiment, [row.planned for row in done], store, run_code=run_code)
+    details = details_of(experiment, [row.planned for row in done], store, run_code=run_code, beforehand=beforehand)
     comparison = details.comparison or _comparison(details.outcomes, experiment.planned)
     if store and not store.other_code:
-        keep(details, comparison, experiment, store)
+        keep(details, comparison, experiment, store, beforehand)
     summary = {"schema": SCHEMA, "experiment": experiment.name} | comparison
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
     trials = [(row.planned, row.payload) for row in done]

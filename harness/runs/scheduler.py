@@ -1,7 +1,7 @@
 """Run trials on an executor, and write each as it is finished."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +15,7 @@ from harness.runs.worker import pack, work
 from harness.simulation.fingerprint import fingerprint
 
 Trials = tuple[Planned, ...]
+_NO_STEP = object()
 _GRACE_S = 1.0
 """Seconds to wait after Ctrl-C for trials that workers have begun."""
 
@@ -28,6 +29,7 @@ def run_batches(
     backend: Backend,
     observe: Observer = lambda _: None,
     maps: Path | None = None,
+    meanwhile: Iterable[object] = (),
 ) -> None:
     """Run batches and write their rows as they come; no row depends on their order.
 
@@ -38,13 +40,16 @@ def run_batches(
     ----------
     maps
         The folder in which to keep the trials' maps, see `pipeline.maps`.
+    meanwhile
+        Work for this process while the workers are busy, in short steps: the next one is taken when they have enough
+        to do. Steps that are left when all trials are done are not taken.
 
     Raises
     ------
     InputError
         When a worker has other code, or the scheduler has gone away. What is finished is written.
     """
-    scheduler = _Scheduler(store, backend, observe, deque(batches), maps)
+    scheduler = _Scheduler(store, backend, observe, deque(batches), maps, iter(meanwhile))
     with interrupts.heard():
         while scheduler.waiting or scheduler.retries:
             with backend.open() as executor:
@@ -58,6 +63,7 @@ class _Scheduler:
     observe: Observer
     waiting: deque[Trials]
     maps: Path | None
+    meanwhile: Iterator[object]
     retries: deque[Trials] = field(default_factory=deque)
     """Single trials of batches whose worker died, to be run again one at a time."""
     running: dict[Future[list[Finished]], Trials] = field(default_factory=dict)
@@ -71,7 +77,8 @@ class _Scheduler:
                 if not self._submit(executor):
                     self._retry_all()
                     return
-                done, _ = wait(self.running, return_when=FIRST_COMPLETED)
+                took_step = next(self.meanwhile, _NO_STEP) is not _NO_STEP
+                done, _ = wait(self.running, timeout=0 if took_step else None, return_when=FIRST_COMPLETED)
                 broken = [self._is_broken(future) for future in done]
                 if any(broken):
                     self._retry_all()
