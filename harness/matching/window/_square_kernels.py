@@ -1,9 +1,9 @@
 """Compiled loops over pixels, samples and square windows. `square` lays out their arguments.
 
-Images are padded by half a window of columns on both sides, around the seam; windows are named by their upper left
-pixels in padded images. Every column of a window has a sum of its own: additions of different columns may be done at a
-time, and yet each is done in one order, whatever the compiler makes of it. Windows that lie side by side in both views
-share the sums of the columns that they have in common, and no result depends on which do.
+Images are padded by half a window of columns on both sides, around the seam, and by a vector more on the right, which
+no result depends on; windows are named by their upper left pixels in padded images. Every column of a window has a sum
+of its own: eight columns are summed at a time, each in one order. Windows that lie side by side in both views share the
+sums of the columns that they have in common, and no result depends on which do.
 """
 
 import math
@@ -11,57 +11,54 @@ import math
 import numpy as np
 
 from harness.compiled import kernel
-from harness.matching._matching_kernels import CENSUS, LEAVES_IMAGE, OK, PHI, SSD, ZNCC, bits_set, census_code
+from harness.matching._matching_kernels import CENSUS, LEAVES_IMAGE, OK, PHI, SSD, ZNCC, census_code
+from harness.matching._vector_kernels import LANES, absolute, bits_set, doubles, load, singles, store, zeros
 
-# -- One window against another ----------------------------------------------------------------------------------------
-
-
-@kernel
-def _add_up(sums, size):
-    total = 0.0
-    for j in range(size):
-        total += sums[j]
-    return total
+# -- Windows side by side ----------------------------------------------------------------------------------------------
 
 
-@kernel
-def _differences(squared, first, second, row_1, column_1, row_2, column_2, size, sums):
-    """Sum of absolute or squared differences."""
-    for j in range(size):
-        sums[j] = 0.0
-    for i in range(size):
-        row_a, row_b = row_1 + i, row_2 + i
-        if squared:
+@kernel(inline=True)
+def _column_sums(cost, first, second, codes_1, codes_2, row_1, column_1, row_2, column_2, size, many, sums, sums_32):
+    """Sums down at least `many` columns of a strip as high as a window: with ZNCC to `sums`, else to `sums_32`.
+
+    Products are summed in double precision, as most of their sum is taken off again.
+    """
+    for j in range(np.uint64(0), many, np.uint64(LANES)):
+        a, b = column_1 + j, column_2 + j
+        if cost == ZNCC:
+            products = zeros(np.float64)
+            for i in range(size):
+                products += doubles(load(first, (row_1 + i, a))) * doubles(load(second, (row_2 + i, b)))
+            store(sums, (j,), products)
+            continue
+        total = zeros(np.float32)
+        if cost == CENSUS:
+            bits = zeros(np.int32)
+            for i in range(size):
+                bits += bits_set(load(codes_1, (row_1 + i, a)) ^ load(codes_2, (row_2 + i, b)))
+            total = singles(bits)
+        elif cost == SSD:
+            for i in range(size):
+                d = load(first, (row_1 + i, a)) - load(second, (row_2 + i, b))
+                total += d * d
+        else:
+            for i in range(size):
+                total += absolute(load(first, (row_1 + i, a)) - load(second, (row_2 + i, b)))
+        store(sums_32, (j,), total)
+
+
+@kernel(inline=True)
+def _window_sums(cost, sums, sums_32, size, many, values, sample, begin):
+    """Sums of `size` columns from each of at least the first `many` on, every one from left to right."""
+    for p in range(np.uint64(0), many, np.uint64(LANES)):
+        total = zeros(np.float64)
+        if cost == ZNCC:
             for j in range(size):
-                d = first[row_a, column_1 + j] - second[row_b, column_2 + j]
-                sums[j] += d * d
+                total += load(sums, (p + j,))
         else:
             for j in range(size):
-                sums[j] += abs(first[row_a, column_1 + j] - second[row_b, column_2 + j])
-    return _add_up(sums, size)
-
-
-@kernel
-def _products(first, second, row_1, column_1, row_2, column_2, size, sums):
-    """Sum of products, in double precision: most of it is taken off again."""
-    for j in range(size):
-        sums[j] = 0.0
-    for i in range(size):
-        row_a, row_b = row_1 + i, row_2 + i
-        for j in range(size):
-            sums[j] += np.float64(first[row_a, column_1 + j]) * np.float64(second[row_b, column_2 + j])
-    return _add_up(sums, size)
-
-
-@kernel
-def _hamming(first, second, row_1, column_1, row_2, column_2, size):
-    """How many bits of census transforms differ."""
-    total = np.int64(0)
-    for i in range(size):
-        row_a, row_b = row_1 + i, row_2 + i
-        for j in range(size):
-            total += np.int64(bits_set(np.uint32(first[row_a, column_1 + j] ^ second[row_b, column_2 + j])))
-    return float(total)
+                total += doubles(load(sums_32, (p + j,)))
+        store(values, (sample, begin + p), total)
 
 
 @kernel(inline=True)
@@ -71,39 +68,51 @@ def _one_minus_zncc(number, sum_1, spread_1, sum_2, spread_2, products):
     return 1 - (number * products - sum_1 * sum_2) / scale if scale > 0 else 1.0
 
 
-# -- One window against those of all samples of a curve ----------------------------------------------------------------
-#
-# rows, columns : `[samples]`, the pixels of view 2 on which windows are centred; a row of -1 where there is none.
-# values : `[samples]`, written; NaN where there is no window.
-
-
 @kernel
 def _costs(
-    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows, columns, count, values, sums,
-    sums_32,
+    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows, columns, sample, count,
+    values, sums, sums_32,
 ):  # fmt: skip
-    """Costs of the first `count` samples."""
-    size = np.uint64(2 * half + 1)
-    row_1, column_1, reach = np.uint64(row - half), np.uint64(column), np.uint64(half)
-    number = float(size * size)
-    for i in range(np.uint64(count)):
-        if rows[i] < 0:
-            values[i] = math.nan
+    """Costs of one sample of `count` pixels from `column` on: NaN without a window, any where none is asked for.
+
+    rows, columns : `[samples, pixels]`, the pixels of view 2 on which windows are centred.
+    values : `[samples, pixels + LANES]`, written.
+    """
+    size, number = np.uint64(2 * half + 1), float((2 * half + 1) ** 2)
+    begin = 0
+    while begin < count:
+        if rows[sample, begin] < 0:
+            values[sample, begin] = math.nan
+            begin += 1
             continue
-        row_2, column_2 = np.uint64(rows[i]) - reach, np.uint64(columns[i])
-        if cost == CENSUS:
-            values[i] = _hamming(codes_1, codes_2, row_1, column_1, row_2, column_2, size)
-        elif cost == ZNCC:
-            products = _products(first, second, row_1, column_1, row_2, column_2, size, sums)
-            values[i] = _one_minus_zncc(
-                number, moments_1[0, row, column], moments_1[1, row, column],
-                moments_2[0, rows[i], columns[i]], moments_2[1, rows[i], columns[i]], products,
-            )  # fmt: skip
-        else:
-            values[i] = _differences(cost == SSD, first, second, row_1, column_1, row_2, column_2, size, sums_32)
+        row_2, column_2 = rows[sample, begin], columns[sample, begin]
+        end = begin + 1
+        while end < count and rows[sample, end] == row_2 and columns[sample, end] - end == column_2 - begin:
+            end += 1
+        many = np.uint64(end - begin)
+        _column_sums(
+            cost, first, second, codes_1, codes_2, np.uint64(row - half), np.uint64(column + begin),
+            np.uint64(row_2 - half), np.uint64(column_2), size, many + size - np.uint64(1), sums, sums_32,
+        )  # fmt: skip
+        _window_sums(cost, sums, sums_32, size, many, values, np.uint64(sample), np.uint64(begin))
+        if cost == ZNCC:
+            for i in range(begin, end):
+                values[sample, i] = _one_minus_zncc(
+                    number, moments_1[0, row, column + i], moments_1[1, row, column + i],
+                    moments_2[0, row_2, column_2 + i - begin], moments_2[1, row_2, column_2 + i - begin],
+                    values[sample, i],
+                )  # fmt: skip
+        begin = end
 
 
 # -- Along the curves --------------------------------------------------------------------------------------------------
+#
+# rows, columns, values : `[samples, BLOCK]`, for the same samples k of the pixels of a block, a part of a row. Samples
+#     are counted from k_0.
+
+BLOCK = 128
+"""Pixels of a row that are matched together: what is kept of them stays in the cache."""
+_NOT_ASKED = -2
 
 
 @kernel(inline=True)
@@ -123,94 +132,55 @@ def _curve_point(mode, k, cos_k, sin_k, start, c_1, s_1, t_hat, m, n, step):
 
 
 @kernel
-def _pixels(
-    k, k_0, cos_k, sin_k, mode, matchable_2, start, t_hat, m, n, step, z_max, z_pitch, phi_pitch, rows, columns, count
+def _nearest_pixels(
+    mode, height, width, curves, t_hat, k_0, cos_k, sin_k, first, end, count, z_max, z_pitch, phi_pitch, rows, columns
 ):
-    """The pixels nearest to `count` samples from k on; row -1 where the window around one is not whole."""
-    height, width = matchable_2.shape
-    c_1, s_1 = math.cos(start), math.sin(start)
-    for i in range(count):
-        phi, z = _curve_point(mode, k + i, cos_k[k + i - k_0], sin_k[k + i - k_0], start, c_1, s_1, t_hat, m, n, step)
-        row = int(min(max(math.floor((z_max - z) / z_pitch), -1.0), float(height)))
-        columns[i] = math.floor((phi + math.pi) / phi_pitch) % width
-        rows[i] = row if 0 <= row < height and matchable_2[row, columns[i]] else -1
+    """The pixels nearest to samples first .. end of `count` curves; row -1 or `height` where that is off the image.
 
-
-# -- Many windows side by side against as many -------------------------------------------------------------------------
-#
-# values, rows, columns : `[samples, BLOCK]`, for the same samples k of the pixels of a block, a part of a row.
-
-BLOCK = 128
-"""Pixels of a row that are matched together: what is kept of them stays in the cache."""
-_NOT_ASKED = -2
+    curves : `[10, pixels]`: of each pixel start, c_1, s_1, m, n and step, as in `_curve_point`.
+    """
+    for j in range(first, end):
+        for i in range(np.uint64(count)):
+            phi, z = _curve_point(
+                mode, k_0 + j, cos_k[j], sin_k[j], curves[0, i], curves[1, i], curves[2, i], t_hat,
+                (curves[3, i], curves[4, i], curves[5, i]), (curves[6, i], curves[7, i], curves[8, i]), curves[9, i],
+            )  # fmt: skip
+            rows[j, i] = int(min(max(math.floor((z_max - z) / z_pitch), -1.0), float(height)))
+            column = np.floor((phi + math.pi) / phi_pitch)
+            columns[j, i] = int(column - width * np.floor(column / width))
 
 
 @kernel
-def _column_sums(cost, first, second, codes_1, codes_2, row_1, column_1, row_2, column_2, size, many, sums, sums_32):
-    """Sums down the first `many` columns of a strip as high as a window; `sums_32` of differences, else `sums`."""
-    for j in range(many):
-        sums[j], sums_32[j] = 0.0, 0.0
-    for i in range(size):
-        row_a, row_b = row_1 + i, row_2 + i
-        if cost == CENSUS:
-            for j in range(many):
-                sums[j] += float(bits_set(np.uint32(codes_1[row_a, column_1 + j] ^ codes_2[row_b, column_2 + j])))
-        elif cost == ZNCC:
-            for j in range(many):
-                sums[j] += np.float64(first[row_a, column_1 + j]) * np.float64(second[row_b, column_2 + j])
-        elif cost == SSD:
-            for j in range(many):
-                d = first[row_a, column_1 + j] - second[row_b, column_2 + j]
-                sums_32[j] += d * d
-        else:
-            for j in range(many):
-                sums_32[j] += abs(first[row_a, column_1 + j] - second[row_b, column_2 + j])
+def _keep_whole(allowed_2, reach, begins, ends, begin, end, count, rows, columns, complete):
+    """Mark samples that have no whole window by a row of -1, and those that no pixel asks for by `_NOT_ASKED`.
+
+    allowed_2 : `[height + 2, width]`, centres of windows, with a row of none before the first and after the last.
+    begins, ends : `[pixels]`, the samples that each of `count` pixels asks for.
+    complete : `[pixels]`, written: whether it asks for any, and all but the first and last `reach` have a whole window.
+        The others are left out.
+    """
+    some = np.uint64(count)
+    for i in range(some):
+        complete[i] = ends[i] > begins[i]
+    for j in range(begin, end):
+        for i in range(some):
+            if not allowed_2[np.uint64(rows[j, i] + 1), np.uint64(columns[j, i])]:
+                rows[j, i] = -1
+        for i in range(some):
+            complete[i] &= (rows[j, i] >= 0) | (j < begins[i] + reach) | (j >= ends[i] - reach)
+    for j in range(begin, end):
+        for i in range(some):
+            rows[j, i] = rows[j, i] if complete[i] & (j >= begins[i]) & (j < ends[i]) else _NOT_ASKED
 
 
 @kernel
-def _window_sums(sums, size, count, values):
-    """Sums of `size` columns from each of the first `count` on, every one from left to right."""
-    for p in range(count):
-        values[p] = 0.0
-    for j in range(size):
-        for p in range(count):
-            values[p] += sums[p + j]
-
-
-@kernel
-def _costs_side_by_side(
-    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows, columns, count, values, sums,
-    sums_32,
-):  # fmt: skip
-    """Costs of one sample of `count` pixels from `column` on; nothing where none is asked for, NaN without a window."""
-    size, number = np.uint64(2 * half + 1), float((2 * half + 1) ** 2)
-    begin = 0
-    while begin < count:
-        if rows[begin] < 0:
-            if rows[begin] != _NOT_ASKED:
-                values[begin] = math.nan
-            begin += 1
-            continue
-        end = begin + 1
-        while end < count and rows[end] == rows[begin] and columns[end] == columns[end - 1] + 1:
-            end += 1
-        run = values[begin:end]
-        _column_sums(
-            cost, first, second, codes_1, codes_2, np.uint64(row - half), np.uint64(column + begin),
-            np.uint64(rows[begin] - half), np.uint64(columns[begin]), size, np.uint64(end - begin + 2 * half), sums,
-            sums_32,
-        )  # fmt: skip
-        if cost in (CENSUS, ZNCC):
-            _window_sums(sums, size, np.uint64(end - begin), run)
-        else:
-            _window_sums(sums_32, size, np.uint64(end - begin), run)
-        if cost == ZNCC:
-            for i in range(begin, end):
-                values[i] = _one_minus_zncc(
-                    number, moments_1[0, row, column + i], moments_1[1, row, column + i],
-                    moments_2[0, rows[i], columns[i]], moments_2[1, rows[i], columns[i]], values[i],
-                )  # fmt: skip
-        begin = end
+def _update_least(values, sample, begins, ends, reach, count, least, best):
+    """Keep, of the samples so far, each pixel's least cost and the first sample that has it."""
+    for i in range(np.uint64(count)):
+        value = values[sample, i]
+        first = sample == begins[i] + reach
+        better = first | ((sample > begins[i] + reach) & (sample < ends[i] - reach) & (value < least[i]))
+        least[i], best[i] = value if better else least[i], sample if better else best[i]
 
 
 @kernel
@@ -225,7 +195,7 @@ def match_rows(
     moments_1,
     moments_2,
     searched,
-    matchable_2,
+    allowed_2,
     half,
     phi,
     alpha_1,
@@ -251,16 +221,17 @@ def match_rows(
     first, second : padded images, `[height, width + 2 half]`.
     codes_1, codes_2 : their census transforms, padded; asked for with CENSUS alone.
     moments_1, moments_2 : `[2, height, width]`, each window's sum and spread; asked for with ZNCC alone.
-    searched, matchable_2 : `[height, width]`; pixels to search for, and window centres allowed in the second image.
+    searched : `[height, width]`, pixels to search for.
+    allowed_2 : `[height + 2, width]`, centres of windows in view 2; see `_keep_whole`.
     cos_k, sin_k : of k times the length of a step, from k_0 on.
     reason, k_best, costs : written; `[height, width]`, and `[height, width, 2 reach + 1]`.
     """
-    width = searched.shape[1]
-    sums, sums_32 = np.empty(BLOCK + 2 * half), np.empty(BLOCK + 2 * half, dtype=np.float32)
-    rows_k, columns_k = np.empty(cos_k.size, np.int64), np.empty(cos_k.size, np.int64)
+    height, width = searched.shape
+    sums, sums_32 = np.empty(BLOCK + 2 * half + 2 * LANES), np.empty(BLOCK + 2 * half + 2 * LANES, dtype=np.float32)
     rows_2, columns_2 = np.empty((cos_k.size, BLOCK), np.int32), np.empty((cos_k.size, BLOCK), np.int32)
-    values = np.empty((cos_k.size, BLOCK))
+    values, curves = np.empty((cos_k.size, BLOCK + LANES)), np.ones((10, BLOCK))
     begins, ends = np.zeros(BLOCK, np.int64), np.zeros(BLOCK, np.int64)  # samples of each pixel, counted from k_0
+    complete, least, best = np.empty(BLOCK, np.bool_), np.empty(BLOCK), np.zeros(BLOCK, np.int64)
     for row in rows:
         for left in range(0, width, BLOCK):
             some = min(BLOCK, width - left)
@@ -270,61 +241,60 @@ def match_rows(
                 begins[i] = ends[i] = 0
                 if not searched[row, column]:
                     continue
-                k = k_first[row, column] - reach
-                count = k_last[row, column] + reach + 1 - k
-                _pixels(
-                    k, k_0, cos_k, sin_k, mode, matchable_2, phi[column] if mode == PHI else alpha_1[row, column],
-                    t_hat, m[row, column], n[row, column], step[row, column], z_max, z_pitch, phi_pitch, rows_k,
-                    columns_k, count,
-                )  # fmt: skip
-                complete = True
-                for j in range(reach, count - reach):
-                    complete &= rows_k[j] >= 0
-                if not complete:
-                    reason[row, column] = LEAVES_IMAGE
-                    continue
-                reason[row, column] = OK
-                begins[i], ends[i] = k - k_0, k - k_0 + count
+                begins[i], ends[i] = k_first[row, column] - reach - k_0, k_last[row, column] + reach + 1 - k_0
                 begin, end = min(begin, begins[i]), max(end, ends[i])
-                for j in range(count):
-                    rows_2[k - k_0 + j, i], columns_2[k - k_0 + j, i] = rows_k[j], columns_k[j]
-            for i in range(some):
-                for j in range(begin, end):
-                    if not begins[i] <= j < ends[i]:
-                        rows_2[j, i] = _NOT_ASKED
+                start = phi[column] if mode == PHI else alpha_1[row, column]
+                curves[0, i], curves[1, i], curves[2, i] = start, math.cos(start), math.sin(start)
+                for j in range(3):
+                    curves[3 + j, i], curves[6 + j, i] = m[row, column, j], n[row, column, j]
+                curves[9, i] = step[row, column]
+            _nearest_pixels(
+                mode, height, width, curves, t_hat, k_0, cos_k, sin_k, begin, end, some, z_max, z_pitch, phi_pitch,
+                rows_2, columns_2,
+            )  # fmt: skip
+            _keep_whole(allowed_2, reach, begins, ends, begin, end, some, rows_2, columns_2, complete)
             for j in range(begin, end):
-                _costs_side_by_side(
-                    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, left, half, rows_2[j],
-                    columns_2[j], some, values[j], sums, sums_32,
+                _costs(
+                    cost, first, second, codes_1, codes_2, moments_1, moments_2, row, left, half, rows_2, columns_2, j,
+                    some, values, sums, sums_32,
                 )  # fmt: skip
+                _update_least(values, j, begins, ends, reach, some, least, best)
             for i in range(some):
                 if begins[i] == ends[i]:
                     continue
-                best = begins[i] + reach
-                for j in range(best + 1, ends[i] - reach):
-                    if values[j, i] < values[best, i]:
-                        best = j
-                k_best[row, left + i] = k_0 + best
+                if not complete[i]:
+                    reason[row, left + i] = LEAVES_IMAGE
+                    continue
+                reason[row, left + i], k_best[row, left + i] = OK, k_0 + best[i]
                 for j in range(2 * reach + 1):
-                    costs[row, left + i, j] = values[best - reach + j, i]
+                    costs[row, left + i, j] = values[best[i] - reach + j, i]
 
 
 @kernel
 def costs_along_curve(
-    k, mode, cost, first, second, codes_1, codes_2, moments_1, moments_2, matchable_2, row, column, half, start, step,
+    k, mode, cost, first, second, codes_1, codes_2, moments_1, moments_2, allowed_2, row, column, half, start, step,
     t_hat, m, n, k_0, cos_k, sin_k, z_max, z_pitch, phi_pitch, values,
 ):  # fmt: skip
     """The costs of one pixel's samples from k on."""
-    sums, sums_32 = np.empty(2 * half + 1), np.empty(2 * half + 1, dtype=np.float32)
-    rows_2, columns_2 = np.empty(values.size, np.int64), np.empty(values.size, np.int64)
-    _pixels(
-        k, k_0, cos_k, sin_k, mode, matchable_2, start, t_hat, m, n, step, z_max, z_pitch, phi_pitch, rows_2, columns_2,
-        values.size,
+    height, width = allowed_2.shape[0] - 2, allowed_2.shape[1]
+    sums, sums_32 = np.empty(2 * half + 1 + 2 * LANES), np.empty(2 * half + 1 + 2 * LANES, dtype=np.float32)
+    rows_2, columns_2 = np.empty((cos_k.size, 1), np.int32), np.empty((cos_k.size, 1), np.int32)
+    own = np.array(
+        [[start], [math.cos(start)], [math.sin(start)], [m[0]], [m[1]], [m[2]], [n[0]], [n[1]], [n[2]], [step]]
+    )
+    begins, ends = np.array([k - k_0]), np.array([k - k_0 + values.size])
+    some, complete = np.empty((cos_k.size, 1 + LANES)), np.empty(1, np.bool_)
+    _nearest_pixels(
+        mode, height, width, own, t_hat, k_0, cos_k, sin_k, begins[0], ends[0], 1, z_max, z_pitch, phi_pitch, rows_2,
+        columns_2,
     )  # fmt: skip
-    _costs(
-        cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows_2, columns_2, values.size,
-        values, sums, sums_32,
-    )  # fmt: skip
+    _keep_whole(allowed_2, 0, begins, ends, begins[0], ends[0], 1, rows_2, columns_2, complete)
+    for j in range(begins[0], ends[0]):
+        _costs(
+            cost, first, second, codes_1, codes_2, moments_1, moments_2, row, column, half, rows_2, columns_2, j, 1,
+            some, sums, sums_32,
+        )  # fmt: skip
+        values[j - begins[0]] = some[j, 0]
 
 
 # -- Between pixels ----------------------------------------------------------------------------------------------------
@@ -387,10 +357,11 @@ def costs_between(
     """
     height, width, samples = costs.shape
     size = 2 * half + 1
-    patch = np.empty((size + 2 * margin, size + 2 * margin), dtype=np.float32)
-    codes = np.empty((size, size), dtype=np.int32)
-    sums, sums_32 = np.empty(size), np.empty(size, dtype=np.float32)
-    side, zero = np.uint64(size), np.uint64(0)
+    patch = np.zeros((size + 2 * margin, size + 2 * margin + LANES), dtype=np.float32)
+    codes = np.zeros((size, size + LANES), dtype=np.int32)
+    sums, sums_32 = np.empty(size + 2 * LANES), np.empty(size + 2 * LANES, dtype=np.float32)
+    values = np.empty((1, LANES))
+    side, zero, one = np.uint64(size), np.uint64(0), np.uint64(1)
     for row in rows:
         for column in range(width):
             if not matched[row, column]:
@@ -419,23 +390,22 @@ def costs_between(
                 ):
                     continue
                 _interpolate(patch, second, row_2 - half - margin, column_2, across, down)
-                row_1, column_1 = np.uint64(row - half), np.uint64(column)
                 if cost == CENSUS:
                     _census_of(codes, patch, margin)
-                    costs[row, column, i] = _hamming(codes_1, codes, row_1, column_1, zero, zero, side)
-                elif cost == ZNCC:
+                row_1, column_1 = np.uint64(row - half), np.uint64(column)
+                _column_sums(
+                    cost, first, patch, codes_1, codes, row_1, column_1, zero, zero, side, side, sums, sums_32
+                )  # fmt: skip
+                _window_sums(cost, sums, sums_32, side, one, values, zero, zero)
+                if cost == ZNCC:
                     total = squares = 0.0
                     for a in range(size):
                         for b in range(size):
                             value = np.float64(patch[a, b])
                             total, squares = total + value, squares + value * value
                     spread = max(size * size * squares - total * total, 0.0)
-                    costs[row, column, i] = _one_minus_zncc(
+                    values[0, 0] = _one_minus_zncc(
                         float(size * size), moments_1[0, row, column], moments_1[1, row, column], total,
-                        spread if spread > 1e-12 * size * size * squares else 0.0,
-                        _products(first, patch, row_1, column_1, zero, zero, side, sums),
+                        spread if spread > 1e-12 * size * size * squares else 0.0, values[0, 0],
                     )  # fmt: skip
-                else:
-                    costs[row, column, i] = _differences(
-                        cost == SSD, first, patch, row_1, column_1, zero, zero, side, sums_32
-                    )
+                costs[row, column, i] = values[0, 0]

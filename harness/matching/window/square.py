@@ -11,6 +11,7 @@ from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves
 from harness.geometry.panorama import Panorama
 from harness.matching import _matching_kernels
+from harness.matching._vector_kernels import LANES
 from harness.matching.interface import Reason
 from harness.matching.window import _square_kernels
 from harness.matching.window.census import NEIGHBOURHOOD_PX, census
@@ -50,7 +51,7 @@ def search(
             images.moments_1,
             images.moments_2,
             searched,
-            matchable_2,
+            _with_rows_beside(matchable_2),
             matcher.window_px // 2,
             grid.phi,
             curves.alpha_1,
@@ -141,7 +142,7 @@ def costs_along_curve(
         images.codes_2,
         images.moments_1,
         images.moments_2,
-        whole_windows(images.valid_2, matcher.window_px),
+        _with_rows_beside(whole_windows(images.valid_2, matcher.window_px)),
         row,
         column,
         matcher.window_px // 2,
@@ -170,7 +171,8 @@ def in_interleaved_rows(work: Callable[[NDArray[np.intp]], None], height: int, t
 
 @dataclass(frozen=True, eq=False)
 class _Images:
-    """Images in the form that the kernel compares, padded by half a window of columns on both sides.
+    """Images in the form that the kernel compares, padded by half a window of columns on both sides, and by the columns
+    of a vector on the right.
 
     Arrays that the cost does not use are empty.
     """
@@ -190,17 +192,23 @@ class _Images:
 
 def _images(first: Panorama, second: Panorama, matcher: WindowMatcher) -> _Images:
     half = matcher.window_px // 2
-    values = [np.pad(image.values, ((0, 0), (half, half)), mode="wrap") for image in (first, second)]
+    around = ((0, 0), (half, half + LANES))
+    values = [np.pad(image.values, around, mode="wrap") for image in (first, second)]
     codes = [np.empty((1, 1), dtype=np.int32)] * 2
     moments = [np.empty((2, 1, 1))] * 2
     valid = [first.valid, second.valid]
     if matcher.cost == "census":
         transforms = [census(image.values, image.valid) for image in (first, second)]
-        codes = [np.pad(each, ((0, 0), (half, half)), mode="wrap") for each, _ in transforms]
+        codes = [np.pad(each, around, mode="wrap") for each, _ in transforms]
         valid = [whole for _, whole in transforms]
     if matcher.cost == "zncc":
-        moments = [_moments(each.astype(np.float64), half) for each in values]
+        moments = [_moments(each[:, :-LANES].astype(np.float64), half) for each in values]
     return _Images(values[0], values[1], codes[0], codes[1], moments[0], moments[1], valid[0], valid[1])
+
+
+def _with_rows_beside(centres: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where windows may be centred, with a row of nowhere above and below, for samples that are off the image."""
+    return np.pad(centres, ((1, 1), (0, 0)))
 
 
 def _moments(padded: Array, half: int) -> Array:
