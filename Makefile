@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help paper test findings quick long lint docs lock install clean
+.PHONY: help paper test findings quick long lint docs pictures lock install clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*##/\1	/p' $(MAKEFILE_LIST)
@@ -35,6 +35,10 @@ lint: $(STAMP)  ## style, formatting, types and the one-way imports
 
 docs: $(STAMP)  ## build the documentation; the site is docs/_build/html/index.html
 	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --jobs auto --quiet docs docs/_build/html
+
+pictures: $(STAMP)  ## draw the pictures of the README and of the documentation anew; needs Chromium
+	$(BIN)/python docs/make_pictures.py
+	$(BIN)/python docs/make_concepts.py
 
 lock: $(STAMP)  ## lock the dependencies anew; LOCK_FLAGS=--upgrade takes the newest
 	$(BIN)/uv pip compile pyproject.toml --extra dev --output-file requirements.lock \

@@ -1,6 +1,6 @@
 """Draw the README's picture, from the paper's experiment, and that of the page on calibration.
 
-`python docs/make_pictures.py` (needs Chromium).
+`make pictures` runs it (needs Chromium).
 """
 
 import io
