@@ -8,9 +8,8 @@ import warnings
 
 import pytest
 
-from harness import machine
-from harness.report import copies
-from harness.report.copies import made_with_a_copy
+from harness import copies, machine
+from harness.copies import begun_in_a_copy, made_with_a_copy
 
 NUMBERS = range(3, 23)
 HERE = os.getpid()
@@ -90,5 +89,31 @@ def test_ctrl_c_ends_the_copy_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         made_with_a_copy(interrupted, NUMBERS)
+    with pytest.raises(ProcessLookupError):
+        os.kill(copied[0], 0)
+
+
+def whose() -> tuple[str, bool]:
+    return "made", is_copy()
+
+
+@pytest.mark.parametrize("may_copy", [True, False])
+def test_a_copy_makes_something_meanwhile(*, may_copy: bool) -> None:
+    with begun_in_a_copy(whose, may_copy=may_copy) as result:
+        assert result() == ("made", may_copy)
+
+
+@pytest.mark.parametrize("make", [dies, raises, sends_what_cannot_be_sent])
+def test_what_a_copy_fails_to_make_meanwhile_is_made_here(make) -> None:
+    with begun_in_a_copy(lambda: make(7)) as result:
+        assert result() == (49, False)
+
+
+def test_a_copy_that_nobody_asks_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    copied: list[int] = []
+    fork = os.fork
+    monkeypatch.setattr(os, "fork", lambda: copied.append(fork()) or copied[0])
+    with pytest.raises(KeyboardInterrupt), begun_in_a_copy(lambda: time.sleep(600)):
+        raise KeyboardInterrupt
     with pytest.raises(ProcessLookupError):
         os.kill(copied[0], 0)

@@ -1,5 +1,6 @@
 """`omnirange report`: rebuild the tables and the report of a run."""
 
+import os
 import warnings
 from argparse import Namespace
 from pathlib import Path
@@ -43,6 +44,10 @@ def add(commands: Commands) -> None:
 
 def run(options: Namespace) -> int:
     """Write all output files of a run."""
+    from harness.runs.executors import ONE_THREAD
+
+    os.environ.update(ONE_THREAD | os.environ)  # the threads of libraries get in the way of a copy of this process
+
     from harness.runs.recorded import recorded
     from harness.runs.run import run_status
     from harness.runs.store import DATABASE, OTHER_CODE, Store

@@ -4,6 +4,8 @@ import gc
 import sys
 import textwrap
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -18,7 +20,11 @@ from harness.errors import InputError, Notice
 if TYPE_CHECKING:
     from harness.runs.details import Beforehand
     from harness.runs.experiment import Experiment
+    from harness.runs.run import Result
     from harness.runs.store import Store, UnusedRows
+
+_FEW = 100
+"""Trials below which what they say together is worked out before a copy of the process could begin."""
 
 
 def write(
@@ -53,32 +59,29 @@ def write(
         When every trial failed because of `given`, which the user can correct.
     """
     shown = shown or folder
+    from harness.copies import begun_in_a_copy
+    from harness.runs.all_trials import all_trials_of
     from harness.runs.density import too_sparse
     from harness.runs.remarks import remarks
-    from harness.runs.run import result_from, rows_of, run_status, write_report, write_summary, write_tables
+    from harness.runs.run import result_from, rows_of, run_status, write_summary, write_tables
 
     rows = rows_of(experiment, store)
-    write_tables(experiment, rows, store, folder)
-    interrupts.check()
     now = run_status(experiment, store)
-    if now.done and with_report:
-        result = result_from(experiment, rows, store, run_code=run_code, beforehand=beforehand)
+    has_report = with_report and bool(now.done)
+    may_copy = has_report and len(rows) > _FEW
+    with _long_lived(), begun_in_a_copy(lambda: all_trials_of(experiment, rows), may_copy=may_copy) as all_trials:
+        write_tables(experiment, rows, store, folder)
+        interrupts.check()
+        if may_copy:
+            from harness.report import build  # noqa: F401 - it takes long, and the copy takes longer
+        if has_report:
+            result = result_from(
+                experiment, rows, store, run_code=run_code, beforehand=beforehand, all_trials=all_trials
+            )
+    if has_report:
         write_summary(result, store, folder)  # first, so that a failure of the report does not lose it
         show(result.summary)
-        from harness.report.build import build_report  # only now, as drawing libraries take long to load
-
-        not_drawn: list[str] = []
-        gc.freeze()  # millions of long-lived rows: no garbage collection while figures are drawn
-        try:
-            with Steps("writing report") as steps:
-                page = build_report(result, not_drawn, observe=steps.update, may_copy=True)
-            write_report(result, page, store, folder)
-        finally:
-            gc.unfreeze()
-        for each in result.details.left_out:
-            print(f"omnirange: left out of the report: {each.matcher}: {each.reason}", file=sys.stderr)
-        for failure in not_drawn:
-            print(f"omnirange: {failure}", file=sys.stderr)
+        _draw(result, store, folder)
         show_report(shown)
     sparse = too_sparse((row.planned.trial, row.payload) for row in rows if row.state == "done")
     for line in filter(None, (sparse, *remarks(rows))):
@@ -96,6 +99,31 @@ def write(
         file=sys.stderr,
     )
     return FAILED
+
+
+@contextmanager
+def _long_lived() -> Iterator[None]:
+    """What is there is no garbage: nobody looks for any among millions of rows, which copies of the process share."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def _draw(result: "Result", store: "Store", folder: Path) -> None:
+    """Write the report, and say what it lacks."""
+    from harness.report.build import build_report  # only now, as drawing libraries take long to load
+    from harness.runs.run import write_report
+
+    not_drawn: list[str] = []
+    with _long_lived(), Steps("writing report") as steps:
+        page = build_report(result, not_drawn, observe=steps.update, may_copy=True)
+    write_report(result, page, store, folder)
+    for each in result.details.left_out:
+        print(f"omnirange: left out of the report: {each.matcher}: {each.reason}", file=sys.stderr)
+    for failure in not_drawn:
+        print(f"omnirange: {failure}", file=sys.stderr)
 
 
 def show(summary: dict[str, Any]) -> None:

@@ -80,10 +80,18 @@ def median_over_seeds(values: Array, seeds: NDArray[np.integer]) -> tuple[float,
     order = np.argsort(values, kind="stable")
     values = values[order]
     names, index = np.unique(seeds[order], return_inverse=True)
-    weights = np.cumsum(resampled(names.size, 200)[:, index], axis=1)
-    medians = values[np.argmax(weights >= 0.5 * weights[:, -1:], axis=1)]
-    low, high = between(medians[1:, None], names.size)
-    return float(medians[0]), float(low[0]), float(high[0])
+    weights = resampled(names.size, 200)
+    # How many values each seed has up to each place: what a draw weighs up to there grows with the place.
+    counts = np.cumsum(index == np.arange(names.size)[:, None], axis=1, dtype=np.float64).T
+    half = 0.5 * (weights @ counts[-1])
+    low, high = np.zeros(len(weights), dtype=np.intp), np.full(len(weights), values.size - 1)
+    while (low < high).any():
+        middle = (low + high) // 2
+        reached = np.einsum("ij,ij->i", weights, counts[middle]) >= half
+        low, high = np.where(reached, low, middle + 1), np.where(reached, middle, high)
+    medians = values[low]
+    ends = between(medians[1:, None], names.size)
+    return float(medians[0]), float(ends[0][0]), float(ends[1][0])
 
 
 def weighted_median(values: Array, weights: Array) -> float:

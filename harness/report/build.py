@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from harness import interrupts
+from harness.copies import made_with_a_copy
 from harness.report import theme, words
-from harness.report.copies import made_with_a_copy
 from harness.report.markup import html, template
 from harness.report.opening import opening
 from harness.report.section import MOST_BYTES, About, Context, Declared, Paragraph, Section
@@ -75,13 +75,17 @@ def sections_of(
             section = _section_of(ordered[number], replace(context, room=room), missing)
             return section, missing[:]
 
-        def begun(before: int) -> None:
-            observe(before, len(ordered))
+        def size(number: int) -> int:
+            section, _ = made[number]
+            return section.size if section else 0
 
-        made = made_with_a_copy(make, first, begun, may_copy=may_copy)
-        for before, number in enumerate(last, start=len(first)):
-            begun(before)
-            made[number] = make(number, MOST_BYTES - sum(section.size for section, _ in made.values() if section))
+        # Those that take the rest are begun first, as they take long, and mostly fit.
+        made = made_with_a_copy(make, (*last, *first), lambda before: observe(before, len(ordered)), may_copy=may_copy)
+        left = MOST_BYTES - sum(map(size, first))
+        for number in last:
+            if size(number) > left:
+                made[number] = make(number, left)
+            left -= size(number)
     if failures is not None:
         failures.extend(line for number in (*first, *last) for line in made[number][1])
     return [section for _, (section, _) in sorted(made.items()) if section]

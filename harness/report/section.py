@@ -37,7 +37,7 @@ class Context:
     trial: Trial
     """The base trial."""
     room: int = MOST_BYTES
-    """Bytes of the page that the other sections leave, for a section that takes the rest."""
+    """Bytes that a section may take that takes the rest: all of the page, or what the other sections leave."""
 
     @classmethod
     def of(cls, result: Result) -> "Context":
@@ -210,7 +210,7 @@ class Declared:
     needs_pixels: bool
     """Whether it cannot be made from rows and summary alone; without pixels it states that."""
     takes_the_rest: bool
-    """Whether it is made after all others, and given the room that they leave (`Context.room`)."""
+    """Whether it is made again, with the room that the others leave (`Context.room`), if it takes more."""
     make: Callable[[Context], Iterator[Block]]
 
     def __call__(self, context: Context) -> Section | None:

@@ -144,7 +144,7 @@ class Sweep:
         numbered = self.cells.assign(condition=pd.factorize(self.cells["condition"])[0])
         return {key: part for key, part in numbered.groupby(["matcher", "subpixel", "surface"], sort=False)}  # noqa: C416
 
-    @property
+    @cached_property
     def surfaces(self) -> list[str]:
         """The surfaces that cells lie on: `wall`, `floor`."""
         return [] if self.cells.empty else [s for s in ("wall", "floor") if (self.cells["surface"] == s).any()]

@@ -49,6 +49,7 @@ _STYLE: dict[str, Any] = {
     "axes.titlesize": 10.5,
     "axes.titlelocation": "left",
     "axes.titlepad": 5,
+    "axes.titley": 1.0,  # else matplotlib lays all ticks out to see whether a title is in their way
     "axes.labelsize": 10.5,
     "axes.labelpad": 3,
     "axes.edgecolor": INK,
@@ -205,7 +206,7 @@ def picture(fig: Figure, alt: str, title: str = "") -> Picture:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    text = re.sub(r"\s*\n\s*", " ", text).replace('"', "'")
+    text = " ".join(filter(None, map(str.strip, text.split("\n")))).replace('"', "'")
     text = _shorter(text)
     text = re.sub(r"(?<=data:image/png;base64,)[^']*", lambda png: _few_colours(png[0]), text)
     width, height = (round(side * _DPI) for side in fig.get_size_inches())

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from harness.display import OneLine
 from harness.errors import InputError
@@ -25,17 +24,10 @@ from harness.pipeline.maps import has_maps
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.runs import executors
-from harness.runs.analysis import best_baseline_of, cell_table, law_of, limit_of
-from harness.runs.budgets import budget_of
-from harness.runs.case_figures import figures_of_cases
 from harness.runs.cases import CASE
-from harness.runs.claims import claims_of
-from harness.runs.conclusions import conclusions
 from harness.runs.details import Beforehand, Details, details_of, keep
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
-from harness.runs.further_scores import FURTHER
-from harness.runs.headline import Findings, headline
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.path_maps import write_path_maps
 from harness.runs.plan import Plan, plan
@@ -45,6 +37,11 @@ from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
 from harness.runs.written import is_written, set_reported, write_files
 from harness.spec import as_table, dump_toml
+
+if TYPE_CHECKING:  # loading it takes long, and trials can be run without
+    import pandas as pd
+
+    from harness.runs.all_trials import AllTrials
 
 SCHEMA = 1
 METHODS = {"none": "pixel", "parabola": "subpixel"}
@@ -81,7 +78,7 @@ class Result(OneLine):
     experiment: Experiment
     rows: list[Row]
     """The rows of all trials that are finished, in the experiment's order."""
-    cells: pd.DataFrame
+    cells: "pd.DataFrame"
     """The cells of all trials that are done, see `analysis.cell_table`."""
     details: Details
     """The base trial by each method."""
@@ -213,14 +210,22 @@ def result_from(
     *,
     run_code: bool = True,
     beforehand: Beforehand = MappingProxyType({}),
+    all_trials: "Callable[[], AllTrials] | None" = None,
 ) -> Result:
     """The result that follows from the rows, with the trials that are shown in detail; see `details.details_of`.
+
+    Parameters
+    ----------
+    all_trials
+        Gives what the rows say together, if that is being worked out already.
 
     Raises
     ------
     InputError
         When no trial is done.
     """
+    from harness.runs.all_trials import all_trials_of  # it loads pandas, which takes long
+
     done = [row for row in rows if row.state == "done"]
     if not done:
         raise InputError("no trial was finished with the present version of the program, so there is nothing to report")
@@ -230,37 +235,13 @@ def result_from(
         keep(details, comparison, experiment, store, beforehand)
     summary = {"schema": SCHEMA, "experiment": experiment.name} | comparison
     summary |= {"trials": {"total": len(experiment.planned), "done": len(done), "failed": len(rows) - len(done)}}
-    trials = [(row.planned, row.payload) for row in done]
-    cells = cell_table(trials)
-    law = law_of(cells) if experiment.law else None
-    best_baseline = best_baseline_of(cells, law)
-    claims, labels = claims_of(trials), experiment.method_labels
-    further = {each.name: each.entries_of(trials) for each in FURTHER}
-    by_score = [each.conclusions(further[each.name], labels) for each in FURTHER]
-    by_score.reverse()  # what is made of others comes first, as maps are made of range profiles
-    sentences = [sentence for each in by_score for sentence in each]
-    first = next(filter(None, by_score), [])
-    limit, budget = limit_of(trials), budget_of(trials)
-    found = Findings(law, best_baseline, limit, budget, first)
-    opens_with = None if claims else headline(done, found, labels)
-    optional = {
-        "claims": claims,
-        "limit": limit,
-        "budget": budget,
-        "budget_by_direction": budget_of(trials, "alpha_bin"),
-        "labels": _labels(details, experiment),
-        "cases": figures_of_cases(experiment, trials),
-        "law": law,
-        "best_baseline": best_baseline,
-        **further,
-        "headline": opens_with,
-        "conclusions": [] if claims else [each for each in conclusions(done, labels, sentences) if each != opens_with],
-    }
-    summary |= {name: value for name, value in optional.items() if value}
+    found = all_trials() if all_trials else all_trials_of(experiment, rows)
+    entries = found.entries | {"labels": _labels(details, experiment)}
+    summary |= {name: value for name, value in entries.items() if value}
     environment_table = environment() | {"scene_sha256": " ".join(sorted(experiment.scene_fingerprints))}
     if store and store.other_code:
         environment_table["trials_made_by"] = f"other code or libraries than these, {store.other_code}"
-    return Result(experiment, rows, cells, details, summary, environment_table)
+    return Result(experiment, rows, found.cells, details, summary, environment_table)
 
 
 def _labels(details: Details, experiment: Experiment) -> dict[str, str]:

@@ -12,7 +12,8 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO, TypeVar
+from contextlib import ExitStack, contextmanager
+from typing import IO, Any, TypeVar
 
 from harness.machine import can_be_copied
 
@@ -47,22 +48,65 @@ def made_with_a_copy(
     waiting, put = os.pipe()
     os.write(put, bytes(numbers))
     os.close(put)
+    with os.fdopen(waiting, "rb", buffering=0) as left:
+
+        def in_turn() -> dict[int, T]:
+            return {number: make(number) for number in _taken(left)}
+
+        with _copied(in_turn) as of_copy:
+            made = {number: _observed(make, begun, number, numbers.index(number)) for number in _taken(left)}
+            made |= of_copy() or {}
+    return {number: made[number] if number in made else make(number) for number in numbers}
+
+
+@contextmanager
+def begun_in_a_copy(make: Callable[[], T], *, may_copy: bool = True) -> Iterator[Callable[[], T]]:
+    """Let a copy of this process make something meanwhile, where the system allows that.
+
+    Yields a function that waits for it and returns it, made here if the copy did not succeed. It is to be called once.
+
+    Parameters
+    ----------
+    make
+        Its result is made here if it cannot be pickled. It is never None.
+    may_copy
+        False to make it here, when it is asked for.
+    """
+    if not (may_copy and can_be_copied()):
+        yield make
+        return
+    with _copied(make) as of_copy:
+
+        def result() -> T:
+            made = of_copy()
+            return make() if made is None else made
+
+        yield result
+
+
+@contextmanager
+def _copied(make: Callable[[], T]) -> Iterator[Callable[[], T | None]]:
+    """Begin a copy, and end it in the end.
+
+    Yields a function that waits for what the copy makes, and ends it; None if it made nothing in that time.
+    """
     begin = time.monotonic()
-    with tempfile.TemporaryFile() as answers, os.fdopen(waiting, "rb", buffering=0) as left:
+    with tempfile.TemporaryFile() as answer, ExitStack() as until_it_ends:
         ended, ending = os.pipe()
         pid = _copy()
         if pid == 0:
-            _help(make, left, answers)
+            _help(make, answer)
         os.close(ending)
-        try:
-            made = {number: _observed(make, begun, number, numbers.index(number)) for number in _taken(left)}
+        until_it_ends.callback(os.waitpid, pid, 0)
+        until_it_ends.callback(os.kill, pid, signal.SIGKILL)
+        until_it_ends.callback(os.close, ended)
+
+        def result() -> T | None:
             select.select([ended], [], [], max(_PATIENCE_S, time.monotonic() - begin))
-        finally:
-            os.close(ended)
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
-        made |= _read(answers)
-    return {number: made[number] if number in made else make(number) for number in numbers}
+            until_it_ends.close()  # before its file is read, as they share the place in it
+            return _read(answer)
+
+        yield result
 
 
 def _observed(make: Callable[[int], T], begun: Callable[[int], None], number: int, before: int) -> T:
@@ -84,20 +128,20 @@ def _taken(left: IO[bytes]) -> Iterator[int]:
         yield taken[0]
 
 
-def _help(make: Callable[[int], T], left: IO[bytes], answers: IO[bytes]) -> None:
+def _help(make: Callable[[], object], answer: IO[bytes]) -> None:
     """Do the copy's part of the work, and end the process; never returns."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was copied, which ends this one
-        pickle.dump({number: make(number) for number in _taken(left)}, answers, pickle.HIGHEST_PROTOCOL)
-        answers.flush()
+        pickle.dump(make(), answer, pickle.HIGHEST_PROTOCOL)
+        answer.flush()
     finally:
         os._exit(0)
 
 
-def _read(answers: IO[bytes]) -> dict[int, T]:
-    """The results of the copy by number; empty if it did not finish."""
-    answers.seek(0)
+def _read(answer: IO[bytes]) -> Any:
+    """What the copy made; None if it did not finish."""
+    answer.seek(0)
     try:
-        return dict(pickle.load(answers))  # noqa: S301 - written by this program, in a file without a name
+        return pickle.load(answer)  # noqa: S301 - written by this program, in a file without a name
     except (EOFError, pickle.UnpicklingError):
-        return {}
+        return None
