@@ -14,6 +14,7 @@ from harness.cli import main
 from harness.errors import InputError
 from harness.matching.registry import BUILT_IN
 from harness.runs.load import load_experiment
+from harness.runs.written import OF_ALL_ROWS
 
 
 @pytest.fixture
@@ -151,6 +152,22 @@ def test_set_and_axis_are_folded_into_what_is_written(small: Path, tmp_path: Pat
     assert omnirange(tmp_path, "run", small, *changed, "--out", "one", "--no-report").returncode == 0
     assert omnirange(tmp_path, "run", "one/experiment.toml", "--out", "two", "--no-report").returncode == 0
     assert (tmp_path / "one" / "trials.csv").read_bytes() == (tmp_path / "two" / "trials.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_no_report_of_other_trials_stands_beside_new_tables(small: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert omnirange(tmp_path, "run", small, "--out", out).returncode == 0
+    before = {name: (out / name).read_bytes() for name in OF_ALL_ROWS}
+    again = omnirange(tmp_path, "run", small, "--out", out, "--no-report")
+    assert {name: (out / name).read_bytes() for name in OF_ALL_ROWS} == before  # they are of these trials
+    assert "removed" not in again.stdout
+    (out / "environment.json").write_text("a note")
+    other = omnirange(tmp_path, "run", small, "--set", "noise.sigma_grey=3", "--out", out, "--no-report")
+    assert other.stdout.splitlines()[-1] == f"removed from {out}: summary.json and report.html of earlier trials"
+    assert sorted(path.name for path in out.iterdir() if path.name in OF_ALL_ROWS) == ["environment.json"]
+    assert omnirange(tmp_path, "report", out).returncode == 0
+    assert all((out / name).is_file() for name in OF_ALL_ROWS)
 
 
 # --- What is refused -----------------------------------------------------------------------------------------------

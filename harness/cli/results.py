@@ -14,7 +14,7 @@ from harness import interrupts
 from harness.api.progress import Steps
 from harness.cli.exits import FAILED, OK
 from harness.cli.tables import cases_table, claims_table, law_tables, methods_table
-from harness.display import unbroken
+from harness.display import listed, unbroken
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def write(
     has_report = with_report and bool(now.done)
     may_copy = has_report and len(rows) > _FEW
     with _long_lived(), begun_in_a_copy(lambda: all_trials_of(experiment, rows), may_copy=may_copy) as all_trials:
-        write_tables(experiment, rows, store, folder)
+        removed = write_tables(experiment, rows, store, folder)
         interrupts.check()
         if may_copy:
             from harness.report import build  # noqa: F401 - it takes long, and the copy takes longer
@@ -83,6 +83,8 @@ def write(
         show(result.summary)
         _draw(result, store, folder)
         show_report(shown)
+    elif removed:
+        print(f"removed from {shown}: {listed(removed)} of earlier trials")
     sparse = too_sparse((row.planned.trial, row.payload) for row in rows if row.state == "done")
     for line in filter(None, (sparse, *remarks(rows))):
         warnings.warn(line, Notice, stacklevel=1)

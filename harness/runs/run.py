@@ -35,7 +35,7 @@ from harness.runs.recorded import record
 from harness.runs.scheduler import run_batches
 from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
-from harness.runs.written import is_written, set_reported, write_files
+from harness.runs.written import is_written, remove_stale, set_reported, write_files
 from harness.spec import as_table, dump_toml
 
 if TYPE_CHECKING:  # loading it takes long, and trials can be run without
@@ -276,13 +276,20 @@ def run_experiment(experiment: Experiment, folder: Path | None = None, *, worker
 # --- What is written ----------------------------------------------------------------------------------------------
 
 
-def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: Path) -> None:
+def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: Path) -> list[str]:
     """Write the files without a report: `experiment.toml`, `trials.csv`, `timings.csv`, and `failures.csv` if needed.
+
+    A report and a summary of other rows are removed.
 
     Parameters
     ----------
     rows
         Those of `rows_of`.
+
+    Returns
+    -------
+    removed
+        The names of files that were.
 
     Raises
     ------
@@ -294,12 +301,14 @@ def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: 
         "trials.csv": _trials(experiment, rows),
         "timings.csv": _timings(rows),
     }
+    removed = remove_stale(_digest(experiment, store), store, folder)
     write_files(tables, folder, store)
     failures = folder / "failures.csv"
     if any(row.state == "failed" for row in rows):
         write(failures, _failures(experiment, rows))
     else:
         failures.unlink(missing_ok=True)
+    return removed
 
 
 def write_summary(result: Result, store: Store, folder: Path) -> None:

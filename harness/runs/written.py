@@ -19,6 +19,9 @@ WRITTEN = (
 )
 """The files made from the rows; `failures.csv` too, when a trial failed."""
 
+OF_ALL_ROWS = ("environment.json", "summary.json", "report.html")
+"""Those that are written after the tables, and not at all without a report."""
+
 _LIMIT_BYTES = 1 << 30
 """The most that is read of such a file: a hundred thousand trials have tables of some hundred megabytes."""
 
@@ -44,6 +47,21 @@ def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
 def set_reported(digest: str, store: Store, folder: Path) -> None:
     """Record that the files belong to the rows with this digest."""
     store.set_fact(_FACT_OF_REPORT, [digest, _hashes(folder)])
+
+
+def remove_stale(digest: str, store: Store, folder: Path) -> list[str]:
+    """Remove the files that follow from other rows than those with this digest, and return their names.
+
+    They would stand beside new tables and contradict them. Files that somebody has changed since are left.
+    """
+    reported, hashes = store.fact(_FACT_OF_REPORT), _stored_hashes(store) or {}
+    if reported is None or reported[0] == digest:
+        return []
+    present = _hashes(folder)
+    stale = [name for name in OF_ALL_ROWS if present[name] is not None and present[name] == hashes.get(name)]
+    for name in stale:
+        (folder / name).unlink()
+    return stale
 
 
 def is_written(digest: str, store: Store, folder: Path) -> bool:
