@@ -13,10 +13,11 @@ from sweeps import write_small
 
 import harness
 from harness.api.mapping import RangeScan, level_poses
+from harness.api.motion import MotionEstimate
 from harness.cli.parser import main
 from harness.errors import InputError
 from harness.evaluation.map_scores import points_on, score_map, true_states
-from harness.geometry.pose import Pose, relative_motion
+from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.mapping.map_files import read_map, write_map
 from harness.mapping.occupancy import Cell, GridFrame, Place, frame_around, map_of_profiles
 from harness.mapping.packed import packed, unpacked
@@ -292,13 +293,38 @@ def test_photographs_become_a_map(tmp_path, capsys):
     options = ["--sensor", str(tmp_path / "0" / "sensor.toml"), "--baseline", "0.5", "0", "0", "--matcher", "sgm",
                "--height", "1", "--support", "2", "--cell", "0.1", "--out", str(tmp_path / "map")]  # fmt: skip
     assert main(["map", *images, *options]) == 0
-    assert "m2 free" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "m2 free" in said
+    assert said.count("\n  geometry ") == 2  # the verdict of each pair
+    assert f"{images[1]}, {images[2]}: " in said
     state, frame = read_map(tmp_path / "map" / "map.yaml")
     x, y = frame.centres()
     # The first view stands half a metre from the middle.
     inside = (np.abs(x - 0.5)[None] < 2.7) & (np.abs(y)[:, None] < 2.7)
     assert (state[inside] == FREE).mean() > 0.85
     assert (state[~inside] == OCCUPIED).sum() > 0.3 * 4 * 60  # of the four walls' cells
+
+
+def test_a_map_of_estimated_motions_counts_their_covariances(tmp_path, monkeypatch):
+    """And takes the pose of two images as `range` does."""
+    pose = tmp_path / "pose.toml"
+    pose.write_text("position_m = [0.5, 0.0, 0.0]\n")
+    estimated = object.__new__(MotionEstimate)
+    vars(estimated).update(direction_v1=np.array([1.0, 0, 0]))
+    monkeypatch.setattr(harness, "estimate_motion", lambda *_, **__: estimated)
+    monkeypatch.setattr(MotionEstimate, "motion", Motion(np.eye(3), np.array([0.5, 0.0, 0.0])))
+    motions = []
+
+    def matched(*arguments, **_):
+        motions.append(arguments[3])
+        raise InputError("far enough")
+
+    monkeypatch.setattr(harness, "estimate_range", matched)
+    command = ["map", "a.png", "b.png", "--sensor", "mirror", "--height", "1", "--out", str(tmp_path / "m")]
+    for options in (["--baseline-length", "0.5"], ["--pose", str(pose)]):
+        assert main([*command, *options]) == 2
+    assert motions[0] is estimated
+    assert motions[1].t_v1 == pytest.approx([0.5, 0, 0])
 
 
 @pytest.mark.parametrize(

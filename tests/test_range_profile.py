@@ -282,7 +282,9 @@ def test_two_photographs_become_a_scan(tmp_path, capsys):
     given_sensor = ["--sensor", str(tmp_path / "left" / "sensor.toml"), "--matcher", "sgm"]
     options = ["--height", "1", "--bearings", "72", "--baseline", "0.3", "0", "0", "--out", str(tmp_path / "scan")]
     assert main(["scan", *images, *given_sensor, *options]) == 0
-    assert "of 72 bearings have an obstacle" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "of 72 bearings have an obstacle" in said
+    assert "\ngeometry ok: " in said
     back = from_laser_scan(json.loads((tmp_path / "scan" / "scan.json").read_text()))
     expected = 3 / np.maximum(np.abs(np.cos(back.bearing)), np.abs(np.sin(back.bearing)))
     aside = np.abs(np.sin(back.bearing)) > 0.5  # 30 degrees off the baseline
@@ -294,7 +296,7 @@ def test_two_photographs_become_a_scan(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--height", "1", "--band", "2", "1"), "low_m must be below high_m"),
+        (("--height", "1", "--band", "2", "1"), "--band: the first must be below the second; found 2 and 1"),
         (("--height", "1", "--bearings", "0"), "--bearings: must be at least 1; found 0"),
         (("--height", "nan"), "--height: must be a number above 0; found 'nan'"),
         (("--height", "-1"), "--height: must be a number above 0; found '-1'"),

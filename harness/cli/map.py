@@ -2,9 +2,10 @@
 
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_images, add_out
@@ -13,8 +14,8 @@ from harness.cli.scan import add_band, band_of, naming_options
 from harness.errors import InputError
 
 if TYPE_CHECKING:
+    from harness.api.motion import MotionEstimate
     from harness.camera.sensor import Sensor
-    from harness.geometry.pose import Motion
 
 
 def add(commands: Commands) -> None:
@@ -41,7 +42,7 @@ def run(options: Namespace) -> int:
     """Match each image with the next, gather, and write the map."""
     import harness
     from harness.api.mapping import level_poses
-    from harness.geometry.pose import Pose
+    from harness.geometry.pose import Motion, Pose
     from harness.mapping.occupancy import Cell
     from harness.mapping.settings import OccupancyMap
     from harness.spec import parse
@@ -53,14 +54,16 @@ def run(options: Namespace) -> int:
         raise InputError(error.problem, file="--cell") from error
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
-    motions = motions_between(options, sensor, len(images)) or _estimated(options, sensor, images)
+    motions: Sequence[Motion | MotionEstimate] | None = motions_between(options, sensor, len(images))
+    motions = motions or _estimated(options, sensor, images)
     if motions is None:
         return FAILED
     tilt = dict(zip(("pitch_deg", "roll_deg"), options.tilt_deg, strict=True))
     first = Pose(position_m=(0.0, 0.0, options.height), **tilt)
     scans, places = [], []
-    pairs = zip(images, images[1:], motions, level_poses(motions, first)[:-1], strict=False)
-    for left, right, motion, (pose, place) in pairs:
+    poses = level_poses([each if isinstance(each, Motion) else each.motion for each in motions], first)
+    pairs = zip(pairwise(images), motions, poses[:-1], strict=True)
+    for (left, right), motion, (pose, place) in pairs:
         estimate = harness.estimate_range(left, right, sensor, motion, settings.matching, **ranging(options, settings))
         with naming_options():
             scan = harness.range_scan(
@@ -68,9 +71,9 @@ def run(options: Namespace) -> int:
             )
         scans.append(scan)
         places.append(place)
-        print(
-            f"{left.name}, {right.name}: {scan.profile.known.mean():.1%} of the bearings have an obstacle", flush=True
-        )
+        print(f"{left}, {right}: {scan.profile.known.mean():.1%} of the bearings have an obstacle", flush=True)
+        for line in estimate.geometry.lines():
+            print(f"  {line}", flush=True)
     grid = harness.range_map(scans, places, cell_m=options.cell)
     grid.write(options.out)
     free, occupied = (int((grid.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
@@ -78,13 +81,13 @@ def run(options: Namespace) -> int:
     return OK
 
 
-def _estimated(options: Namespace, sensor: "Sensor", images: list[Path]) -> "list[Motion] | None":
+def _estimated(options: Namespace, sensor: "Sensor", images: list[Path]) -> "list[MotionEstimate] | None":
     """The motions from the images; None, and a line on the terminal, where one is not known in metres."""
     import harness
 
     if options.baseline_length is None:
         raise InputError("a map needs metres; give --baseline, --pose or --baseline-length", file="--height")
-    motions: list[Any] = []
+    motions = []
     for left, right in pairwise(images):
         motion = harness.estimate_motion(
             left, right, sensor, sensor, baseline_m=options.baseline_length, bits=options.bits
@@ -93,5 +96,5 @@ def _estimated(options: Namespace, sensor: "Sensor", images: list[Path]) -> "lis
             why = "; ".join(motion.reasons)
             print(f"no map: the motion from {left.name} to {right.name} is not known: {why}", file=sys.stderr)
             return None
-        motions.append(motion.motion)
+        motions.append(motion)
     return motions

@@ -136,7 +136,9 @@ def run(options: Namespace) -> int:
     if estimate is None:
         return FAILED
     estimate.write(options.out)
-    _tell(estimate, options.out)
+    tell_matching(estimate)
+    unit = "" if estimate.has_metres else ", in units of the baseline"
+    print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {options.out / 'range.html'}")
     return OK
 
 
@@ -187,8 +189,8 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
     )
 
 
-def _tell(estimate: "RangeEstimate", folder: Path) -> None:
-    """Print how the images were matched, and the results."""
+def tell_matching(estimate: "RangeEstimate") -> None:
+    """Print how the images were matched, and whether motion and calibration agree with them."""
     grid = estimate.pair.grid
     low, high = (math.degrees(math.atan(z)) for z in (grid.z_min, grid.z_max))
     print(f"panorama: {grid.width_px} x {grid.height_px} pixels, elevation {low:.1f} to {high:.1f} deg")
@@ -200,8 +202,6 @@ def _tell(estimate: "RangeEstimate", folder: Path) -> None:
         print(estimate.matches.remark)
     for line in (*estimate.sharpness.lines(), *estimate.geometry.lines()):
         print(line)
-    unit = "" if estimate.has_metres else ", in units of the baseline"
-    print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {folder / 'range.html'}")
 
 
 def ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
@@ -258,9 +258,9 @@ def sequence_settings(options: Namespace) -> "tuple[Sensor, OwnSettings]":
 
 def motions_between(options: Namespace, sensor: "Sensor", count: int) -> "list[Motion] | None":
     """The motions between successive ones of so many images, as they were given; None where they are estimated."""
-    if options.pose is not None:
+    if options.pose is not None and count > 2:
         return _along(options, sensor, count)
-    if options.baseline is not None:
+    if options.pose is not None or options.baseline is not None:
         return [_given_motion(options, (sensor, sensor))] * (count - 1)
     check_length(options)
     return None

@@ -7,7 +7,7 @@ from typing import Any
 
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, Parser, add_images, add_out, positive
-from harness.cli.range import add_matching, estimate_of
+from harness.cli.range import add_matching, estimate_of, tell_matching
 from harness.errors import InputError
 
 _OPTIONS = {
@@ -80,6 +80,9 @@ def band_of(options: Namespace) -> dict[str, Any]:
         "range_max_m": options.range_max,
         "support_px": options.support,
     }
+    low, high = options.band
+    if low >= high:
+        raise InputError(f"the first must be below the second; found {low:g} and {high:g}", file="--band")
     with naming_options():
         checked_scan(**settings)
         viewpoint((0.0, 0.0, options.height), 0.0, *options.tilt_deg)
@@ -101,6 +104,7 @@ def run(options: Namespace) -> int:
             estimate, options.height, pitch_deg=options.tilt_deg[0], roll_deg=options.tilt_deg[1], **settings
         )
     scan.write(options.out)
+    tell_matching(estimate)
     known = scan.profile.known
     if not known.any():
         print(f"no bearing has an obstacle between {options.band[0]:g} and {options.band[1]:g} m; {options.out}")
