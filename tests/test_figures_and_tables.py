@@ -55,16 +55,21 @@ def test_tables_are_latex_of_plain_letters(exported):
     assert text.count(r"\label{tab:") == text.count(r"\begin{table}")
     for row in re.findall(r"\\midrule\n(.*?)\\bottomrule", text, re.DOTALL):
         assert len({line.count(" & ") for line in row.strip().split("\n")}) == 1
+    # The one that compares the methods, which the page groups by pixels; and no more columns than a sheet has room for.
+    assert re.search(r"\\label{tab:comparison}.*?\nWalls & .*?\nAll: walls, floor and ceiling & ", text, re.DOTALL)
+    assert max(line.count(" & ") for line in text.split("\n")) < 15
+    assert not re.search(r"(?<!\$)[|<>]|[|<>](?!\$)", text)  # a dash and two Spanish signs in LaTeX's default encoding
 
 
 def test_what_latex_would_read_as_a_command_is_text():
     table = Table(
-        [Heading("Name_1", text=True), Heading("Share", "%")],
-        [[words("50 % & more #1 {x}"), words("−3 ± 2 °")]],
-        Data("t", ["a", "b"], [["a", 1]]),
+        [Heading("Name_1", text=True), Heading("Share", "%"), Heading("Wide")],
+        [[words("50 % & more #1 {x}"), words("−3 ± 2 °"), words("7")]],
+        Data("t", ["a", "b", "c"], [["a", 1, 7]]),
+        screen_only=(2,),
     )
-    text = _latex(TableBlock("table-odd", table, html("<p>A <b>caption</b>, 95 % &amp; more.</p>")))
+    text = _latex(TableBlock("table-odd", table, html("<p>A <b>caption</b>, 95 % &amp; more.</p>")), table)
     assert r"Name\_1 & Share (\%)" in text
-    assert r"50 \% \& more \#1 \{x\} & $-$3 $\pm$ 2 $^\circ$" in text
+    assert "50 \\% \\& more \\#1 \\{x\\} & $-$3 $\\pm$ 2 $^\\circ$ \\\\\n" in text
     assert r"\caption{A caption, 95 \% \& more.}" in text
     assert r"\label{tab:odd}" in text

@@ -76,7 +76,7 @@ def _export(experiment: "Experiment", store: "Store", options: Namespace) -> Non
     from harness.report.export import exported, figures_in, latex_of
     from harness.runs.run import result_of
 
-    sections = exported(result_of(experiment, store, run_code=options.run_code))
+    sections = exported(result_of(experiment, store, run_code=options.run_code), may_copy=True)
     if options.latex is not None:
         write_file(options.latex, latex_of(sections))
         print(f"tables: {options.latex}")

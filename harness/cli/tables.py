@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
+    from rich.console import Group
     from rich.table import Table
 
     from harness.evaluation.metric_table import Metric
@@ -120,7 +121,7 @@ def cases_table(summary: dict[str, Any]) -> "Table":
     return table
 
 
-def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
+def law_tables(summary: dict[str, Any]) -> Iterator["Table | Group"]:
     """The test of the law: slopes and R² by method and surface; and the best baseline for each range, where tried.
 
     Parameters
@@ -128,7 +129,9 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
     summary
         As in `summary.json`.
     """
+    from rich.console import Group
     from rich.markup import escape
+    from rich.text import Text
 
     from harness.evaluation.law import slope_verdict
     from harness.runs.methods import in_words
@@ -149,7 +152,8 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
     best = [each for each in summary.get("best_baseline", ()) if each["surface"] == "wall"]
     if best:
         between = "[95 %]" if best[0]["baseline_m_ci95"] else "(one seed, without an interval)"
-        table = _table(f"best baseline on walls, m {between}, of those that were tried")
+        title = Text(f"best baseline on walls, m {between}, of those that were tried", style="table.title")
+        table = _table()
         methods = list(dict.fromkeys((each["matcher"], each["subpixel"]) for each in best))
         table.add_column("range m", justify="right")
         for each in methods:
@@ -158,7 +162,7 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table"]:
             of_method = {(each["matcher"], each["subpixel"]): each for each in best if each["range_m"] == range_m}
             cells = [_baseline(of_method.get(method)) for method in methods]
             table.add_row(f"{range_m:.1f}", *cells)
-        yield table
+        yield Group(title, table)  # a title of the table's own would be as narrow as the table
 
 
 def _slope(fit: dict[str, Any]) -> str:

@@ -8,20 +8,22 @@ import pandas as pd
 from harness.report import theme
 from harness.report.build import sections_of
 from harness.report.data import Table
-from harness.report.section import Context, Figure, Section, TableBlock
+from harness.report.section import Context, Figure, FixedTable, Section, TableBlock
 from harness.runs.run import Result
 
 
-def exported(result: Result, failures: list[str] | None = None) -> list[Section]:
+def exported(result: Result, failures: list[str] | None = None, *, may_copy: bool = False) -> list[Section]:
     """The sections of the report, their pictures drawn as PDF too: what figures and tables are taken from.
 
     Parameters
     ----------
     failures
         Gets a line for each figure that could not be drawn and each section that could not be made.
+    may_copy
+        Whether a copy of this process may make some of the sections, see `copies`.
     """
     with theme.with_pdf():
-        return sections_of(Context.of(result), failures)
+        return sections_of(Context.of(result), failures, may_copy=may_copy)
 
 
 def figures_in(sections: Sequence[Section]) -> dict[str, bytes]:
@@ -46,20 +48,25 @@ def _named(figure: Figure) -> Iterator[tuple[str, theme.Picture]]:
 
 def latex_of(sections: Sequence[Section]) -> str:
     """The tables of a report as LaTeX (package booktabs), one after the other, each with its caption and a label."""
-    tables = [block for section in sections for block in section.blocks if isinstance(block, TableBlock)]
-    return "% needs \\usepackage{booktabs}\n\n" + "\n".join(_latex(each) for each in tables)
+    blocks = [block for section in sections for block in section.blocks]
+    tables = [_latex(each, each.table) for each in blocks if isinstance(each, TableBlock | FixedTable) and each.table]
+    return "% needs \\usepackage{booktabs}\n\n" + "\n".join(tables)
 
 
-def _latex(block: TableBlock) -> str:
-    table = _as_frame(block.table)
-    formats = "".join("l" if heading.text else "r" for heading in block.table.headings)
-    text: str = table.to_latex(
-        index=False,
-        escape=True,
-        column_format=formats,
-        caption=_escaped(" ".join(block.caption.striptags().split())),
-        label=f"tab:{block.id.removeprefix('table-')}",
-        position="htbp",
+def _latex(block: TableBlock | FixedTable, table: Table) -> str:
+    kept = [i for i in range(len(table.headings)) if i not in table.screen_only]
+    formats = "".join("l" if table.headings[i].text else "r" for i in kept)
+    text: str = (
+        _as_frame(table)
+        .iloc[:, kept]
+        .to_latex(
+            index=False,
+            escape=True,
+            column_format=formats,
+            caption=_escaped(" ".join(block.caption.striptags().split())),
+            label=f"tab:{block.id.removeprefix('table-')}",
+            position="htbp",
+        )
     )
     return _symbols(text)
 
@@ -80,10 +87,12 @@ _SYMBOLS = {
     "\u03c3": "$\\sigma$",
     "\u03b1": "$\\alpha$",
     "\u03c6": "$\\varphi$",
+    "\u03c0": "$\\pi$",
     "\u00d7": "$\\times$",
     "\u00b1": "$\\pm$",
     "\u00b2": "$^2$",
     "\u00b5": "$\\mu$",
+    "\u00e9": "\\'e",
     "\u2013": "--",
     "\u2018": "`",
     "\u2019": "'",
@@ -94,6 +103,9 @@ _SYMBOLS = {
     "\u2265": "$\\ge$",
     "\u2081": "$_1$",
     "\u2082": "$_2$",
+    "|": "$|$",  # letters of the oldest encoding of fonts, which is the default, have other signs in their places
+    "<": "$<$",
+    ">": "$>$",
 }
 
 

@@ -129,6 +129,9 @@ class FixedTable:
     """The contents of `<table>`."""
     caption: Markup
     full: bool = False
+    id: str = ""
+    table: Table | None = None
+    """The same as plain rows, for a file of tables; None for an explanation of the page alone."""
 
 
 @dataclass(frozen=True)

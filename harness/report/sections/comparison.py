@@ -1,14 +1,17 @@
 """The methods compared on the base trial, and what could not be shown."""
 
 from collections.abc import Iterator
+from typing import Any
 
-from harness.evaluation.metric_table import METRICS
+from harness.evaluation.metric_table import METRICS, Metric
 from harness.evaluation.pixel_errors import MIN_SINE_ALPHA_1, Reference
 from harness.report import words
+from harness.report.data import Cell, Heading, Table
 from harness.report.markup import html
-from harness.report.method_styles import Method
+from harness.report.method_styles import Method, Named
 from harness.report.section import About, Block, Context, FixedTable, Paragraph, section_of
 from harness.runs.run import Result
+from harness.runs.values import shown
 
 _LEFT_OUT = """
 <p class="missing">Left out of this page:</p>
@@ -69,16 +72,9 @@ def section(context: Context) -> Iterator[Block]:
         abstract = " ".join(words.abstract(context.result, context.trial, context.compared))
         yield Paragraph(html("<p>{{ said }}</p>", said=abstract))
     if context.compared:
-        table = html(
-            _TABLE,
-            columns=[METRICS[name] for name in words.COMPARED],
-            groups=[
-                ("Walls", summary["comparison_wall"]),
-                ("All: walls, floor and ceiling", summary["comparison"]),
-            ],
-            compared=context.compared,
-            cell=words.cell,
-        )
+        columns = [METRICS[name] for name in words.COMPARED]
+        groups = [("Walls", summary["comparison_wall"]), ("All: walls, floor and ceiling", summary["comparison"])]
+        table = html(_TABLE, columns=columns, groups=groups, compared=context.compared, cell=words.cell)
         caption = html(
             _CAPTION,
             min_sine=MIN_SINE_ALPHA_1,
@@ -86,11 +82,27 @@ def section(context: Context) -> Iterator[Block]:
             width_px=context.trial.panorama.width_px,
             column_deg=context.column_deg,
         )
-        yield FixedTable(table, caption, full=True)
+        yield FixedTable(
+            table, caption, full=True, id="table-comparison", table=_plain(columns, groups, context.compared)
+        )
     if len(methods) == 1 and not left_out:
         yield Paragraph(html(_ALONE))
     if context.sweep.several and methods:
         yield Paragraph(html(_ONE_TRIAL_EACH, trials=coordinates_of(context.result, methods)))
+
+
+def _plain(columns: list[Metric], groups: list[tuple[str, dict[str, Any]]], compared: list[Named]) -> Table:
+    """The same table with its groups as a column."""
+    headings = [Heading("Pixels", text=True), Heading("Method", text=True)]
+    headings += [Heading(each.heading, each.unit) for each in columns]
+    return Table(
+        headings,
+        [
+            [Cell(heading), Cell(method.label), *(Cell(words.cell(column, group[method.key])) for column in columns)]
+            for heading, group in groups
+            for method in compared
+        ],
+    )
 
 
 def _domain(reference: Reference) -> dict[str, float]:
@@ -105,7 +117,7 @@ def _domain(reference: Reference) -> dict[str, float]:
 def coordinates_of(result: Result, methods: list[Method]) -> list[tuple[Method, str, str]]:
     """Each method with the coordinates of its trial, as text, and the trial's key."""
     return [
-        (method, ", ".join(f"{key} = {value}" for key, value in coordinates.items()), key_of_trial)
+        (method, shown(coordinates) if coordinates else "", key_of_trial)
         for method in methods
         for coordinates, key_of_trial, outcome in zip(
             result.coordinates, result.details.keys, result.outcomes, strict=True
