@@ -12,6 +12,7 @@ import numpy as np
 
 from harness.compiled import kernel
 from harness.matching._matching_kernels import CENSUS, LEAVES_IMAGE, OK, SSD, ZNCC, bits_set
+from harness.matching._vector_kernels import LANES, load, store
 
 FRACTION_BITS = 16
 """Rows of the second image are counted in parts of 2^-16."""
@@ -44,7 +45,7 @@ def rows_of_samples(k_first, k_last, k_0, margin, first, end):
                 end[column, k] = row + 1
 
 
-@kernel
+@kernel(inline=True)
 def _gather(pairs, second, source, gain, offset, start, end):
     """Gather the values of a column of the second image at the rows that rows start .. end are mapped to.
 
@@ -64,7 +65,7 @@ def _between_rows(pair, gain, offset, i):
     return np.int32(pair >> np.int32(16)) + np.int32((slope * np.int32(fraction) + np.int32(128)) >> np.int32(8))
 
 
-@kernel
+@kernel(inline=True)
 def _add_differences(
     total, stored, k, slot, first, column, pairs, gain, offset, image_first, image_end, start, end, absent, squared
 ):
@@ -91,7 +92,7 @@ def _add_hamming(total, stored, k, slot, first, column, pairs, image_first, imag
         total[k, i] += d if present else absent
 
 
-@kernel
+@kernel(inline=True)
 def _subtract(total, stored, k, slot, start, end, absent, squared):
     """Take a column's differences off the running sum."""
     for i in range(np.uint64(start), np.uint64(end)):
@@ -119,7 +120,7 @@ def _add_moments(
         products[k, i] += value * np.int32(first[column, i])
 
 
-@kernel
+@kernel(inline=True)
 def _subtract_moments(total, squares, products, stored, k, slot, first, column, start, end, absent):
     for i in range(np.uint64(start), np.uint64(end)):
         value = np.int32(stored[slot, k, i])
@@ -131,16 +132,24 @@ def _subtract_moments(total, squares, products, stored, k, slot, first, column, 
 
 
 @kernel
-def _sum_rows(sums, total, k, start, end, half):
-    """Sums of 2 half + 1 rows."""
-    running = total.dtype.type(0)
-    for i in range(np.uint64(start - half), np.uint64(start + half)):
-        running += total[k, i]
-    below, above = np.uint64(half), np.uint64(half)
-    for i in range(np.uint64(start), np.uint64(end)):
-        running += total[k, i + below]
-        sums[k, i] = running
-        running -= total[k, i - above]
+def _sum_rows(sums, total, fours, k, start, end, half):
+    """Sums of 2 half + 1 rows, as many as possible four at a time.
+
+    fours : `[height + 2 LANES]`, overwritten.
+    """
+    last = np.uint64(2 * half)
+    for i in range(np.uint64(start - half), np.uint64(end + half), np.uint64(LANES)):
+        a, b = load(total, (k, i)), load(total, (k, i + np.uint64(1)))
+        c, d = load(total, (k, i + np.uint64(2))), load(total, (k, i + np.uint64(3)))
+        store(fours, (i,), (a + b) + (c + d))
+    whole = (last + np.uint64(1)) & ~np.uint64(3)
+    for i in range(np.uint64(start - half), np.uint64(end - half), np.uint64(LANES)):
+        running = load(total, (k, i + last))
+        for j in range(np.uint64(0), whole, np.uint64(4)):
+            running += load(fours, (i + j,))
+        for j in range(whole, last):
+            running += load(total, (k, i + j))
+        store(sums, (k, i + np.uint64(half)), running)
 
 
 @kernel
@@ -159,7 +168,7 @@ def _one_minus_zncc(costs, total, squares, products, k, number, own_sum, own_spr
         costs[k, i] = cost if total[k, i] <= absent // 2 else NO_ZNCC
 
 
-@kernel
+@kernel(inline=True)
 def _update_least(sums, k, number, k_first, k_last, column, least, least_k, most, start, end):
     """Keep, of the samples searched so far, the least cost, its sample (the first of equals), and the greatest cost."""
     for i in range(np.uint64(start), np.uint64(end)):
@@ -230,21 +239,23 @@ def match_columns(
     own_sum, own_spread : `[width, height]`, for ZNCC: a window's sum, and n times the sum of squares less its square.
     k_first, k_last : `[width, height]`.
     searched : `[height, width]`.
-    total, squares, products : `[samples, height]`, zeros; sums of rows of the window. Of a type that holds all sums.
+    total, squares, products : `[samples, height + 2 LANES]`, zeros; sums of rows of the window, of a type that holds
+        all of them.
     stored : `[2 half + 1, samples, height]`: what the window's columns have added.
-    sums, of_squares, of_products : `[samples, height]`, sums of windows.
-    costs_of : `[samples, height]`: `sums` itself, or for ZNCC what is made of them.
+    sums, of_squares, of_products : `[samples, height + 2 LANES]`, sums of windows.
+    costs_of : `[samples, height + 2 LANES]`: `sums` itself, or for ZNCC what is made of them.
     find : whether to look for the best sample; otherwise `k_best` says which it is.
     reason, k_best, costs : written; `[height, width]`, and `[height, width, count]`.
     """
     width = np.uint64(first.shape[0])
     sources = np.int64(second.shape[0])
-    height = total.shape[1]
+    height = searched.shape[0]
     size, reach = np.uint64(2 * half + 1), np.uint64(half)
     number = np.float64(size * size)
     squared = kind == SSD
     rounding = np.int32(1 << 15) if kind == CENSUS else np.int32(0)
     pairs, least_k = np.zeros(height, np.int32), np.zeros(height, np.int32)
+    fours = np.empty(total.shape[1], total.dtype)
     least, most = np.zeros(height, total.dtype), np.zeros(height, total.dtype)
     for step in range(np.uint64(column_end - column_first + 2 * half)):
         # A column enters the window on its far side, and the one `size` before it leaves.
@@ -286,10 +297,10 @@ def match_columns(
                 )  # fmt: skip
             start, end = centre_first[centre, k], centre_end[centre, k]
             if compare and start < end:
-                _sum_rows(sums, total, k, start, end, half)
+                _sum_rows(sums, total, fours, k, start, end, half)
                 if kind == ZNCC:
-                    _sum_rows(of_squares, squares, k, start, end, half)
-                    _sum_rows(of_products, products, k, start, end, half)
+                    _sum_rows(of_squares, squares, fours, k, start, end, half)
+                    _sum_rows(of_products, products, fours, k, start, end, half)
                     _one_minus_zncc(
                         costs_of, sums, of_squares, of_products, k, number, own_sum, own_spread, centre, absent,
                         start, end,

@@ -32,6 +32,7 @@ from harness.geometry.angles import Array, wrap_angle
 from harness.geometry.epipolar import Curves
 from harness.geometry.panorama import Panorama
 from harness.matching import _matching_kernels
+from harness.matching._vector_kernels import LANES
 from harness.matching.interface import Reason
 from harness.matching.window import _column_kernels
 from harness.matching.window.census import census
@@ -162,7 +163,7 @@ class _Comparison:
             no whole window.
         """
         maps, rows = self.maps, self._rows
-        shape = (maps.gain.shape[1], searched.shape[0])
+        shape = (maps.gain.shape[1], searched.shape[0] + 2 * LANES)
         total, sums = np.zeros((2, *shape), dtype=self._number)
         if self._kind == _matching_kernels.ZNCC:
             squares, products, of_squares, of_products, window_costs = np.zeros((5, *shape), dtype=self._number)
@@ -201,7 +202,7 @@ class _Comparison:
             total,
             squares,
             products,
-            np.empty((2 * self._half + 1, *shape), dtype=np.int16),
+            np.empty((2 * self._half + 1, shape[0], searched.shape[0]), dtype=np.int16),
             sums,
             of_squares,
             of_products,
