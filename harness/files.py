@@ -91,21 +91,36 @@ def user_cache_folder() -> Path | None:
         return None
 
 
-def make_folder(folder: Path) -> None:
+def make_folder(folder: Path, option: str = "--out") -> None:
     """Make a folder and those above it.
 
     Raises
     ------
     InputError
-        When it cannot be made or written to.
+        When it cannot be made or written to; names the option that gave it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:  # the second is Python's for a null byte
         why = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be used as the output folder ({why})", file=folder, key="--out") from error
+        raise InputError(f"cannot be used as the output folder ({why})", file=folder, key=option) from error
     if not os.access(folder, os.W_OK):
-        raise InputError("the output folder cannot be written to", file=folder, key="--out")
+        raise InputError("the output folder cannot be written to", file=folder, key=option)
+
+
+def make_folder_of(path: Path | None, option: str = "--out") -> None:
+    """Make the folder of a file that is to be written, before the work that it is for.
+
+    Raises
+    ------
+    InputError
+        When it cannot be made or written to, or the file's name is that of a folder; names the option that gave it.
+    """
+    if path is None:
+        return
+    make_folder(path.parent, option)
+    if path.is_dir():
+        raise InputError("is a folder; give the name of a file", file=path, key=option)
 
 
 def check_own(folder: Path, own: Collection[str]) -> None:

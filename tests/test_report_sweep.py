@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from browser import chromium, visit
 from test_report import BOTH, SMALL, Document, run_small
 
 from harness.pipeline.row import row_of
-from harness.report import theme
+from harness.report import sweep, theme
 from harness.report.build import build_report
 from harness.report.section import About, Context, Figure
 from harness.report.sections import SECTIONS, error_curves, locking, measures, regional_errors
@@ -31,6 +32,15 @@ LAW_AXES: dict[str, Any] = {
     "noise.sigma_grey": [0.0, 4.0],
     **BOTH,
 }
+
+
+def test_no_two_methods_are_drawn_alike():
+    """An author's own matchers stand beside those of the program: a dozen in one figure."""
+    names = [f"matcher{i}" for i in range(9)]
+    pairs = [("window", "none"), ("window", "parabola"), ("column", "v"), *((name, "own") for name in names)]
+    trials = pd.DataFrame(pairs, columns=["matcher", "subpixel"])
+    drawn = [(each.colour, str(each.stroke), each.marker, each.face) for each in sweep._method_styles(trials, {})]
+    assert len(set(drawn)) == len(pairs)
 
 
 def run_law(**changes: Any) -> Result:

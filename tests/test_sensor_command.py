@@ -2,6 +2,7 @@
 
 import re
 import tempfile
+import tomllib
 from pathlib import Path
 
 import calibration_files as files
@@ -12,6 +13,8 @@ from PIL import Image
 
 import harness
 from harness import Sensor
+from harness.camera.central import central_of
+from harness.camera.misalignment import Misalignment
 from harness.camera.models import BUILT_IN
 from harness.camera.optics import optics_of
 from harness.camera.sensor import pixel_directions, unproject
@@ -323,3 +326,36 @@ def test_a_view_through_a_calibrated_fisheye(tmp_path, capsys):
     assert np.isfinite(range_m[valid]).all()
     ceiling = valid & (directions[..., 2] > 0.9)
     assert range_m[ceiling] * directions[..., 2][ceiling] == pytest.approx(5.0, abs=1e-6)
+
+
+def test_the_nearest_central_sensor_of_a_mirror_of_another_shape_is_written(tmp_path, capsys):
+    own = files.write(
+        tmp_path,
+        '[profile]\nkind = "sphere"\nradius_m = 0.03\nrim_m = 0.0247\ncamera_m = 0.06\n[camera]\nfocal_px = 760.0\n',
+        "own.toml",
+    )
+    assert "omnirange sensor FILE --central --to toml --out central.toml writes it" in said(
+        capsys, own, "--to", "toml", code=2
+    )
+    written = tmp_path / "new" / "central.toml"
+    assert main(["sensor", str(own), "--central", "--to", "toml", "--out", str(written)]) == 0
+    assert "(0.00081 px) RMS at 3 m" in capsys.readouterr().err
+    assert harness.load_sensor(written) == central_of(harness.load_sensor(own))
+    assert main(["sensor", str(own), "--central", "--to", "toml", "--out", str(tmp_path)]) == 2
+    assert f"{tmp_path}: --out: is a folder; give the name of a file" in capsys.readouterr().err
+
+
+def test_of_a_misaligned_sensor_the_aligned_one_is_written(tmp_path, capsys):
+    tilted = MIRROR.model_copy(update={"misalignment": Misalignment(x_mm=0.5)})
+    file = files.write(tmp_path, dump_toml(tilted), "tilted.toml")
+    text = said(capsys, file, "--central", "--to", "toml")
+    assert parse(Sensor, tomllib.loads(text)) == MIRROR
+
+
+def test_a_profile_that_no_pixel_sees_is_named_with_its_file(tmp_path, capsys):
+    far = files.write(
+        tmp_path,
+        '[profile]\nkind = "sphere"\nradius_m = 0.03\nrim_m = 0.0247\ncamera_m = 90\n[camera]\nfocal_px = 760.0\n',
+        "far.toml",
+    )
+    assert said(capsys, far, code=2).startswith(f"omnirange: {far}: profile: no pixel of the image sees anything")

@@ -365,8 +365,8 @@ def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
     """
     if sensor.profile is not None:
         raise InputError(
-            f"the rays of {with_article(sensor.profile.title)} meet in no viewpoint, which is needed here; use a "
-            "central sensor, such as harness.camera.central.best_central(sensor).sensor, or one without [profile]",
+            f"the rays of {with_article(sensor.profile.title)} meet in no viewpoint, which is needed here; use "
+            "the nearest central sensor: omnirange sensor FILE --central --to toml --out central.toml writes it",
             file=file,
             key="profile",
         )

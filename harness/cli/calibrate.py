@@ -90,8 +90,10 @@ def run(options: Namespace) -> None:
     """Calibrate, write the files, and print the result."""
     import harness
     from harness.errors import InputError
+    from harness.files import make_folder_of
     from harness.spec import dump_toml
 
+    make_folder_of(options.out)
     board = None
     if options.board is not None and options.corners is not None:
         raise InputError("leave it out: the file of corners contains their positions on the board", file="--board")
@@ -125,7 +127,7 @@ def run(options: Namespace) -> None:
         file = options.start if error.key == "start" else None
         option = "misalignment" if options.misalignment and "misaligned" in error.problem else error.key
         raise InputError(error.problem, file=file, key=f"--{option}") from error
-    print("\n".join(_summary(calibration)))
+    print("\n".join(_summary(calibration, mount_is_given=None not in mount.values())))
     if options.out is None:
         print(f"\n{dump_toml(calibration.sensor)}")
     else:
@@ -141,7 +143,7 @@ def _field(options: Namespace) -> dict[str, float] | None:
     return {"elevation_min_deg": low, "elevation_max_deg": high, "angle_max_deg": angle}
 
 
-def _summary(calibration: "CalibrationResult") -> list[str]:
+def _summary(calibration: "CalibrationResult", *, mount_is_given: bool) -> list[str]:
     """The parameters, the residuals of corners, the uncertainty of rays, and warnings, as lines of text."""
     import numpy as np
 
@@ -176,7 +178,8 @@ def _summary(calibration: "CalibrationResult") -> list[str]:
         f"{coverage.share:.0%} of the field"
     )
     mirrored = "a mirror image" if calibration.sensor.mirrored else "not a mirror image"
-    lines.append(f"assumed: the camera looks {calibration.sensor.looks}, {mirrored} (--looks, --mirrored)")
+    mount = f"the camera looks {calibration.sensor.looks}, {mirrored}"
+    lines.append(mount if mount_is_given else f"assumed: {mount} (--looks, --mirrored)")
     return lines + [f"note: {each}" for each in calibration.notes]
 
 

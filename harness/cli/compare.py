@@ -30,9 +30,10 @@ def run(options: Namespace) -> int:
     """Write the page, and print a table for every pair of runs; the exit code is 1 if nothing was paired."""
     from rich.console import Console
 
-    from harness.files import write
+    from harness.files import make_folder_of, write
     from harness.report.paired_differences import build_comparison
 
+    make_folder_of(options.out)
     comparison = build_comparison(*options.folders)
     page = options.out or options.folders[-1] / "comparison.html"
     write(page, comparison.html)

@@ -11,6 +11,7 @@ from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_out, positive, whole_number
 from harness.errors import InputError
+from harness.files import make_folder_of
 
 if TYPE_CHECKING:
     from harness.api.designing import RigDescription
@@ -96,6 +97,7 @@ def run(options: Namespace) -> int:
     """Describe a rig, or search for rigs that meet a requirement."""
     if options.out is not None and options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError("must end in .html", file=options.out)
+    make_folder_of(options.out)
     return _describe(options) if options.accuracy is None else _find(options)
 
 

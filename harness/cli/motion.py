@@ -46,12 +46,15 @@ def run(options: Namespace) -> int:
     """Estimate the motion, print it, and write the requested files."""
     import harness
     from harness.errors import InputError
+    from harness.files import make_folder_of
 
     check_length(options)
     if not 0 <= options.calibration_sigma_px < float("inf"):
         raise InputError(f"must be 0 or more; found {options.calibration_sigma_px:g}", file="--calibration-sigma-px")
     if options.seed < 0:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
+    make_folder_of(options.out)
+    make_folder_of(options.json, "--json")
     sensor = first_sensor(options, central=True)
     assert sensor is not None
     with naming_options():

@@ -4,12 +4,14 @@ import math
 import os
 import sys
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.options import Commands, add_out, positive
 from harness.cli.sensor_options import add_choices, chosen
+from harness.errors import InputError
 
 if TYPE_CHECKING:
     from harness.io.calibrations.conversion import WrittenSensor
@@ -36,6 +38,12 @@ def add(commands: Commands) -> None:
     )
     completers.offer(file, completers.sensors, completers.files())
     add_choices(command)
+    command.add_argument(
+        "--central",
+        action="store_true",
+        help="take the nearest sensor whose rays meet in one viewpoint, which matching needs: OCamCalib's model in "
+        "place of a mirror's profile, camera and mirror aligned",
+    )
     command.add_argument("--to", choices=FORMATS, metavar="FORMAT", help=f"write it as one of {', '.join(FORMATS)}")
     command.add_argument(
         "--model", metavar="KIND", help="the camera model to write (default: the best of the format's)"
@@ -60,13 +68,30 @@ def run(options: Namespace) -> None:
     # The matrices of a fit are small: threads would wait for each other.
     os.environ.update({name: value for name, value in ONE_THREAD.items() if "NUMBA" not in name} | os.environ)
 
+    from harness.files import make_folder_of
     from harness.io.calibrations.sensors import read_sensor
 
+    make_folder_of(options.out)
     read = read_sensor(options.file, chosen(options, options.camera))
-    if options.to is None:
-        _describe(read, options)
-    else:
-        _convert(read, options)
+    try:
+        if options.central:
+            read = _central(read)
+        if options.to is None:
+            _describe(read, options)
+        else:
+            _convert(read, options)
+    except InputError as error:
+        raise error if error.file else InputError(error.problem, file=options.file, key=error.key) from error
+
+
+def _central(read: "SensorFile") -> "SensorFile":
+    """The nearest sensor whose rays meet in one viewpoint; says what is left out."""
+    from harness.camera.central import central_of
+    from harness.report.sensor_words import misalignment_of
+
+    for line in misalignment_of(read.sensor):
+        print(line, file=sys.stderr)
+    return replace(read, sensor=central_of(read.sensor))
 
 
 def _describe(read: "SensorFile", options: Namespace) -> None:

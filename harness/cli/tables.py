@@ -107,7 +107,7 @@ def cases_table(summary: dict[str, Any]) -> "Table":
         ]
         for each in cases
     ]
-    table = _table(f"{escape(summary['experiment'])}: means over the trials of each case{without}")
+    table = _table(f"{escape(summary['experiment'])}: means over the trials of each case, all pixels{without}")
     by_method = len(methods) > 1 and not summary.get("labels")
     room = _room_for_names(heads, figures)
     for heading in ("\ncase", *(["\nmethod"] if by_method else [])):

@@ -50,7 +50,7 @@ class RigDesign(Spec):
     @model_validator(mode="after")
     def _has_a_mirror_to_align(self) -> "RigDesign":
         if self.sensor.profile is not None:
-            raise ValueError("sensor.profile: a design needs a camera with a viewpoint; give the nearest sensor.model")
+            raise ValueError("sensor.profile: a design needs a camera with a viewpoint; see omnirange sensor --central")
         if not self.sensor.is_central:
             raise ValueError("sensor.misalignment: give its uncertainty, as uncertainty.alignment_mm and _deg")
         if (self.uncertainty.alignment_mm or self.uncertainty.alignment_deg) and not self.has_mirror:

@@ -31,7 +31,7 @@ from harness import interrupts
 
 PIXEL, SUBPIXEL, TRUTH = "#D55E00", "#0072B2", "#000000"
 """Colours after Okabe and Ito, which colour-blind readers can distinguish too."""
-SPARE = ("#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+SPARE = ("#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#882255")
 OCHRE = "#7A5C00"
 """One more, as dark as none of the others, for the eighth cause of an error budget."""
 INK, FAINT, PAPER = "#222222", "#8A8A8A", "#FFFFFF"

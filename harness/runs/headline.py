@@ -224,6 +224,6 @@ def _of_the_best(table: pd.DataFrame, axes: dict[str, list[Any]]) -> str | None:
     which = "settings" if chosen else "methods"
     return (
         f"Best of {pivot.shape[1]} {which}: {who}. Its median range error {where}{over} is "
-        f"{scale * curve.mean[best]:.3g}{between} {unit}{without}; half of the {which} have more than "
+        f"{scale * curve.mean[best]:.3g}{between} {unit}{without}; the median over the {which} is "
         f"{length(float(np.nanmedian(curve.mean)))}."
     )

@@ -104,7 +104,7 @@ def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experi
     """
     for number, case in enumerate(experiment.cases):
         for key in settings.keys() & settings_of(case).keys():
-            problem = f"{label(case, number)} gives this key; a case cannot be overridden"
+            problem = f"{label(case, number)} gives this key; change it there, in the experiment's file"
             raise InputError(problem, file=option, key=key)
     if not settings:
         return experiment
@@ -131,7 +131,7 @@ def with_axes(experiment: Experiment, given: Mapping[str, list[Any]], option: st
             raise InputError("give at least one value", file=option, key=key)
         for number, case in enumerate(experiment.cases):
             if key in settings_of(case):
-                problem = f"{label(case, number)} gives this key; a case cannot be overridden"
+                problem = f"{label(case, number)} gives this key; change it there, in the experiment's file"
                 raise InputError(problem, file=option, key=key)
     merged = experiment.axes | {
         key: [absolute(key, value, Path(), option) for value in values] for key, values in given.items()
