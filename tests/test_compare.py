@@ -63,8 +63,20 @@ def test_paired_differences_are_those_of_the_trials(runs):
         assert min(off) - 1e-12 <= low <= each.difference <= high <= max(off) + 1e-12
 
 
+def test_the_conclusion_names_every_figure_once_by_its_verdict(runs):
+    [pairing] = build_comparison(runs["window"], runs["noises"]).pairings
+    verdicts = {each.verdict for each in pairing.differences}
+    assert len(verdicts) > 1
+    assert pairing.conclusion.startswith("noises against window: ")
+    for each in pairing.differences:
+        name = metric(each.figure).short
+        assert (f"“{name}”" in pairing.conclusion) != (f"“{name} ({each.group})”" in pairing.conclusion)
+    assert pairing.conclusion.count("“") >= len(COMPARED)
+
+
 def test_the_same_run_again_is_the_same(runs):
     [pairing] = build_comparison(runs["window"], runs["again"]).pairings
+    assert pairing.conclusion == f"again against window: the same in all {len(COMPARED)} figures."
     assert not pairing.differing
     assert {each.verdict for each in pairing.differences} == {"the same"}
 

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import SymmetricalLogLocator
 
+from harness.display import listed
 from harness.errors import InputError
 from harness.evaluation.metric_table import metric
 from harness.evaluation.statistics import FEW_SEEDS, between, resampled
@@ -23,6 +25,8 @@ from harness.report.theme import WIDE, Picture
 from harness.report.typography import figure
 from harness.report.written_runs import NONE, Run, names_of_folders, read_run
 
+_FAR = 300
+"""Shares in percent from which an axis is logarithmic beyond 100: one figure would crush all others."""
 _STEP = "matching.subpixel"
 _STEPS = {"none": "whole pixels", "parabola": "sub-pixel"}
 
@@ -67,6 +71,18 @@ class Difference:
         return "better" if (low > 0) == (better == "higher") else "worse"
 
 
+_VERDICTS = {
+    "better": "better",
+    "worse": "worse",
+    "larger": "larger",
+    "smaller": "smaller",
+    "the same": "the same",
+    "inconclusive": "nothing certain",
+    "one seed": "nothing to conclude from one seed",
+}
+"""The verdicts of `Difference` as a sentence has them, in its order."""
+
+
 @dataclass(frozen=True)
 class Pairing:
     """Two runs, pair by pair."""
@@ -83,6 +99,28 @@ class Pairing:
     """The reason in words, if nothing could be paired."""
     left_out: list[str]
     """The trials without a partner in the other run, in words; a phrase for each run."""
+
+    @property
+    def conclusion(self) -> str:
+        """In which figures the second run is better, worse, and neither, in a sentence; empty without pairs."""
+        by_verdict: dict[str, list[str]] = {}
+        for figure_name in dict.fromkeys(each.figure for each in self.differences):
+            mine = [each for each in self.differences if each.figure == figure_name]
+            name = metric(figure_name).short
+            if len({each.verdict for each in mine}) == 1:
+                by_verdict.setdefault(mine[0].verdict, []).append(name)
+            else:
+                for each in mine:
+                    by_verdict.setdefault(each.verdict, []).append(f"{name} ({each.group})")
+        if len(by_verdict) == 1:
+            [(key, names)] = by_verdict.items()
+            said = [f"{_VERDICTS[key]} in all {len(names)} figures"]
+        else:
+            quoted = {key: listed([f"“{each}”" for each in names]) for key, names in by_verdict.items()}
+            said = [f"{words} in {quoted[key]}" for key, words in _VERDICTS.items() if key in quoted]
+        if not by_verdict:
+            return ""
+        return f"{self.second.name} against {self.first.name}: {'; '.join(said)}."
 
 
 @dataclass(frozen=True)
@@ -130,8 +168,7 @@ def build_comparison(*folders: Path) -> Comparison:
     runs = [read_run(folder, name) for folder, name in zip(folders, names, strict=True)]
     pairings = [_pair(runs[0], other) for other in runs[1:]]
     with theme.style():
-        compared = [[each for each in pairing.differences if each.first] for pairing in pairings]
-        pictures = [_picture(shown) if shown else None for shown in compared]
+        pictures = [_picture(each) if any(one.first for one in each.differences) else None for each in pairings]
     html = template("compare.html.j2").render(
         runs=runs,
         pairings=[
@@ -228,7 +265,7 @@ def _table(pairing: Pairing) -> Table:
         Heading("Difference"),
         Heading("", text=True),
     ]
-    head[-1] = Heading("Second run is", text=True)
+    head[-1] = Heading(f"{pairing.second.name} is", text=True)
     rows = []
     for each in pairing.differences:
         shown = metric(each.figure)
@@ -265,8 +302,9 @@ def _table(pairing: Pairing) -> Table:
 
 
 @theme.panel
-def _picture(shown: list[Difference]) -> Picture:
-    """Differences as shares of the first run's figure, so that all fit on one axis."""
+def _picture(pairing: Pairing) -> Picture:
+    """Differences as shares of the first run's figure, so that all fit on one axis; logarithmic beyond 100 %."""
+    shown = [each for each in pairing.differences if each.first]
     groups = list(dict.fromkeys(each.group for each in shown))
     names = list(dict.fromkeys(each.figure for each in shown))
     colours = {_STEPS["none"]: theme.PIXEL, _STEPS["parabola"]: theme.SUBPIXEL}
@@ -275,7 +313,7 @@ def _picture(shown: list[Difference]) -> Picture:
     ax = theme.axes(fig, 250, above, WIDE - 290, row * len(names) + 10)
     ax.axvline(0, color=theme.TRUTH, linewidth=0.9)
     described = []
-    # Twenty distinct styles: with more groups, only the table distinguishes them.
+    # Two dozen distinct styles: with more groups, only the table distinguishes them.
     spare = itertools.cycle([(colour, mark) for mark in "os^Dv" for colour in theme.SPARE])
     for index, group in enumerate(groups):
         mine = [each for each in shown if each.group == group]
@@ -301,8 +339,13 @@ def _picture(shown: list[Difference]) -> Picture:
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="x", color="#E8E8E8", linewidth=0.5)
     ax.set_axisbelow(True)
-    ax.set_xlabel("second run against the first (% of the first run’s mean)")
-    ax.xaxis.set_major_formatter(lambda value, _: f"{value:+g}".replace("-", "−") if value else "0")
+    low, high = ax.dataLim.intervalx
+    if max(-low, high) > _FAR:
+        ax.set_xscale("symlog", linthresh=100, linscale=1)
+        ax.set_xlim(min(1.5 * low, -120), max(1.5 * high, 120))
+        ax.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=100))
+    ax.set_xlabel(theme.plain(f"{pairing.second.name} against {pairing.first.name} (% of the latter’s mean)"))
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:+,.0f}".replace("-", "−") if value else "0")
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncol=min(len(groups), 4), borderaxespad=0.3)
     return theme.picture(fig, f"Paired differences as shares of the first run’s mean: {'; '.join(described)}.")
 
