@@ -8,7 +8,9 @@ from made_up_rows import luck, rows
 
 from harness.cli import heartbeat
 from harness.evaluation.law import NO_LAW, slope_verdict
+from harness.report.method_styles import looks
 from harness.runs.headline import Findings, headline
+from harness.runs.methods import names_for_people
 
 METHODS = (("column", "none"), ("column", "parabola"))
 
@@ -47,7 +49,9 @@ def test_a_condition_that_comes_first_is_what_a_sweep_is_about():
     assert alike.startswith("noise.sigma_grey makes no difference that these seeds show (")
     # Where cases name the methods, these are what it is about, whatever the conditions.
     labels = {("column", "none"): "plain", ("column", "parabola"): "fine"}
-    assert headline(rows(error_of, methods=METHODS, axes=axes), labels=labels).startswith("Best of 4 settings: fine ")
+    assert headline(rows(error_of, methods=METHODS, axes=axes), names=labels, named_by_cases=True).startswith(
+        "Best of 4 settings: fine "
+    )
 
 
 def test_a_name_with_a_comma_is_in_quotes():
@@ -77,7 +81,7 @@ def test_the_best_baseline_is_named_for_each_range_where_that_alone_varies():
     axes = {"view_2.baseline_m": [0.125, 0.25, 0.5, 1.0]}
     done = rows(lambda _m, s, seed: 0.01 * luck(seed) * s["view_2.baseline_m"], axes=axes)
     assert headline(done, Findings(best_baseline=best)) == (
-        "The best baseline on walls, with column (parabola): 0.25 [0.125, 0.5] m at ranges of 1.2 to 1.7 m; "
+        "The best baseline on walls (column (parabola)): 0.25 [0.125, 0.5] m at ranges of 1.2 to 1.7 m; "
         "0.5 [0.5, 0.5] m at a range of 3.4 m."
     )
     of_one = Findings(best_baseline=[best[0] | {"baseline_m_ci95": None}])
@@ -120,7 +124,7 @@ def test_a_budget_says_how_much_all_causes_make_and_which_most():
 
 
 def test_a_further_score_comes_first_of_the_method_whose_ranges_are_best():
-    further = ["Maps made with column (whole pixels) agree.", "Maps made with column (parabola) agree."]
+    further = ["Maps (column (whole pixels)) agree.", "Maps (column (parabola)) agree."]
     done = rows(error_of, methods=METHODS, axes=WINDOWS)
     assert headline(done, Findings(further=further)) == further[1]
 
@@ -140,9 +144,9 @@ def fit(slope, ends, r2, step="none"):
 
 def test_of_a_test_of_the_law_it_is_about_the_law():
     law = {"images": [fit(0.94, [0.92, 0.96], 0.79), fit(-0.21, [-0.22, -0.2], 0.02, "parabola")]}
-    assert headline(rows(lambda *_: 0.01), Findings(law)) == (
-        "On walls the range error grows as this power of the law, which says 1: 0.94 [0.92, 0.96] with column (whole "
-        "pixels); no law to be seen with column (parabola)."
+    assert headline(rows(lambda *_: 0.01), Findings(law), names_for_people(METHODS)) == (
+        "On walls the range error grows as this power of the law, which says 1: 0.94 [0.92, 0.96] (whole pixels); "
+        "no law to be seen (sub-pixel)."
     )
 
 
@@ -189,3 +193,19 @@ def test_a_pipe_gets_no_sign_of_life(capsys):
     with heartbeat.heartbeat():
         sys.stdout.write("said\n")
     assert capsys.readouterr().out == "said\n"
+
+
+@pytest.mark.parametrize(
+    ("methods", "names"),
+    [
+        (METHODS, ["whole pixels", "sub-pixel"]),
+        ((*METHODS, ("column", "v")), ["whole pixels", "parabola", "v"]),  # two steps: which one has to be said
+        ((*METHODS, ("sgm", "v")), ["column, whole pixels", "column, sub-pixel", "sgm"]),
+        ((("sgm", "v"), ("sgm", "none")), ["v", "whole pixels"]),
+        ((("slanted", "own"), ("window", "parabola")), ["slanted", "fine windows"]),
+    ],
+)
+def test_a_method_has_one_name_in_sentences_and_legends(methods, names):
+    cases = {("window", "parabola"): "fine windows"}
+    assert list(names_for_people(methods, cases).values()) == names
+    assert [each.label for each in looks(list(methods), cases).values()] == names

@@ -30,7 +30,7 @@ def test_from_the_command_to_the_report(tmp_path, capsys):
     views = "novel_views.distances_m=[0.05, 0.3]"
     assert main(["run", str(given), "--set", views, "--set", "noise.sigma_grey=2", "--out", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "Views warped with window (parabola) are" in said
+    assert "Warped views (sub-pixel) are" in said
     entries = json.loads((out / "summary.json").read_text())["novel_views"]
     assert {each["distance_m"] for each in entries} == {0.05, 0.3}
     for each in entries:
@@ -140,7 +140,7 @@ def test_they_stand_on_a_line_through_the_first_viewpoint():
 )
 def test_no_more_is_concluded_than_intervals_allow(entries, said):
     (sentence,) = views_conclusions(entries, {("sgm", "v"): "semi-global"})
-    assert sentence.startswith("Views warped with semi-global ")
+    assert sentence.startswith("Warped views (semi-global) ")
     assert sentence.endswith(said)
 
 
@@ -161,5 +161,5 @@ def test_cases_that_are_methods_are_compared(tmp_path):
     entries = result._result.summary["novel_views"]
     assert len({each["condition"] for each in entries}) == 1
     summary = result._result.summary
-    said = [summary["headline"], *(each for each in summary["conclusions"] if each.startswith("Views warped with "))]
-    assert {each.removeprefix("Views warped with ").split(" are ")[0] for each in said} == {"columns", "square windows"}
+    said = [summary["headline"], *(each for each in summary["conclusions"] if each.startswith("Warped views ("))]
+    assert {each.removeprefix("Warped views (").split(") are ")[0] for each in said} == {"columns", "square windows"}

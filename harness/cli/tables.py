@@ -134,7 +134,7 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table | Group"]:
     from rich.text import Text
 
     from harness.evaluation.law import slope_verdict
-    from harness.runs.methods import in_words
+    from harness.runs.methods import names_for_people
 
     law = summary.get("law") or {}
     fits = [fit for fit in law.get("images", ()) if fit["law"] == "exact" and fit["slope"] is not None]
@@ -145,8 +145,9 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table | Group"]:
         for heading in ("slope", "R²"):
             table.add_column(heading, justify="right", no_wrap=True)
         table.add_column("verdict")
+        names = names_for_people((fit["matcher"], fit["subpixel"]) for fit in fits)
         for fit in fits:
-            method = in_words((fit["matcher"], fit["subpixel"]), {})
+            method = names[fit["matcher"], fit["subpixel"]]
             table.add_row(f"{fit['surface']}s", escape(method), _slope(fit), f"{fit['r2']:.2f}", slope_verdict(fit))
         yield table
     best = [each for each in summary.get("best_baseline", ()) if each["surface"] == "wall"]
@@ -154,10 +155,10 @@ def law_tables(summary: dict[str, Any]) -> Iterator["Table | Group"]:
         between = "[95 %]" if best[0]["baseline_m_ci95"] else "(one seed, without an interval)"
         title = Text(f"best baseline on walls, m {between}, of those that were tried", style="table.title")
         table = _table()
-        methods = list(dict.fromkeys((each["matcher"], each["subpixel"]) for each in best))
+        methods = names_for_people((each["matcher"], each["subpixel"]) for each in best)
         table.add_column("range m", justify="right")
-        for each in methods:
-            table.add_column(escape(in_words(each, {})), justify="right")
+        for name in methods.values():
+            table.add_column(escape(name), justify="right")
         for range_m in sorted({each["range_m"] for each in best}):
             of_method = {(each["matcher"], each["subpixel"]): each for each in best if each["range_m"] == range_m}
             cells = [_baseline(of_method.get(method)) for method in methods]

@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.display import shortened_labels
 from harness.pipeline.specification import Trial
 from harness.pipeline.trial import Outcome
 from harness.report import theme
 from harness.runs.experiment import Planned
-from harness.runs.methods import MethodName, method_id
+from harness.runs.methods import WINDOWS, MethodName, method_id, names_for_people, step_for_people
 from harness.runs.run import by_method, methods_in, names_in
 
 
@@ -33,11 +32,8 @@ class Method(Named):
     outcome: Outcome
 
 
-_LONGEST = 60
-"""Characters of a label."""
-
-_WINDOWS = ("window", "column")
-_STEPS = {"none": ("whole pixels", theme.PIXEL), "parabola": ("sub-pixel", theme.SUBPIXEL)}
+_COLOURS = {"none": theme.PIXEL, "parabola": theme.SUBPIXEL}
+"""Colours of the paper's two steps; others have those that are left."""
 
 
 class Look(NamedTuple):
@@ -59,25 +55,13 @@ def looks(pairs: list[tuple[str, str]], labels: Mapping[MethodName, str] | None 
     labels
         The names that cases give to methods.
     """
-    by_case = labels or {}
-    drawn_as = [step if matcher in _WINDOWS else f"{matcher} {step}" for matcher, step in pairs]
+    drawn_as = [step if matcher in WINDOWS else f"{matcher} {step}" for matcher, step in pairs]
     spare = iter(theme.SPARE * len(pairs))
-    colours = {name: _STEPS[name][1] if name in _STEPS else next(spare) for name in dict.fromkeys(drawn_as)}
-    several = len({matcher for matcher, _ in pairs}) > 1
-    refined = {step for matcher, step in pairs if matcher in _WINDOWS} - {"none"}
-    names, steps = [], []
-    for matcher, step in pairs:
-        # "Sub-pixel" is enough where there is one such step.
-        label = short = _STEPS[step][0] if step in _STEPS and (step == "none" or refined == {step}) else step
-        if step == "own" or (matcher not in _WINDOWS and sum(other == matcher for other, _ in pairs) == 1):
-            label = short = matcher
-        elif several:
-            label = f"{matcher}, {short}"
-        names.append(by_case.get((matcher, step), label))
-        steps.append(short)
+    colours = {name: _COLOURS[name] if name in _COLOURS else next(spare) for name in dict.fromkeys(drawn_as)}
+    names = names_for_people(pairs, labels or {})
     return {
-        pair: Look(label, step, colours[name])
-        for pair, label, step, name in zip(pairs, shortened_labels(names, _LONGEST), steps, drawn_as, strict=True)
+        pair: Look(names[pair], step_for_people(pair, pairs), colours[name])
+        for pair, name in zip(pairs, drawn_as, strict=True)
     }
 
 

@@ -36,15 +36,17 @@ def all_trials_of(experiment: Experiment, rows: "Sequence[Row]") -> AllTrials:
     cells = cell_table(trials)
     law = law_of(cells) if experiment.law else None
     best_baseline = best_baseline_of(cells, law)
-    claims, labels = claims_of(trials), experiment.method_labels
+    claims, names = claims_of(trials), experiment.names_of_methods
+    by_cases = bool(experiment.method_labels)
     further = {each.name: each.entries_of(trials) for each in FURTHER}
-    by_score = [each.conclusions(further[each.name], labels) for each in FURTHER]
+    by_score = [each.conclusions(further[each.name], names) for each in FURTHER]
     by_score.reverse()  # what is made of others comes first, as maps are made of range profiles
     sentences = [sentence for each in by_score for sentence in each]
     first = next(filter(None, by_score), [])
     limit, budget = limit_of(trials), budget_of(trials)
     found = Findings(law, best_baseline, limit, budget, first)
-    opens_with = None if claims else headline(done, found, labels)
+    opens_with = None if claims else headline(done, found, names, named_by_cases=by_cases)
+    said = conclusions(done, names, sentences, named_by_cases=by_cases)
     entries = {
         "claims": claims,
         "limit": limit,
@@ -56,6 +58,6 @@ def all_trials_of(experiment: Experiment, rows: "Sequence[Row]") -> AllTrials:
         "best_baseline": best_baseline,
         **further,
         "headline": opens_with,
-        "conclusions": [] if claims else [each for each in conclusions(done, labels, sentences) if each != opens_with],
+        "conclusions": [] if claims else [each for each in said if each != opens_with],
     }
     return AllTrials(cells, entries)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +29,10 @@ _LEAST = 0.02
 
 def conclusions(
     rows: Sequence["Row"],
-    labels: Mapping[MethodName, str] | None = None,
+    names: Mapping[MethodName, str] = MappingProxyType({}),
     further: Sequence[str] = (),
+    *,
+    named_by_cases: bool = False,
 ) -> list[str]:
     """Sentences on the trials' further scores, on the methods, and on each axis that matters.
 
@@ -41,12 +44,14 @@ def conclusions(
     ----------
     rows
         The trials that are done.
-    labels
-        The names that cases give to methods.
+    names
+        The names of methods.
     further
         Sentences on what else the trials were scored by, such as warped views.
+    named_by_cases
+        Whether the names are those of cases.
     """
-    table, axes = table_of(rows, labels or {})
+    table, axes = table_of(rows, names, named_by_cases=named_by_cases)
     what = measured(table)
     if what is None or table["seed"].nunique() < 2:  # without an error, or an interval, there is nothing to conclude
         return []
@@ -92,9 +97,11 @@ def about_axis(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure
     return next(_about_axes([along], f"{best}, {where}")) if along else None
 
 
-def table_of(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
+def table_of(
+    rows: Sequence["Row"], names: Mapping[MethodName, str], *, named_by_cases: bool
+) -> tuple[pd.DataFrame, dict[str, list[Any]]]:
     """A table of trials with method, seed, figures and the index of the value on each axis; and the axes' values."""
-    not_axes = ("seed", *METHOD_KEYS, *([CASE] if labels else []))
+    not_axes = ("seed", *METHOD_KEYS, *([CASE] if named_by_cases else []))
     known: dict[str, dict[str, Any]] = {}
     for row in rows:
         for key, value in row.coordinates.items():
@@ -106,7 +113,7 @@ def table_of(rows: Sequence["Row"], labels: Mapping[MethodName, str]) -> tuple[p
     for row in rows:
         figures = row.payload["figures"]
         records.append(
-            {"method": in_words(row.planned.method, labels), "seed": row.planned.trial.seed}
+            {"method": in_words(row.planned.method, names), "seed": row.planned.trial.seed}
             | {key: of_key[identity_of(key, row.coordinates[key])] for key, of_key in index.items()}
             | {name: math.nan if figures.get(name) is None else figures[name] for _, name in FIGURES}
         )

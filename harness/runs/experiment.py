@@ -28,7 +28,7 @@ from harness.runs.cases import (
     without,
 )
 from harness.runs.dotted import changed, value_at, worked_out
-from harness.runs.methods import METHOD_KEYS, MethodName, method_id, method_names
+from harness.runs.methods import METHOD_KEYS, MethodName, method_id, method_names, names_for_people
 from harness.runs.named_files import SENSORS
 from harness.runs.values import Settings, shown
 from harness.simulation.fingerprint import fingerprint
@@ -182,6 +182,11 @@ class Experiment(Spec):
     def method_labels(self) -> Mapping[MethodName, str]:
         """The names that cases give to methods; empty unless each case is a method of its own."""
         return labels_in(self.planned, self.cases, self.axes)
+
+    @cached_property
+    def names_of_methods(self) -> Mapping[MethodName, str]:
+        """The names of all methods in legends, tables and sentences."""
+        return names_for_people((each.method for each in self.planned), self.method_labels)
 
     def _scene_file_at(self, settings: Settings) -> str:
         named = settings.get("scene", self._scene_file)

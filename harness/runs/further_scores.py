@@ -21,7 +21,7 @@ class Further(NamedTuple):
     entries_of: Callable[[Sequence[tuple[Planned, dict[str, Any]]]], Entries]
     """Computes the summary's entries from trials and their rows; empty if none of them has this score."""
     conclusions: Callable[[Entries, Mapping[MethodName, str]], list[str]]
-    """Conclusions from these entries, in sentences, with the names that cases give to methods."""
+    """Conclusions from these entries, in sentences, with the names of methods."""
 
 
 FURTHER = (

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,7 +44,11 @@ class Findings:
 
 
 def headline(
-    rows: Sequence["Row"], found: Findings | None = None, labels: Mapping[MethodName, str] | None = None
+    rows: Sequence["Row"],
+    found: Findings | None = None,
+    names: Mapping[MethodName, str] = MappingProxyType({}),
+    *,
+    named_by_cases: bool = False,
 ) -> str | None:
     """The sentence, about what the sweep was made for; None where nothing varies.
 
@@ -58,23 +63,26 @@ def headline(
     ----------
     rows
         The trials that are done.
-    labels
-        The names that cases give to methods.
+    names
+        The names of methods.
+    named_by_cases
+        Whether they are those of cases.
     """
-    found, labels = found or Findings(), labels or {}
-    table, axes = table_of(rows, labels)
+    found = found or Findings()
+    table, axes = table_of(rows, names, named_by_cases=named_by_cases)
     return (
-        _of_the_law(found.law, labels)
+        _of_the_law(found.law, names)
         or (_of_further_scores(found.further, table, axes) if found.further else None)
-        or _of_the_limit(found.limit, labels)
-        or _of_the_budget(found.budget, labels)
-        or _of_the_baseline(table, axes, found.best_baseline, labels)
-        or (None if labels else _of_the_condition(table, axes))  # cases that name methods are a choice among them
+        or _of_the_limit(found.limit, names)
+        or _of_the_budget(found.budget, names)
+        or _of_the_baseline(table, axes, found.best_baseline, names)
+        # Where cases name methods, a choice among these is meant, whatever the conditions.
+        or (None if named_by_cases else _of_the_condition(table, axes))
         or _of_the_best(table, axes)
     )
 
 
-def _of_the_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) -> str | None:
+def _of_the_law(law: dict[str, Any] | None, names: Mapping[MethodName, str]) -> str | None:
     fits = [
         fit
         for fit in (law or {"images": []})["images"]
@@ -83,30 +91,30 @@ def _of_the_law(law: dict[str, Any] | None, labels: Mapping[MethodName, str]) ->
     if not fits:
         return None
     lawful = [fit for fit in fits if slope_verdict(fit) != NO_LAW]
-    none = [in_words((fit["matcher"], fit["subpixel"]), labels) for fit in fits if fit not in lawful]
+    none = [in_words((fit["matcher"], fit["subpixel"]), names) for fit in fits if fit not in lawful]
     sentences = []
     if lawful:
-        powers = "; ".join(_power(fit, labels) for fit in lawful)
+        powers = "; ".join(_power(fit, names) for fit in lawful)
         sentences.append(f"on walls the range error grows as this power of the law, which says 1: {powers}")
     if none:
-        sentences.append(f"no law to be seen with {' and '.join(none)}")
+        sentences.append(f"no law to be seen ({listed(none)})")
     text = "; ".join(sentences)
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _power(fit: dict[str, Any], labels: Mapping[MethodName, str]) -> str:
+def _power(fit: dict[str, Any], names: Mapping[MethodName, str]) -> str:
     low, high = fit["slope_ci95"]
-    return f"{fit['slope']:.2f} [{low:.2f}, {high:.2f}] with {in_words((fit['matcher'], fit['subpixel']), labels)}"
+    return f"{fit['slope']:.2f} [{low:.2f}, {high:.2f}] ({in_words((fit['matcher'], fit['subpixel']), names)})"
 
 
 def _of_further_scores(further: Sequence[str], table: pd.DataFrame, axes: dict[str, list[Any]]) -> str:
     """The sentence on the method whose ranges are best, or else the first sentence."""
     figure = measured(table)
     best = best_method(table, axes, figure[1]) if figure else ""
-    return next((each for each in further if best and f" {best}" in each), further[0])
+    return next((each for each in further if best and (f"({best})" in each or f" {best}:" in each)), further[0])
 
 
-def _of_the_limit(limit: Sequence[dict[str, Any]], labels: Mapping[MethodName, str]) -> str | None:
+def _of_the_limit(limit: Sequence[dict[str, Any]], names: Mapping[MethodName, str]) -> str | None:
     """A sentence on the method whose spread is nearest to the bound."""
     known = [each for each in limit if each["std_over_bound"] is not None]
     if not known:
@@ -115,7 +123,7 @@ def _of_the_limit(limit: Sequence[dict[str, Any]], labels: Mapping[MethodName, s
     mine = [each for each in known if all(each[key] == nearest[key] for key in ("matcher", "subpixel", "condition"))]
     ratios, noises = ([each[key] for each in mine] for key in ("std_over_bound", "noise_grey"))
     quartiles = [end for each in mine for end in each["std_over_bound_quartiles"]]
-    method = in_words((nearest["matcher"], nearest["subpixel"]), labels)
+    method = in_words((nearest["matcher"], nearest["subpixel"]), names)
     return (
         f"Over {nearest['seeds']} draws of the noise, errors of {method} spread {_from_to(ratios, '.2f')} times as far "
         f"as the Cramér-Rao bound of its window, at noise of {_from_to(noises, 'g')} grey levels (medians over pixels; "
@@ -123,7 +131,7 @@ def _of_the_limit(limit: Sequence[dict[str, Any]], labels: Mapping[MethodName, s
     )
 
 
-def _of_the_budget(budget: Sequence[dict[str, Any]], labels: Mapping[MethodName, str]) -> str | None:
+def _of_the_budget(budget: Sequence[dict[str, Any]], names: Mapping[MethodName, str]) -> str | None:
     """How large the errors of all causes together are, near and far, and which cause makes the most of them."""
     if not budget:
         return None
@@ -140,7 +148,7 @@ def _of_the_budget(budget: Sequence[dict[str, Any]], labels: Mapping[MethodName,
         cause = max(entry["predicted_m"], key=lambda name: float(entry["predicted_m"][name]))
         error = f"{1000 * entry['measured_m']:.3g}{between} mm{without}"
         parts.append(f"{error} at {entry['range_m']:.1f} m, most of it by {cause}")
-    method = in_words((most["matcher"], most["subpixel"]), labels)
+    method = in_words((most["matcher"], most["subpixel"]), names)
     return f"With all causes together, 68 % of the errors of {method} are within {'; '.join(parts)}."
 
 
@@ -153,19 +161,19 @@ def _of_the_baseline(
     table: pd.DataFrame,
     axes: dict[str, list[Any]],
     best: Sequence[dict[str, Any]],
-    labels: Mapping[MethodName, str],
+    names: Mapping[MethodName, str],
 ) -> str | None:
     """The best baseline for each range on walls by the method whose errors are smallest, where nothing else varies."""
     walls = [each for each in best if each["surface"] == "wall"]
     if list(axes) != [BASELINE] or not walls:
         return None
     method = best_method(table, axes, "wall_range_median_abs_m")
-    mine = [each for each in walls if in_words((each["matcher"], each["subpixel"]), labels) == method]
+    mine = [each for each in walls if in_words((each["matcher"], each["subpixel"]), names) == method]
     ranges: dict[float, list[dict[str, Any]]] = {}
     for each in sorted(mine, key=lambda each: each["range_m"]):
         ranges.setdefault(each["baseline_m"], []).append(each)
     parts = [f"{baseline_m:.3g}{_interval_of(of_it)} at {_span(of_it)}" for baseline_m, of_it in ranges.items()]
-    return f"The best baseline on walls, with {method}: {'; '.join(parts)}." if parts else None
+    return f"The best baseline on walls ({method}): {'; '.join(parts)}." if parts else None
 
 
 def _interval_of(best: Sequence[dict[str, Any]]) -> str:

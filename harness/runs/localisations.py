@@ -51,18 +51,18 @@ def localisations_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dic
     return [_entry(*key, seeds) for key, seeds in groups.items()]
 
 
-def localisations_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
+def localisations_conclusions(entries: list[dict[str, Any]], names: Mapping[MethodName, str]) -> list[str]:
     """Sentences on how many real images each method's synthesised views replace, by descriptor; none from one seed.
 
     Parameters
     ----------
     entries
         The entries of `localisations_of`; the sentences are about those of the first condition.
-    labels
-        The names that cases give to methods.
+    names
+        The names of methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
-    return [_sentence(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine if each["gains"]]
+    return [_sentence(each, in_words((each["matcher"], each["subpixel"]), names)) for each in mine if each["gains"]]
 
 
 def _sentence(entry: dict[str, Any], method: str) -> str:

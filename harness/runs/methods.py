@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
+from types import MappingProxyType
 
 from harness.display import shortened_labels
 from harness.matching.interface import MatcherSettings
@@ -15,13 +16,47 @@ METHOD_KEYS = ("matching.kind", "matching.subpixel", "matching.command")
 """The keys of a trial that distinguish methods; they are neither axes nor conditions."""
 
 
+WINDOWS = ("window", "column")
+"""The matchers whose sub-pixel step is a choice: they are known by it."""
 _STEPS = {"none": "whole pixels", "own": ""}
+_LONGEST = 60
+"""Characters of a name."""
 
 
-def in_words(method: MethodName, labels: Mapping[MethodName, str]) -> str:
-    """The name of a method in a sentence: the one that cases give it, if they do."""
-    if method in labels:
-        return labels[method]
+def names_for_people(
+    methods: Iterable[MethodName], labels: Mapping[MethodName, str] = MappingProxyType({})
+) -> dict[MethodName, str]:
+    """The name of each method in legends, tables and sentences; unique among these methods.
+
+    Parameters
+    ----------
+    labels
+        The names that cases give to methods.
+    """
+    pairs = list(dict.fromkeys(methods))
+    steps = [step_for_people(pair, pairs) for pair in pairs]
+    several = len({matcher for matcher, _ in pairs}) > 1
+    names = [
+        labels.get((matcher, step), f"{matcher}, {word}" if several and word != matcher else word)
+        for (matcher, step), word in zip(pairs, steps, strict=True)
+    ]
+    return dict(zip(pairs, shortened_labels(names, _LONGEST), strict=True))
+
+
+def step_for_people(method: MethodName, methods: Sequence[MethodName]) -> str:
+    """The name of a method's step alone, among others of its matcher; the matcher's where it has one step."""
+    matcher, step = method
+    if step == "own" or (matcher not in WINDOWS and sum(other == matcher for other, _ in methods) == 1):
+        return matcher
+    refined = {each for other, each in methods if other in WINDOWS} - {"none"}
+    # "Sub-pixel" is enough where there is one such step.
+    return {"none": "whole pixels"}.get(step) or ("sub-pixel" if step == "parabola" and refined == {step} else step)
+
+
+def in_words(method: MethodName, names: Mapping[MethodName, str]) -> str:
+    """The name of a method in a sentence: one of these, or else all that is known of it."""
+    if method in names:
+        return names[method]
     matcher, step = method
     word = _STEPS.get(step, step)
     return f"{matcher} ({word})" if word else matcher

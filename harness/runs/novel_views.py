@@ -36,20 +36,20 @@ def novel_views_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[
     return [_entry(*key, views) for key, views in sorted(groups.items(), key=lambda each: each[0])]
 
 
-def views_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
+def views_conclusions(entries: list[dict[str, Any]], names: Mapping[MethodName, str]) -> list[str]:
     """Sentences on the distances at which each method's warped views beat the nearest image; none from one seed.
 
     Parameters
     ----------
     entries
         The entries of `novel_views_of`; the sentences are about those of the first condition.
-    labels
-        The names that cases give to methods.
+    names
+        The names of methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["gain_ci95_db"]]
     methods = dict.fromkeys((each["matcher"], each["subpixel"]) for each in mine)
     return [
-        _reach_of(in_words(method, labels), [each for each in mine if (each["matcher"], each["subpixel"]) == method])
+        _reach_of(in_words(method, names), [each for each in mine if (each["matcher"], each["subpixel"]) == method])
         for method in methods
     ]
 
@@ -58,11 +58,11 @@ def _reach_of(method: str, entries: list[dict[str, Any]]) -> str:
     entries = sorted(entries, key=lambda each: each["distance_m"])
     sure = [each for each in entries if each["gain_ci95_db"][0] > 0]
     if not sure:
-        return f"Views warped with {method} are not certain to be better than the nearest image at any distance."
+        return f"Warped views ({method}) are not certain to be better than the nearest image at any distance."
     least, most = (_gain(pick(sure, key=lambda each: float(each["gain_db"]))) for pick in (min, max))
     unsure = [each for each in entries if each not in sure]
     gains = least if least == most else f"{least} to {most}"
-    sentence = f"Views warped with {method} are {gains} dB better than the nearest image at {_distances(sure, entries)}"
+    sentence = f"Warped views ({method}) are {gains} dB better than the nearest image at {_distances(sure, entries)}"
     return f"{sentence}; at {_distances(unsure, entries)} that is not certain." if unsure else f"{sentence}."
 
 

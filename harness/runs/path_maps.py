@@ -40,19 +40,19 @@ def path_maps_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[st
     return [_entry(*key, maps) for key, maps in groups.items()]
 
 
-def path_maps_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
+def path_maps_conclusions(entries: list[dict[str, Any]], names: Mapping[MethodName, str]) -> list[str]:
     """Sentences on the agreement of each method's map with the floor plan, beside the ceiling's; none from one seed.
 
     Parameters
     ----------
     entries
         The entries of `path_maps_of`; the sentences are about those of the first condition.
-    labels
-        The names that cases give to methods.
+    names
+        The names of methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
     return [
-        f"Maps made with {in_words((each['matcher'], each['subpixel']), labels)} agree with the floor plan in "
+        f"Maps ({in_words((each['matcher'], each['subpixel']), names)}) agree with the floor plan in "
         f"{_share(each, 'iou_free')} of the free cells and {_share(each, 'iou_occupied')} of the occupied ones "
         f"(IoU; with true ranges {100 * each['ceiling']['iou_free']:.1f} and "
         f"{100 * each['ceiling']['iou_occupied']:.1f} %)."

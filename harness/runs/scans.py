@@ -34,18 +34,18 @@ def scans_of(done: Iterable[tuple[Planned, dict[str, Any]]]) -> list[dict[str, A
     return [_entry(*key, scores) for key, scores in groups.items()]
 
 
-def scans_conclusions(entries: list[dict[str, Any]], labels: Mapping[MethodName, str]) -> list[str]:
+def scans_conclusions(entries: list[dict[str, Any]], names: Mapping[MethodName, str]) -> list[str]:
     """Sentences on the missed and false obstacles of each method's profiles, and their sigmas; none from one seed.
 
     Parameters
     ----------
     entries
         The entries of `scans_of`; the sentences are about those of the first condition.
-    labels
-        The names that cases give to methods.
+    names
+        The names of methods.
     """
     mine = [each for each in entries if each["condition"] == entries[0]["condition"] and each["seeds"] > 1]
-    return [_sentence(each, in_words((each["matcher"], each["subpixel"]), labels)) for each in mine]
+    return [_sentence(each, in_words((each["matcher"], each["subpixel"]), names)) for each in mine]
 
 
 def _sentence(entry: dict[str, Any], method: str) -> str:
@@ -55,7 +55,7 @@ def _sentence(entry: dict[str, Any], method: str) -> str:
     )
     seen, found = (sum(each[name] for each in entry["obstacles"]) for name in ("seen", "found"))
     return (
-        f"Range profiles of {method} look through an obstacle at {missed} of the bearings and see a false one at "
+        f"Range profiles ({method}) look through an obstacle at {missed} of the bearings and see a false one at "
         f"{false}; they find {found} of {seen} obstacles."
     )
 

@@ -50,7 +50,8 @@ def section(context: Context) -> Iterator[Block]:
     if not entries:
         return
     labels = context.result.experiment.method_labels
-    sentence = " ".join(localisations_conclusions(entries, labels))
+    names = context.result.experiment.names_of_methods
+    sentence = " ".join(localisations_conclusions(entries, names))
     yield Paragraph(html(_WORDS, settings=context.trial.localisation, sentence=sentence))
     first = entries[0]
     mine = [each for each in entries if all(each[key] == first[key] for key in ("matcher", "subpixel", "condition"))]

@@ -54,8 +54,9 @@ def section(context: Context) -> Iterator[Block]:
     condition = entries[0]["condition"]
     mine = [each for each in entries if each["condition"] == condition]
     labels = context.result.experiment.method_labels
+    names = context.result.experiment.names_of_methods
     seeds = max(each["seeds"] for each in mine)
-    yield Paragraph(html(_WORDS, sentence=" ".join(views_conclusions(mine, labels))))
+    yield Paragraph(html(_WORDS, sentence=" ".join(views_conclusions(mine, names))))
     yield Figure("figure-novel-views", [_curves(mine, labels)], html(_CAPTION, seeds=seeds), "wide")
     yield TableBlock("table-novel-views", _table(entries, labels), html(_TABLE))
     if context.methods and context.trial.novel_views.distances_m:

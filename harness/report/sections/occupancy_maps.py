@@ -50,7 +50,7 @@ def section(context: Context) -> Iterator[Block]:
     labels = context.result.experiment.method_labels
     shown = _first_of_each(context, entries)
     first = next(iter(shown.values()))
-    sentence = " ".join(path_maps_conclusions(entries, labels))
+    sentence = " ".join(path_maps_conclusions(entries, context.result.experiment.names_of_methods))
     yield Paragraph(
         html(_WORDS, pairs=len(first["stations_m"]), cell_m=first["cell_m"], sentence=sentence, folder=FOLDER)
     )

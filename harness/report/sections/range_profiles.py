@@ -48,7 +48,8 @@ def section(context: Context) -> Iterator[Block]:
     if not entries:
         return
     labels, scan = context.result.experiment.method_labels, context.trial.scan
-    yield Paragraph(html(_WORDS, scan=scan, sentence=" ".join(scans_conclusions(entries, labels))))
+    names = context.result.experiment.names_of_methods
+    yield Paragraph(html(_WORDS, scan=scan, sentence=" ".join(scans_conclusions(entries, names))))
     intervals = any(each["seeds"] > 1 for each in entries)
     yield TableBlock("table-scans", _table(entries, labels), html(_TABLE, scan=scan, intervals=intervals))
     if any(each["obstacles"] for each in entries):
