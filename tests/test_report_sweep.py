@@ -6,20 +6,23 @@ import dataclasses
 import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from browser import chromium, visit
+from markupsafe import Markup
 from test_report import BOTH, SMALL, Document, run_small
 
 from harness.pipeline.row import row_of
-from harness.report import sweep, theme
+from harness.report import opening, sweep, theme
 from harness.report.build import build_report
-from harness.report.section import About, Context, Figure
+from harness.report.section import About, Context, Figure, LineKey
 from harness.report.sections import SECTIONS, error_curves, locking, measures, regional_errors
 from harness.report.sweep import Axis, sweep_of, value_text
+from harness.report.theme import Picture
 from harness.report.typography import symbols
 from harness.runs.experiment import Experiment
 from harness.runs.run import Result, result_from, run_experiment
@@ -32,6 +35,14 @@ LAW_AXES: dict[str, Any] = {
     "noise.sigma_grey": [0.0, 4.0],
     **BOTH,
 }
+
+
+def test_the_key_of_the_opening_figure_is_that_of_its_own_section():
+    key, figure = LineKey(Picture(Markup(), 1, 1, "lines")), Figure("figure-a", (), "")
+    other = Figure("figure-b", (), "")
+    sections = [SimpleNamespace(blocks=[key, figure]), SimpleNamespace(blocks=[other])]
+    assert opening._key_of(figure, sections) is key.picture
+    assert opening._key_of(other, sections) is None
 
 
 def test_no_two_methods_are_drawn_alike():

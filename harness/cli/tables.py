@@ -97,12 +97,13 @@ def cases_table(summary: dict[str, Any]) -> "Table":
     cases = summary["cases"]
     methods = {(each["matcher"], each["subpixel"]) for each in cases}
     columns = [METRICS[name] for name in _OF_CASES]
-    between = any(each[f"{_MAIN}_ci95"] for each in cases)
-    without = "" if between else ", one seed, without an interval"
+    intervals = [each[f"{_MAIN}_ci95"] for each in cases]
+    between = any(each and each[0] < each[1] for each in intervals)
+    without = "" if between else ", the same with every seed" if any(intervals) else ", one seed, without an interval"
     heads = [_in_two_lines(each) + (" \\[95 %]" if between and each.name == _MAIN else "") for each in columns]
     figures = [
         [
-            _figure(each[column.name], column, each[f"{_MAIN}_ci95"] if column.name == _MAIN else None)
+            _figure(each[column.name], column, each[f"{_MAIN}_ci95"] if between and column.name == _MAIN else None)
             for column in columns
         ]
         for each in cases

@@ -75,13 +75,14 @@ def opening(context: Context, sections: Sequence[Section]) -> Opening:
 
 def _key_of(figure: Figure, sections: Sequence[Section]) -> Picture | None:
     """The key to the lines that comes before a figure in its section."""
-    key = None
-    for block in (block for section in sections for block in section.blocks):
-        if isinstance(block, LineKey):
-            key = block.picture
-        if block is figure:
-            break
-    return key
+    for section in sections:
+        key = None
+        for block in section.blocks:
+            if isinstance(block, LineKey):
+                key = block.picture
+            if block is figure:
+                return key
+    return None
 
 
 def _wanted(context: Context) -> list[str]:
