@@ -56,12 +56,12 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-_BEFORE_A_UNIT = re.compile(r"(?<=[\d\]]) (?=(?:%|dB|mm|m|px)(?!\w))")
+_KEPT_TOGETHER = re.compile(r"(?<=[\d\]]) (?=(?:%|dB|mm|m|px)(?!\w))|(?<=\d) (?=× \d)|(?<=\d ×) (?=\d)")
 
 
 def unbroken(text: str) -> str:
-    """Text in which no line ends between a number, or its interval, and its unit."""
-    return _BEFORE_A_UNIT.sub("\u00a0", text)
+    """Text in which no line ends between a number or its interval and its unit, nor within a size such as `4 × 6`."""
+    return _KEPT_TOGETHER.sub("\u00a0", text)
 
 
 def shortened(text: str) -> str:

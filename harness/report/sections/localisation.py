@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 
 from harness.pipeline.localise import WAYS
 from harness.report import theme
@@ -22,11 +22,18 @@ _WORDS = """
 <p>Does range from a pair replace images, and how many? {{ settings.queries }} new images a seed, turned by any yaw, are
 placed by what they look like. What is learned from: the images of pairs; these and {{ settings.synthesised }} views
 made of each pair with its ranges; and as many single images at places of their own, which is what the real images
-could have been spent on. {{ sentence }}</p>
+could have been spent on.</p>
+{% if sentences %}
+<ul>
+{% for each in sentences %}<li>{{ each | unbroken }}</li>
+{% endfor %}
+</ul>
+{% endif %}
 """
 _CAPTION = """
 Mean distance of new images from where they are placed, against the number of real images learned from; means over
-{{ seeds }} seed{{ "s" if seeds != 1 }}{% if seeds > 1 %}, with 95 % intervals{% endif %}. Lower is better.
+{{ seeds }} seed{{ "s" if seeds != 1 }}{% if seeds > 1 %}, with 95 % intervals{% endif %}. Lower is better. Points of the same number are
+set side by side.
 """
 _GAINS = """
 What the views are worth. Error: the mean error with the views that were made over that of the pairs alone; below 1 they
@@ -40,6 +47,8 @@ _COLOURS = {
     "true ranges": theme.FAINT,
     "singles": theme.INK,
 }
+_ASIDE = 1.04
+"""The factor between the places of one number of images, so that bars do not hide each other."""
 _STYLES = {"pairs": "o-", "synthesised": "o-", "true ranges": "o--", "singles": "o:"}
 
 
@@ -51,8 +60,8 @@ def section(context: Context) -> Iterator[Block]:
         return
     labels = context.result.experiment.method_labels
     names = context.result.experiment.names_of_methods
-    sentence = " ".join(localisations_conclusions(entries, names))
-    yield Paragraph(html(_WORDS, settings=context.trial.localisation, sentence=sentence))
+    sentences = localisations_conclusions(entries, names)
+    yield Paragraph(html(_WORDS, settings=context.trial.localisation, sentences=sentences))
     first = entries[0]
     mine = [each for each in entries if all(each[key] == first[key] for key in ("matcher", "subpixel", "condition"))]
     panels = [_curves(each) for each in mine]
@@ -72,12 +81,13 @@ def _curves(entry: Entry) -> Picture:
     ax.set_axisbelow(True)
     handles, names = [], []
     every: list[int] = []
-    for way in WAYS:
+    for place, way in enumerate(WAYS):
         rows = [each for each in entry["errors"] if each["way"] == way]
         if not rows:
             continue
-        x = [each["images"] for each in rows]
-        every += x
+        every += [each["images"] for each in rows]
+        aside = _ASIDE ** (place - (len(WAYS) - 1) / 2)
+        x = [each["images"] * aside for each in rows]
         colour = _COLOURS[way]
         (line,) = ax.plot(x, [each["mean_m"] for each in rows], _STYLES[way], color=colour, markersize=4)
         ends = [each["mean_m_ci95"] or [np.nan, np.nan] for each in rows]
@@ -87,7 +97,7 @@ def _curves(entry: Entry) -> Picture:
     ticks = sorted(set(every))
     ax.set_xticks(ticks)
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.set_ylim(bottom=0)
     theme.legend_above(ax, handles, names, gap=0.3, most=2)
     title = APPEARANCES[entry["appearance"]]
