@@ -10,9 +10,9 @@ degraded image should be, and sigma should cover 60 to 75 %.
 
 With a number, so many faults of random kind, direction and size are drawn for random pairs of the corridor instead,
 which no constant was set by: one error is one draw, the same all over an image, so that what sigma covers of single
-images varies, and its mean counts.
+images varies, and its mean counts. Another seed draws others.
 
-    python benchmarks/geometry_verdict.py [matcher] [draws]
+    python benchmarks/geometry_verdict.py [matcher] [draws] [seed]
 """
 
 import io
@@ -44,7 +44,7 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 def main() -> None:
     matcher = (sys.argv[1:] or ["slanted"])[0]
-    tried = drawn(int(sys.argv[2])) if len(sys.argv) > 2 else cases()
+    tried = drawn(*(int(each) for each in sys.argv[2:4])) if len(sys.argv) > 2 else cases()
     missed, alarms, outside, shares = [], [], [], []
     print("pair                     verdict   median    alone  with  across  noise  cause", flush=True)
     for name, truth_m, images, sensor, motion, is_fault in tried:
@@ -99,17 +99,19 @@ def cases() -> Iterator[tuple[str, np.ndarray, Pair, Sensor, Motion, bool]]:
                 yield f"{scene} {turned} mirror {axis} 1 mm", truth_m, images, sensor, motion, True
 
 
-def drawn(count: int) -> Iterator[tuple[str, np.ndarray, Pair, Sensor, Motion, bool]]:
+def drawn(count: int, seed: int = 11) -> Iterator[tuple[str, np.ndarray, Pair, Sensor, Motion, bool]]:
     for i in range(count):
-        draws = np.random.default_rng([11, i])
+        draws = np.random.default_rng([seed, i])
         azimuth, baseline_m = draws.uniform(-np.pi, np.pi), draws.uniform(0.25, 0.6)
         first = harness.Pose(position_m=(0.0, 0.0, 1.0), yaw_deg=draws.uniform(-180, 180))
         step = baseline_m * np.array([np.cos(azimuth), np.sin(azimuth), draws.uniform(-0.1, 0.1)])
         second = harness.Pose(position_m=tuple(np.add(step, [0, 0, 1])), yaw_deg=draws.uniform(-180, 180))
-        views = [harness.render("corridor", position_m=p.position_m, yaw_deg=p.yaw_deg) for p in (first, second)]
+        poses = first, second
+        views = [harness.render("corridor", position_m=p.position_m, yaw_deg=p.yaw_deg) for p in poses]
+        exact = views[0].image, views[1].image
         motion, sensor = harness.relative_motion(first, second), views[0].sensor
         camera, size = sensor.camera, np.exp(draws.uniform(np.log(0.5), np.log(2)))
-        kind = ("centre", "rotation", "direction", "focal")[i % 4]
+        kind = ("centre", "rotation", "direction", "focal", "mirror")[i % 5]
         axis = draws.normal(size=3)
         axis /= np.linalg.norm(axis)
         if kind == "rotation":
@@ -119,13 +121,16 @@ def drawn(count: int) -> Iterator[tuple[str, np.ndarray, Pair, Sensor, Motion, b
             across = np.cross(motion.t_v1, axis)
             turn = Rotation.from_rotvec(np.radians(1.5 * size) * across / np.linalg.norm(across))
             motion = Motion(motion.R_v2_from_v1, turn.apply(motion.t_v1))
+        elif kind == "mirror":
+            offset = {f"{name}_mm": float(0.7 * size * axis[k]) for k, name in enumerate("xyz")}
+            exact = tuple(misaligned("corridor", sensor, p, **offset) for p in poses)  # type: ignore[assignment]
         else:
             u, v = 0.5 * size * axis[:2] / np.linalg.norm(axis[:2])
             change = {"cx_px": camera.cx_px + u, "cy_px": camera.cy_px + v}
             if kind == "focal":
                 change = {"focal_px": camera.focal_px * (1 + 0.004 * size)}
             sensor = sensor.model_copy(update={"camera": camera.model_copy(update=change)})
-        images = noisy((views[0].image, views[1].image), 2.0)
+        images = noisy(exact, 2.0)
         yield f"{i} {kind} x {size:.2f}", views[0].panorama_range_m, images, sensor, motion, True
 
 

@@ -5,12 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import harness
-from harness.camera.sensor import Sensor, project, unproject
+from harness.camera.misalignment import Misalignment
+from harness.camera.models import KannalaBrandt
+from harness.camera.reflection import ray_directions
+from harness.camera.sensor import Sensor, project
 from harness.geometry.angles import angle_between, normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.motion.across import Across
-from harness.motion.causes import directions_aside, effects_of, fit_causes
+from harness.motion.causes import MIRROR, directions_aside, effects_of, fit_causes
 from harness.motion.residuals import Turn
 from harness.pipeline.geometry_check import Verdict
 from harness.pipeline.geometry_cost import cost_of
@@ -51,7 +54,7 @@ def _apparent(x, planes, sensor, turn):
     """Across and inverse range that a geometry makes of the true pixels, less the true inverse range there."""
     w = np.sum(planes * x, axis=1)
     pixels = [project(SENSOR, x)[0], project(SENSOR, (x - w[:, None] * TURN.t) @ TURN.R.T)[0]]
-    x_1, x_2 = (unproject(sensor, each)[0] for each in pixels)
+    x_1, x_2 = (ray_directions(sensor, each)[0] for each in pixels)
     y = x_2 @ turn.R
     n = normalise(np.cross(turn.t, x_1))
     across = np.arcsin(np.sum(n * y, axis=1))
@@ -76,6 +79,8 @@ def _with_errors(change):
 def _with_error(name, size):
     """Sensor and motion that are off by an error, which this computes from its definition alone."""
     camera, turn = SENSOR.camera, TURN
+    if name.startswith("mirror"):
+        return SENSOR.model_copy(update={"misalignment": Misalignment(**{f"{name[-1]}_mm": size})}), TURN
     if name.startswith("turn"):
         omega = size * np.eye(3)["xyz".index(name[-1])]
         return SENSOR, Turn(TURN.R @ Rotation.from_rotvec(omega).as_matrix(), TURN.t)
@@ -97,6 +102,29 @@ def test_effects_are_differences_of_the_whole_geometry(name):
     for mine, plus, minus in zip((effects.across, effects.w), ahead, behind, strict=True):
         # Central differences: truncation STEP², rounding 1e-12/STEP, each times some ten.
         np.testing.assert_allclose(mine[:, column], (plus - minus) / (2 * STEP), rtol=1e-5, atol=3e-7)
+
+
+@pytest.mark.parametrize("name", MIRROR)
+def test_a_displaced_mirror_turns_rays_as_reflection_does(name):
+    x, planes = _points()
+    effects = effects_of(x, planes, (SENSOR, SENSOR), TURN)
+    column, step_mm = effects.names.index(name), 1e-3
+    ahead, behind = (_apparent(x, planes, *_with_error(name, sign * step_mm)) for sign in (1, -1))
+    for mine, plus, minus in zip((effects.across, effects.w), ahead, behind, strict=True):
+        slope = (plus - minus) / (2 * step_mm)
+        # Rays are those of reflection, but they start up to 0.5 mm off the focus for a millimetre, which at 10 m is
+        # 5e-5 rad: two hundredths of what the least of the three turns them by.
+        np.testing.assert_allclose(mine[:, column], slope, atol=2e-4)
+        assert np.abs(slope).max() > 20 * 2e-4
+
+
+def test_only_a_hyperboloid_can_be_displaced():
+    x, planes = _points()
+    lens = Sensor(model=KannalaBrandt(k1=0, k2=0, k3=0, k4=0), camera=SENSOR.camera)
+    alike, one_of_each = (effects_of(x, planes, each, TURN).names for each in ((lens, lens), (SENSOR, lens)))
+    assert not set(MIRROR) & set(alike)
+    assert [name for name in one_of_each if name.startswith("mirror")] == list(MIRROR)
+    assert "skew of view 2" in one_of_each
 
 
 def test_a_focal_length_moves_pixels_along_the_radius():
@@ -135,6 +163,19 @@ def test_causes_are_told(name, size, cause):
     assert best.name == cause
     # To first order, and against noise of 1e-4 rad over 150 tiles.
     assert best.errors[name] == pytest.approx(size, rel=0.05)
+
+
+@pytest.mark.parametrize("name", MIRROR)
+def test_a_displaced_mirror_is_among_the_causes(name):
+    x, planes = _points()
+    across, _ = _apparent(x, planes, *_with_error(name, 0.3))
+    noise = np.random.default_rng(3).normal(0, 1e-4, len(x))
+    causes = fit_causes(_tiles(x, planes, across + noise), (SENSOR, SENSOR), TURN)
+    likely = {each.name: each for each in causes.likely}
+    # A centre or a focal length that is off looks much the same.
+    mirror = likely["the mirror's position"]
+    # Of 0.3 mm: to first order, and rays start off the focus, which a displacement of 0.01 mm makes up for.
+    assert mirror.errors[name] == pytest.approx(0.3, abs=0.03)
 
 
 def test_noise_alone_has_no_cause():

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.camera.models import Mirror
+from harness.camera.reflection import points_jacobian
 from harness.camera.sensor import Sensor, project
 from harness.display import OneLine
 from harness.geometry.angles import Array, normalise
@@ -34,6 +36,9 @@ _ENOUGH = 0.9
 """Least share that a single likely cause explains."""
 _CLEAR = 0.35
 """Largest remaining share of the median distance with which an error alone is convincing: it holds for most tiles."""
+_FAR_M = 10.0
+"""Range of the points that a displaced mirror shifts: rays start a quarter of a millimetre off the focus for each
+millimetre, which is nothing beside their turning."""
 _SECTORS = 4
 """Sectors of azimuth that errors are tried on, each by those fitted to the others."""
 _SIGNIFICANT = 6.0
@@ -50,24 +55,31 @@ TYPICAL = {
     "decentring v": 0.25,
     "aspect": 0.25,
     "skew": 0.25,
+    "mirror x": 0.25,
+    "mirror y": 0.25,
+    "mirror z": 0.25,
     "turn x": np.radians(0.1),
     "turn y": np.radians(0.1),
     "turn z": np.radians(0.1),
     "t aside": np.radians(1.0),
     "t up": np.radians(1.0),
 }
-"""Typical sizes: pixels at the image's outermost tile, or radians."""
+"""Typical sizes: pixels at the image's outermost tile, millimetres by which a mirror is displaced, or radians."""
 _TURNS = ("turn x", "turn y", "turn z")
 _STEPS = ("t aside", "t up")
+MIRROR = ("mirror x", "mirror y", "mirror z")
+"""Displacements of the camera from the outer focus of a hyperboloid mirror. They shift pixels by as much as several of
+the other errors together, of sizes that alone are unlikely."""
 CALIBRATION = tuple(name for name in TYPICAL if name not in _TURNS + _STEPS)
 CAUSES: dict[str, tuple[str, ...]] = {
     "the rotation": _TURNS,
     "the direction of t": _STEPS,
     "the centre": ("centre u", "centre v"),
     "the focal length": ("focal length",),
+    "the mirror's position": MIRROR,
     "the mirror or lens": CALIBRATION,
 }
-"""Groups of errors that are fitted separately to find likely causes; the last one contains the two before it."""
+"""Groups of errors that are fitted separately to find likely causes; the last one contains the three before it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,14 +147,14 @@ def effects_of(
     moves += [moved(none, np.cross(y, axis), none) for axis in np.eye(3)]
     moves += [moved(none, none, np.broadcast_to(axis, x.shape)) for axis in directions_aside(t)]
     fields, outermost_px = _pixel_fields(sensors, x, y @ turn.R.T, outermost_px)
-    for name in CALIBRATION:
-        first, second = (-np.einsum("nij,nj->ni", S, shift[name]) for S, shift in fields)
-        if sensors[0] == sensors[1]:
-            names.append(name)
-            moves.append(moved(first, second @ turn.R, none))
-        else:
-            names += [name, f"{name} of view 2"]
-            moves += [moved(first, none, none), moved(none, second @ turn.R, none)]
+    (first, second) = ({name: -np.einsum("nij,nj->ni", S, shift) for name, shift in each.items()} for S, each in fields)
+    if sensors[0] == sensors[1]:
+        names += first
+        moves += [moved(first[name], second[name] @ turn.R, none) for name in first]
+    else:
+        names += [*first, *(f"{name} of view 2" for name in second)]
+        moves += [moved(dx, none, none) for dx in first.values()]
+        moves += [moved(none, dy @ turn.R, none) for dy in second.values()]
     across, moved_w = (np.stack(each, axis=1) for each in zip(*moves, strict=True))
     return Effects(tuple(names), across, moved_w, w, outermost_px)
 
@@ -185,6 +197,9 @@ def _pixel_fields(
             "aspect": np.hstack([u, -v]),
             "skew": np.hstack([v, u]),
         }
+        if isinstance(sensor.model, Mirror):
+            by_displacement = points_jacobian(sensor, _FAR_M * x)[1]
+            shifts |= {name: by_displacement[:, :, i] for i, name in enumerate(MIRROR)}
         fields.append((spreads(sensor, x), shifts))
     return fields, outermost_px
 

@@ -262,21 +262,25 @@ def _is_angle(name: str) -> bool:
     return name.startswith(("turn ", "t "))
 
 
+def _unit(name: str) -> str:
+    return "deg" if _is_angle(name) else "mm" if name.startswith("mirror ") else "px"
+
+
 def _plain(name: str, value: float) -> float:
     return math.degrees(value) if _is_angle(name) else value
 
 
 def _key(name: str) -> str:
-    return f"{name.replace(' ', '_')}_{'deg' if _is_angle(name) else 'px'}"
+    return f"{name.replace(' ', '_')}_{_unit(name)}"
 
 
 def errors_in_words(cause: Cause) -> str:
-    """The largest errors, at most three, in degrees or pixels."""
+    """The largest errors, at most three, in degrees, pixels or millimetres."""
     plain = {name: _plain(name, value) for name, value in cause.errors.items()}
     most = max(abs(value) for value in plain.values())
     largest = sorted(plain.items(), key=lambda each: -abs(each[1]))[:3]
     return ", ".join(
-        f"{name} {value:+.2g} {'degrees' if _is_angle(name) else 'px'}"
+        f"{name} {value:+.2g} {_unit(name).replace('deg', 'degrees')}"
         for name, value in largest
         if abs(value) >= _WORTH_SAYING * most
     )
