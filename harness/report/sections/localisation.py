@@ -32,8 +32,8 @@ could have been spent on.</p>
 """
 _CAPTION = """
 Mean distance of new images from where they are placed, against the number of real images learned from; means over
-{{ seeds }} seed{{ "s" if seeds != 1 }}{% if seeds > 1 %}, with 95 % intervals{% endif %}. Lower is better. Points of the same number are
-set side by side.
+{{ seeds }} seed{{ "s" if seeds != 1 }}{% if seeds > 1 %}, with 95 % intervals{% endif %}. Lower is better.
+Points of the same number are set side by side.
 """
 _GAINS = """
 What the views are worth. Error: the mean error with the views that were made over that of the pairs alone; below 1 they
