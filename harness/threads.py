@@ -1,6 +1,7 @@
 """Independent pieces of work on several threads. They pay where the work releases the GIL, as compiled loops do."""
 
 import itertools
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -13,16 +14,29 @@ Item = TypeVar("Item")
 
 
 def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int | None) -> None:
-    """Do independent pieces of work, which release the GIL, on some threads; all available CPUs when None."""
-    count = threads or available_cpus()
-    items = list(items)
-    if count == 1 or len(items) <= 1:
-        for item in items:
+    """Do independent pieces of work, which release the GIL, on some threads; all available CPUs when None.
+
+    The calling thread is one of them: to begin another takes as long as to fill a hundred kilobytes.
+    """
+    left = deque(items)
+    others = min(threads or available_cpus(), len(left)) - 1
+
+    def work_off() -> None:
+        while True:
+            try:
+                item = left.popleft()
+            except IndexError:  # all are done, or under way
+                return
             work(item)
-        return
-    with ThreadPoolExecutor(count) as pool:
-        for future in [pool.submit(work, item) for item in items]:
-            future.result()
+
+    with ThreadPoolExecutor(max(others, 1)) as pool:  # which begins no thread before it is needed
+        begun = [pool.submit(work_off) for _ in range(others)]
+        try:
+            work_off()
+            for each in begun:
+                each.result()
+        finally:
+            left.clear()  # after an error, what has not begun is left
 
 
 def in_bands(work: Callable[[int, int], None], length: int, bands: int, threads: int | None) -> None:

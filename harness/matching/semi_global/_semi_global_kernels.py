@@ -194,35 +194,50 @@ def _begin(costs, row, column, after, slot, a):
 
 
 @kernel
-def _circle(costs, row, forward, p1, jumps, laps, slot, spare):
-    """The path around the row. laps : written at `slot`, `[slots, width, labels + 2]`.
+def _circles(costs, row, p1, jumps, laps, spare):
+    """The two paths around the row. laps : written, `[2, width, labels + 2]`, of the one to the right and to the left.
 
-    The path begins somewhere, with no pixel before it, and goes on for another lap until it meets what it left there a
-    lap ago: from then on it repeats itself, and every pixel has the one before it that it would have on an endless
-    path. Returns how many pixels that took beyond the first lap.
+    Each begins in the first column, with no pixel before it, and goes on for another lap until it meets what it left
+    there a lap ago: from then on it repeats itself, and every pixel has the one before it that it would have on an
+    endless path. Both go through their first lap together: each pixel waits for the one before it, and so the processor
+    has two to work on.
     """
+    width = np.uint64(costs.shape[1])
+    right, left, one = np.uint64(0), np.uint64(1), np.uint64(1)
+    least_right = _begin(costs, row, np.uint64(0), laps, right, np.uint64(0))
+    least_left = _begin(costs, row, np.uint64(0), laps, left, np.uint64(0))
+    b = np.uint64(0)  # the column before, of the path to the left
+    for a in range(one, width):
+        least_right = _step(
+            costs, row, a, laps, right, a - one, least_right, p1, jumps[0, row, a], laps, right, a
+        )  # fmt: skip
+        c = width - a
+        least_left = _step(costs, row, c, laps, left, b, least_left, p1, jumps[0, row, b], laps, left, c)
+        b = c
+    _close(costs, row, right, width - one, least_right, p1, jumps, laps, spare)
+    _close(costs, row, left, one % width, least_left, p1, jumps, laps, spare)
+
+
+@kernel
+def _close(costs, row, slot, last, least, p1, jumps, laps, spare):
+    """Go on from the last column of a path's first lap until it repeats itself."""
     width, labels = np.uint64(costs.shape[1]), np.uint64(costs.shape[2])
-    a = np.uint64(0)
-    least = _begin(costs, row, a, laps, slot, a)
-    for number in range(np.uint64(1), width * np.uint64(MAX_LAPS)):
-        b = a
-        if forward:
-            a = b + np.uint64(1) if b + np.uint64(1) < width else np.uint64(0)
+    b, one = last, np.uint64(1)
+    for _ in range(width * np.uint64(MAX_LAPS - 1)):
+        if slot == 0:
+            a = b + one if b + one < width else np.uint64(0)
             p2 = jumps[0, row, a]
         else:
-            a = b - np.uint64(1) if b > 0 else width - np.uint64(1)
+            a = b - one if b > 0 else width - one
             p2 = jumps[0, row, b]
-        if number < width:
-            least = _step(costs, row, a, laps, slot, b, least, p1, p2, laps, slot, a)
-            continue
         least = _step(costs, row, a, laps, slot, b, least, p1, p2, spare, np.uint64(0), np.uint64(0))
         changed = 0
-        for k in range(np.uint64(1), labels + np.uint64(1)):
+        for k in range(one, labels + one):
             changed |= laps[slot, a, k] ^ spare[0, 0, k]
             laps[slot, a, k] = spare[0, 0, k]
         if changed == 0:
-            return np.int64(number - width)
-    return np.int64(width) * (MAX_LAPS - 1)
+            return
+        b = a
 
 
 @kernel
@@ -329,50 +344,47 @@ def second_half(
                 costs, row, False, downwards, sideways[path], p1, jumps, before, after, old_least, new_least,
                 np.uint64(path),
             )  # fmt: skip
-        for slot in range(2):
-            _circle(costs, row, slot == 0, p1, jumps, laps, np.uint64(slot), spare)
-        sums_row = np.uint64(row % sums.shape[0])
-        _put(after, sums_row, sums)
-        _add_half_sums(laps, half_sums, np.uint64(row), sums, sums_row)
-        _choose(sums, sums_row, row, k_0, k_first, k_last, best, nearby, second)
+        _circles(costs, row, p1, jumps, laps, spare)
+        slot = np.uint64(row % sums.shape[0])
+        _complete(after, laps, half_sums, np.uint64(row), sums, slot, k_0, k_first, k_last, best, nearby, second)
 
 
 @kernel
-def _add_half_sums(laps, half_sums, row, sums, slot):
-    for column in range(np.uint64(sums.shape[1])):
-        for k in range(np.uint64(sums.shape[2])):
-            at = k + np.uint64(1)
-            both = np.uint16(np.uint16(laps[0, column, at]) + np.uint16(laps[1, column, at]))
-            sums[slot, column, k] = np.uint16(
-                sums[slot, column, k] + np.uint16(both + np.uint16(half_sums[row, column, k]))
-            )
-
-
-@kernel
-def _choose(sums, slot, row, k_0, k_first, k_last, best, nearby, second):
-    none = np.uint32(0xFFFFFFFF)
-    for column in range(np.uint64(sums.shape[1])):
-        first, last = np.int32(k_first[row, column] - k_0), np.int32(k_last[row, column] - k_0)
-        least = none
-        for k in range(np.uint64(sums.shape[2])):
-            number = np.int32(k)
-            key = np.uint32(np.uint32(sums[slot, column, k]) << np.uint32(16)) | np.uint32(k)
-            key = key if (number >= first) & (number <= last) else none
-            least = min(least, key)
-        if least == none:
+def _complete(paths, laps, half_sums, row, sums, slot, k_0, k_first, k_last, best, nearby, second):
+    """The sums of all path costs of a pixel row, to a row of `sums`, and the best labels; pixel by pixel, while its
+    sums are at hand.
+    """
+    width, labels, one, none = np.uint64(sums.shape[1]), np.uint64(sums.shape[2]), np.uint64(1), np.uint16(0xFFFF)
+    for column in range(width):
+        for k in range(labels):
+            at = k + one
+            around = np.uint16(np.uint16(laps[0, column, at]) + np.uint16(laps[1, column, at]))
+            others = np.uint16(np.uint16(paths[0, column, at]) + np.uint16(half_sums[row, column, k]))
+            sums[slot, column, k] = np.uint16(around + others)
+        for path in range(one, np.uint64(paths.shape[0])):
+            for k in range(labels):
+                sums[slot, column, k] = np.uint16(sums[slot, column, k] + paths[path, column, k + one])
+        if k_last[row, column] < k_first[row, column]:
             best[row, column] = -1
             continue
-        middle = np.int32(least & np.uint32(0xFFFF))
-        best[row, column] = middle
+        # Labels are searched where label - first, below 0 a large number, is at most this.
+        first = np.uint16(k_first[row, column] - k_0)
+        most = np.uint16(k_last[row, column] - k_first[row, column])
+        least = none
+        for k in range(labels):
+            value = sums[slot, column, k] if np.uint16(np.uint16(k) - first) <= most else none
+            least = min(least, value)
+        middle = none
+        for k in range(labels):
+            is_least = (np.uint16(np.uint16(k) - first) <= most) & (sums[slot, column, k] == least)
+            middle = min(middle, np.uint16(k) if is_least else none)
+        other, before = none, np.uint16(middle - np.uint16(1))
+        for k in range(labels):
+            far = (np.uint16(np.uint16(k) - first) <= most) & (np.uint16(np.uint16(k) - before) > np.uint16(2))
+            other = min(other, sums[slot, column, k] if far else none)
+        best[row, column] = np.int32(middle)
         for i in range(3):
-            nearby[row, column, i] = sums[slot, column, middle - 1 + i]
-        other = np.uint16(0xFFFF)
-        for k in range(np.uint64(sums.shape[2])):
-            number = np.int32(k)
-            value = sums[slot, column, k]
-            far = (number >= first) & (number <= last) & (abs(number - middle) > 1)
-            value = value if far else np.uint16(0xFFFF)
-            other = min(other, value)
+            nearby[row, column, i] = sums[slot, column, np.uint64(before) + np.uint64(i)]
         second[row, column] = other
 
 
@@ -380,13 +392,15 @@ def _choose(sums, slot, row, k_0, k_first, k_last, best, nearby, second):
 
 
 @kernel
-def valid_in_both(codes_1, codes_2, around, along, margin, samples, valid_1, valid_2):
-    """Whether view 1 sees the pixel, and view 2 the sample that many columns on; all arrays `[height, width]`."""
-    for row in range(around.shape[0]):
-        for column in range(around.shape[1]):
-            b, a = around[row, column], along[row, column] + margin
-            valid_1[row, column] = codes_1[b, a] < ABSENT
-            valid_2[row, column] = codes_2[b, a + samples[row, column]] < ABSENT
+def valid_in_both(codes_1, codes_2, around, along, margin, samples, first, end, valid_1, valid_2):
+    """Whether view 1 sees the pixel, and view 2 the sample that many columns on; all arrays `[height, width]`, of which
+    rows first .. end are worked out.
+    """
+    for row in range(np.uint64(first), np.uint64(end)):
+        for column in range(np.uint64(around.shape[1])):
+            b, a = np.uint64(around[row, column]), np.int64(along[row, column]) + margin
+            valid_1[row, column] = codes_1[b, np.uint64(a)] < ABSENT
+            valid_2[row, column] = codes_2[b, np.uint64(a + samples[row, column])] < ABSENT
 
 
 @kernel
@@ -398,18 +412,18 @@ def consistent(around, along, samples, cost, tolerance, rows, columns, is_best):
     Among equals the one with more samples wins: it is nearer. is_best : written, `[height, width]`; False where the
     better match is more than `tolerance` samples from the pixel's.
     """
-    height, width = around.shape
+    height, width = np.uint64(around.shape[0]), np.uint64(around.shape[1])
     least = np.full((rows, columns), np.int64(1) << 62)
     for row in range(height):
         for column in range(width):
             k = samples[row, column]
             if k >= 0:
-                b, a = around[row, column], along[row, column] + k
+                b, a = np.uint64(around[row, column]), np.uint64(along[row, column] + k)
                 least[b, a] = min(least[b, a], (np.int64(cost[row, column]) << 16) - k)
     for row in range(height):
         for column in range(width):
             k = samples[row, column]
             if k >= 0:
-                key = least[around[row, column], along[row, column] + k]
+                key = least[np.uint64(around[row, column]), np.uint64(along[row, column] + k)]
                 winner = -key & 0xFFFF
                 is_best[row, column] = abs(winner - k) <= tolerance

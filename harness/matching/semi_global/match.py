@@ -359,7 +359,11 @@ def search(views: tuple[View, View], geometry: Geometry, matcher: SemiGlobal, th
         best, nearby, second = aggregate_in_bands(compare, shape, interval, rules, threads)
     valid_1, valid_2 = np.empty((2, *curves.grid.shape), dtype=bool)
     ahead = np.maximum(best, 0) + geometry.k_0
-    kernels.valid_in_both(codes[0], codes[1], geometry.around, geometry.along, margin, ahead, valid_1, valid_2)
+
+    def look(first: int, end: int) -> None:
+        kernels.valid_in_both(*codes, geometry.around, geometry.along, margin, ahead, first, end, valid_1, valid_2)
+
+    in_bands(look, shape[0], threads, threads)
     return SearchResult(best, nearby, second, valid_1, valid_2)
 
 
