@@ -3,7 +3,19 @@
 import numpy as np
 
 from harness.compiled import kernel
-from harness.matching._vector_kernels import LANES, absolute, bits_set, doubles, load, singles, store, zeros
+from harness.matching._vector_kernels import (
+    LANES,
+    absolute,
+    bits_set,
+    doubles,
+    load,
+    load_four,
+    numbers,
+    singles,
+    store,
+    times,
+    zeros,
+)
 
 RNG = np.random.default_rng(7)
 INTEGERS = RNG.integers(-(2**31), 2**31, (4, 30), dtype=np.int64).astype(np.int32)
@@ -35,6 +47,14 @@ def _of_integers(a, b, row, column, bits, out):
 @kernel
 def _in_doubles(a, b, row, column, out):
     store(out, (column,), doubles(load(a, (row, column))) * doubles(load(b, (row, column))))
+
+
+@kernel
+def _four(a, row, column, factor, out):
+    four = times(factor, doubles(load_four(a, (row, column))))
+    first, second, third, last = numbers(four)
+    out[0], out[1], out[2], out[3] = last, third, second, first
+    store(out, (4,), four)
 
 
 def _around(column: int) -> tuple[slice, list[int]]:
@@ -74,3 +94,10 @@ def test_products_in_double_precision_are_exact():
     vector, beside = _around(22)
     np.testing.assert_array_equal(out[vector], SINGLES[3, vector].astype(float) * SINGLES[0, vector].astype(float))
     assert (out[beside] == -3).all()
+
+
+def test_vectors_of_four_come_apart_in_order():
+    out = np.full(10, -3.0)
+    _four(SINGLES, 1, SINGLES.shape[1] - 4, 0.1, out)
+    expected = 0.1 * SINGLES[1, -4:].astype(float)
+    np.testing.assert_array_equal(out, [*expected[::-1], *expected, -3, -3])

@@ -1,4 +1,4 @@
-"""Vectors of eight numbers, for compiled loops that are too short for the compiler to make vectors of by itself.
+"""Vectors of eight numbers, or four, for compiled loops that are too short for the compiler to make vectors of.
 
 `total += absolute(load(first, (i, j)) - load(second, (k, l)))` is in machine code what it says, eight columns at a
 time, whatever the processor's own vectors hold. A loop of as many turns would become scalar code, or look through its
@@ -23,46 +23,59 @@ LANES = 8
 
 
 class Vector(types.Type):
-    """The type of eight numbers of one kind."""
+    """The type of eight numbers of one kind, or of another count."""
 
-    def __init__(self, dtype):
-        self.dtype = dtype
-        super().__init__(name=f"Vector({dtype} x {LANES})")
+    def __init__(self, dtype, lanes=LANES):
+        self.dtype, self.lanes = dtype, lanes
+        super().__init__(name=f"Vector({dtype} x {lanes})")
 
 
 @register_model(Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, ir.VectorType(dmm.lookup(fe_type.dtype).get_value_type(), LANES))
+        super().__init__(dmm, fe_type, ir.VectorType(dmm.lookup(fe_type.dtype).get_value_type(), fe_type.lanes))
 
 
 # -- Between arrays and vectors ----------------------------------------------------------------------------------------
 
 
-def _pointer(context, builder, array, value, place):
+def _pointer(context, builder, array, values, vector):
     """Where a vector is in an array; not farther aligned than one number is."""
+    value, place = values
     indices = unpack_tuple(builder, place)
     pointer = get_item_pointer(context, builder, array, context.make_array(array)(context, builder, value), indices)
-    return builder.bitcast(pointer, context.get_value_type(Vector(array.dtype)).as_pointer())
+    return builder.bitcast(pointer, context.get_value_type(vector).as_pointer())
+
+
+def _loaded(array, place, lanes):
+    """The signature and the code of a load."""
+    vector = Vector(array.dtype, lanes)
+
+    def code(context, builder, signature_, values):
+        pointer = _pointer(context, builder, signature_.args[0], values, vector)
+        return builder.load(pointer, align=array.dtype.bitwidth // 8)
+
+    return vector(array, place), code
 
 
 @_function
 def load(_, array, place):
     """Eight numbers of an array from a place on, along its last axis. Nothing checks that the array has so many."""
+    return _loaded(array, place, LANES)
 
-    def code(context, builder, signature_, values):
-        pointer = _pointer(context, builder, signature_.args[0], *values)
-        return builder.load(pointer, align=array.dtype.bitwidth // 8)
 
-    return Vector(array.dtype)(array, place), code
+@_function
+def load_four(_, array, place):
+    """Four numbers; see `load`."""
+    return _loaded(array, place, 4)
 
 
 @_function
 def store(_, array, place, vector):
-    """Write eight numbers to an array; see `load`."""
+    """Write a vector to an array; see `load`."""
 
     def code(context, builder, signature_, values):
-        pointer = _pointer(context, builder, signature_.args[0], *values[:2])
+        pointer = _pointer(context, builder, signature_.args[0], values[:2], vector)
         builder.store(values[2], pointer, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -77,6 +90,17 @@ def zeros(_, dtype):
         return ir.Constant(context.get_value_type(signature_.return_type), None)
 
     return Vector(dtype.dtype)(dtype), code
+
+
+@_function
+def numbers(_, vector):
+    """The numbers of a vector one by one, as a tuple."""
+
+    def code(context, builder, signature_, values):
+        each = [builder.extract_element(values[0], ir.IntType(32)(i)) for i in range(vector.lanes)]
+        return context.make_tuple(builder, signature_.return_type, each)
+
+    return types.UniTuple(vector.dtype, vector.lanes)(vector), code
 
 
 # -- Arithmetic --------------------------------------------------------------------------------------------------------
@@ -114,8 +138,25 @@ def _of_llvm(name, context, builder, vector, value):
     """LLVM's own function of this name, such as `fabs`."""
     kind = context.get_value_type(vector)
     suffix = f"{'f' if isinstance(vector.dtype, types.Float) else 'i'}{vector.dtype.bitwidth}"
-    function = get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.v{LANES}{suffix}")
+    function = get_or_insert_function(
+        builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.v{vector.lanes}{suffix}"
+    )
     return builder.call(function, [value])
+
+
+@_function
+def times(_, number, vector):
+    """A vector of floating-point numbers, each multiplied by a number, which has to be of their kind."""
+    if number != vector.dtype:  # numba would round it to theirs
+        return None
+
+    def code(context, builder, _, values):
+        kind, zero = context.get_value_type(vector), ir.IntType(32)(0)
+        one = builder.insert_element(ir.Constant(kind, ir.Undefined), values[0], zero)
+        all_ = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), None)
+        return builder.fmul(builder.shuffle_vector(one, one, all_), values[1])
+
+    return vector(vector.dtype, vector), code
 
 
 @_function
@@ -145,7 +186,7 @@ def doubles(_, vector):
     def code(context, builder, signature_, values):
         return builder.fpext(values[0], context.get_value_type(signature_.return_type))
 
-    return Vector(types.float64)(vector), code
+    return Vector(types.float64, vector.lanes)(vector), code
 
 
 @_function
@@ -155,4 +196,4 @@ def singles(_, vector):
     def code(context, builder, signature_, values):
         return builder.sitofp(values[0], context.get_value_type(signature_.return_type))
 
-    return Vector(types.float32)(vector), code
+    return Vector(types.float32, vector.lanes)(vector), code

@@ -10,6 +10,7 @@ from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
 from harness.camera._spline_kernels import cubic_slopes, cubic_weights
 from harness.compiled import kernel
+from harness.matching._vector_kernels import doubles, load_four, numbers, times
 
 SAMPLES = 968
 """Room for samples: those of the largest patch, 31² pixels, and no power of two, which would crowd the cache."""
@@ -68,15 +69,10 @@ def project_samples(table, n, s, camera):
 @kernel(inline=True)
 def column_sums(coefficients, i, j, w0, w1, w2, w3):
     """Weighted sums down four columns of coefficients, from row i - 1 and column j - 1 on."""
-    h, k = i - 1, j - 1
-    return (
-        w0 * coefficients[h, k] + w1 * coefficients[i, k] + w2 * coefficients[i + 1, k] + w3 * coefficients[i + 2, k],
-        w0 * coefficients[h, j] + w1 * coefficients[i, j] + w2 * coefficients[i + 1, j] + w3 * coefficients[i + 2, j],
-        w0 * coefficients[h, j + 1] + w1 * coefficients[i, j + 1] + w2 * coefficients[i + 1, j + 1]
-        + w3 * coefficients[i + 2, j + 1],
-        w0 * coefficients[h, j + 2] + w1 * coefficients[i, j + 2] + w2 * coefficients[i + 1, j + 2]
-        + w3 * coefficients[i + 2, j + 2],
-    )  # fmt: skip
+    k = j - 1
+    above, own = doubles(load_four(coefficients, (i - 1, k))), doubles(load_four(coefficients, (i, k)))
+    below, last = doubles(load_four(coefficients, (i + 1, k))), doubles(load_four(coefficients, (i + 2, k)))
+    return numbers(times(w0, above) + times(w1, own) + times(w2, below) + times(w3, last))
 
 
 @kernel(inline=True)
