@@ -12,7 +12,15 @@ from harness.camera.fill import nearest_known
 from harness.camera.intrinsics import Camera
 from harness.camera.sensor import Sensor, pixel_directions, project
 from harness.geometry.angles import angle_between, normalise
-from harness.motion.direct import _equations, _State, fit_direct, noise_through_spline
+from harness.motion.direct import (
+    _equations,
+    _reduced,
+    _ridge,
+    _signal_share,
+    _State,
+    fit_direct,
+    noise_through_spline,
+)
 from harness.motion.residuals import Turn
 from harness.motion.sparse import Fit, fit, moved, tangents
 from harness.motion.tiles import SIDE_PX, best_planes, first_planes, inverse_ranges, lay_tiles, planes_beside, views
@@ -203,6 +211,27 @@ def test_tiles_are_where_view_1_sees_and_there_is_contrast():
     assert len(lay_tiles(flat)) == 0
     result, pairs = start()
     assert fit_direct((np.full_like(pair()[0], 100), pair()[1]), (SENSOR, SENSOR), result, pairs) is None
+
+
+@pytest.mark.slow
+def test_the_share_of_signal_is_that_of_exact_images():
+    """Traces of a tile's equations, exact over noisy, in the metric of all of them together."""
+    noise = 2.0
+    result, pairs = start()
+    exact = fit_direct(pair(), (SENSOR, SENSOR), result, pairs)
+    held, tiles = np.vstack(tangents(TURN, "free")), exact.tiles
+    reduced = []
+    for images in (pair(), noisy(noise, 1)):
+        given = views(images, (SENSOR, SENSOR))
+        equations = _equations(given, tiles, _State(TURN, exact.planes, np.ones(len(tiles)), np.zeros(len(tiles))))
+        reduced.append(_reduced(equations.H, held, _ridge(given, tiles, equations.H)))
+    metric = np.linalg.inv(reduced[1].H.sum(axis=0))
+    signal, whole = (np.einsum("ij,tij->t", metric, each.H) for each in reduced)
+    share = _signal_share(reduced[1], held, noise**2 * equations.N)
+    # Over the sum of tiles, where the noise of single ones averages out.
+    assert 0.3 < signal.sum() / whole.sum() < 0.95
+    assert np.sum(share * whole) / whole.sum() == pytest.approx(signal.sum() / whole.sum(), abs=0.03)
+    assert np.corrcoef(share, signal / whole)[0, 1] > 0.8
 
 
 # --- The motion -----------------------------------------------------------------------------------------------------

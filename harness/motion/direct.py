@@ -4,7 +4,8 @@ The cost is the sum over tiles of `(I_1(x) - a I_2(R (x - (m·x) t)) - b)²`, we
 tile. The five unknowns of a tile (m, a, b) are eliminated (Schur complement), which leaves the five of the motion.
 
 View 2's gradient contains noise. It scatters the motion, most where gradients run along the epipolar curves and leave
-little for the motion: noisy images are smoothed, the noisier the more. And the sum of its squares exceeds the signal's:
+little for the motion: noisy images are smoothed, the noisier the more, and tiles are weighted by their share of signal
+as well. And the sum of its squares exceeds the signal's:
 steps are slightly too short, and a covariance from that sum is too small. The sandwich estimator subtracts the gradient
 noise: the covariance is `B^-1 (sum w² g g^T) B^-1`, with
 `B = sum w (H - sigma² kappa N)`, reduced, and the tiles' reduced scores g.
@@ -40,14 +41,17 @@ from harness.motion.tiles import (
 
 BLURS_PX = (0.5, 0.7, 1.0)
 NOISY = 0.1
-"""Share of noise in the squared gradients above which smoothed images are tried as well."""
-STILL_NOISY = 0.2
-"""Share of noise above which smoothed images are smoothed more: a smaller share costs less than lost texture."""
+"""Share of noise in the squared gradients above which images are smoothed."""
+STILL_NOISY = 0.3
+"""Share of noise above which smoothed images are smoothed more: a smaller share costs less than lost texture. The
+share decides, not the covariances, whose least is the one that is too small by chance."""
 _START_ITERATIONS = 3
 _ITERATIONS = 8
 _CORRELATION = 0.5
 """Least correlation of the two views on a tile."""
 _LEAST_TILES = 10
+_LEAST_SHARE = 0.05
+"""Least share of signal in a tile's equations: it is a difference of noisy numbers."""
 _FLOOR = 0.05
 """Variance of rounding and interpolation, grey levels squared, added to that of every tile."""
 
@@ -131,8 +135,7 @@ def fit_direct(
         count = len(fitted.tiles)
         begin = _State(fitted.turn, fitted.planes, np.ones(count), np.zeros(count))
         fitted = _adjusted(views(images, sensors, blur_px), fitted.tiles, begin, freedom)
-        if fitted is not None and np.trace(fitted.covariance) < np.trace(best.covariance):
-            best = fitted
+        best = fitted or best
     return best
 
 
@@ -244,14 +247,15 @@ def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Fr
         basis = np.vstack([turns, steps])
         reduced = _reduced(equations.H, basis, _ridge(given, tiles, equations.H))
         score = equations.g[:, :6] @ basis - np.einsum("tik,ti->tk", reduced.carried, equations.g[:, 6:])
-        weight = 1 / (equations.residual + _FLOOR)
+        variance = _noise_variance(equations, state.gain, given.blur_px)[:, None, None]
+        share = _signal_share(reduced, basis, variance * equations.N)
+        weight = 2 * share / (1 + share) / (equations.residual + _FLOOR)
         if iteration == _ITERATIONS:
             break
         motion = np.linalg.solve(np.einsum("t,tij->ij", weight, reduced.H), weight @ score)
         left = equations.g[:, 6:] - reduced.mixed.transpose(0, 2, 1) @ motion
         state.turn = moved(state.turn, turns @ motion, steps @ motion)
         _step(state, np.asarray(np.linalg.solve(reduced.inner, left[..., None])[..., 0]))
-    variance = _noise_variance(equations, state.gain, given.blur_px)[:, None, None]
     clean = _reduced(equations.H - variance * equations.N, basis, _ridge(given, tiles, equations.H))
     inverse = np.linalg.inv(np.einsum("t,tij->ij", weight, clean.H))
     weighted = weight[:, None] * score
@@ -265,6 +269,26 @@ def _adjusted(given: Views, tiles: NDArray[np.int64], state: _State, freedom: Fr
         noise_share=float(np.median(noise)),
         blur_px=given.blur_px,
     )
+
+
+def _signal_share(reduced: "_Reduced", basis: Array, noise: Array) -> Array:
+    """The share `[T]` of the signal in what tiles tell of the motion, where the rest is noise of gradients.
+
+    Tiles with gradients along the epipolar curves tell little, and that of noise. With H = A + N, of signal and noise,
+    the variance of a score is in proportion to 2 A + N, since the product of two noises has half the variance of what
+    they add to the squares: the best weight A/(2 A + N) is share/(1 + share).
+
+    Parameters
+    ----------
+    noise
+        `[T, 11, 11]`, what noise adds to H.
+    """
+    k = basis.shape[1]
+    onto = np.concatenate([np.broadcast_to(basis, (len(noise), *basis.shape)), -reduced.carried], axis=1)
+    metric = np.linalg.inv(reduced.H.sum(axis=0) + 1e-12 * np.trace(reduced.H.sum(axis=0)) * np.eye(k))
+    of_noise = np.einsum("ij,tmi,tmn,tnj->t", metric, onto, noise, onto, optimize=True)
+    whole = np.einsum("ij,tij->t", metric, reduced.H)
+    return np.clip(1 - of_noise / np.maximum(whole, 1e-300), _LEAST_SHARE, 1.0)
 
 
 @dataclass(frozen=True)
