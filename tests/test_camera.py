@@ -14,7 +14,7 @@ from harness.camera.lens import Lens, fold_radius
 from harness.camera.models.hyperboloid import Mirror, point_on_mirror, rim_radius
 from harness.camera.sensor import Sensor, in_field, on_image, pixel_directions, project, rays_of, unproject
 from harness.errors import InputError
-from harness.geometry.angles import angle_between, cylinder_point, normalise, wrap_angle
+from harness.geometry.angles import angle_between, cylinder_point, lengths, normalise, wrap_angle
 from harness.io.calibrations.sensors import load_sensor
 from harness.spec import dump_toml, parse
 
@@ -361,3 +361,11 @@ class TestAngles:
 def test_a_principal_point_beside_the_image_is_refused():
     with pytest.raises(ValueError, match=r"cx_px = 319\.5 is not on an image of 160 pixels; 'centre' is .*79\.5"):
         Camera(width_px=160, height_px=480)
+
+
+def test_lengths_are_those_of_numpy_to_the_last_bit_in_any_layout():
+    rng = np.random.default_rng(3)
+    vectors = rng.standard_normal((40, 50, 3)) * 10.0 ** rng.integers(-8, 9, (40, 50, 3))
+    vectors[0, :3] = [[0, 0, 0], [np.nan, 1, 2], [np.inf, 1, 2]]
+    for each in (vectors, np.asfortranarray(vectors), vectors[::3, ::-2], vectors[5, 7]):
+        np.testing.assert_array_equal(lengths(each), np.linalg.norm(each, axis=-1))

@@ -28,7 +28,7 @@ from harness.camera.mount import Looks, Mount, camera_from_sensor, edge_of
 from harness.camera.profile import AnyProfile, Profile
 from harness.errors import InputError, with_article
 from harness.files import path_of
-from harness.geometry.angles import Array
+from harness.geometry.angles import Array, lengths
 from harness.renamed import Renaming, give_notice
 from harness.spec import Spec, as_given, given_of, parse, remember
 
@@ -274,7 +274,7 @@ def in_field(sensor: Sensor, directions: ArrayLike) -> np.ndarray:
     directions = np.asarray(directions, dtype=np.float64)
     field = field_of(sensor)
     with np.errstate(invalid="ignore", divide="ignore"):
-        norm = np.linalg.norm(directions, axis=-1)
+        norm = lengths(directions)
         sine = _along(directions, field.up_x, field.up_y, field.up_z) / norm
         inside = (sine >= field.lowest) & (sine <= field.highest)
         if field.nearest > -1:
