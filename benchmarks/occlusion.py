@@ -1,11 +1,11 @@
 """How slanted windows, semi-global matching and OpenCV's StereoSGBM do where objects hide each other.
 
 On the shipped scenes and on random rooms, without noise and with noise of 10 grey levels. Each line has, over the
-pixels that both views see at least 30 degrees from the baseline: density, median error, the share above 1 px (bad-1),
-the shares above 1, 2 and 3 predicted standard deviations, and how many of the pixels without texture are matched
-(blank). Over all pixels that far from the baseline whose point lies in view 2's field, `hidden` is the precision and
-recall of "view 2 does not see this". Of StereoSGBM the line is that of the setting, of the best ones of
-`experiments/peers.toml`, with the lowest bad-1 on the pair itself.
+pixels that both views see at least 30 degrees from the baseline: density, how much of them can be matched at all (see
+`possible`), median error, the share above 1 px (bad-1), the shares above 1, 2 and 3 predicted standard deviations, and
+how many of the pixels without texture are matched (blank). Over all pixels that far from the baseline whose point lies
+in view 2's field, `hidden` is the precision and recall of "view 2 does not see this". Of StereoSGBM the line is that of
+the setting, of the best ones of `experiments/peers.toml`, with the lowest bad-1 on the pair itself.
 
     pip install 'omnirange[peers]'
     python benchmarks/occlusion.py [--unseen] [--only NAME] [--ours]
@@ -23,6 +23,7 @@ from matching import BEST_OF_PEERS
 from harness.datasets.rigs import draw_poses
 from harness.datasets.rooms import draw_room
 from harness.datasets.specification import DatasetSpec, Furniture, Rig, Surfaces
+from harness.geometry.panorama import directions
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.semi_global.match import SemiGlobal
 from harness.matching.slanted.settings import Slanted
@@ -43,6 +44,9 @@ ROOMS = {
 TUNED, UNSEEN = (0, 1), (10, 11, 12)
 """Numbers of the rooms of each kind."""
 NOISE = (0.0, 10.0)
+EDGE_ON = 0.05
+"""A pixel that view 2 sees on less than this part of its area is seen edge-on. In the room that is 1e-4 or 0.3 and
+more: two pillars have sides in whose planes viewpoint 2 lies, to 0.01 degrees."""
 
 
 def trials(*, unseen: bool) -> Iterator[tuple[str, Trial]]:
@@ -87,6 +91,7 @@ def figures(outcome: Outcome, matches: Matches) -> dict[str, float]:
     hidden, said = looked_at & ~truth.unoccluded, looked_at & (matches.reasons == Reason.OCCLUDED)
     return {
         "density": float(matched.mean()),
+        "possible": float(possible(outcome)[expected.domain].mean()),
         "median": float(np.median(off)),
         "bad_1": float(np.mean(off > 1)),
         **{f"z{k}": float(np.mean(z > k)) for k in (1, 2, 3)},
@@ -97,19 +102,34 @@ def figures(outcome: Outcome, matches: Matches) -> dict[str, float]:
     }
 
 
+def possible(outcome: Outcome) -> np.ndarray:
+    """Pixels that a matcher can match: with texture, no nearer than the search, and not seen edge-on by view 2.
+
+    The solid angle of a piece of surface is its area times the cosine of its slant over its distance squared.
+    """
+    truth, trial, t = outcome.truth, outcome.trial, outcome.pair.t_v1
+    x, normal = directions(outcome.pair.grid), truth.normal @ trial.poses[0].R_world_from_view
+    from_2 = x * truth.range_m[..., None] - t
+    range_2 = np.linalg.norm(from_2, axis=-1)
+    slant_1, slant_2 = np.sum(normal * x, axis=-1), np.sum(normal * from_2, axis=-1) / range_2
+    area = (slant_2 / range_2**2) / (slant_1 / truth.range_m**2)
+    return (area >= EDGE_ON) & (truth.range_m >= trial.matching.d_min_m) & ~truth.textureless
+
+
 def share(part: np.ndarray, whole: np.ndarray) -> float:
     """How much of the whole is part of it; NaN where there is none."""
     return float(np.count_nonzero(part) / np.count_nonzero(whole)) if whole.any() else math.nan
 
 
 HEADING = (
-    f"{'':32} {'density':>8} {'median':>7} {'bad-1':>7} {'z>1':>6} {'z>2':>6} {'z>3':>6} {'blank':>12} {'hidden':>12}"
+    f"{'':32} {'density':>8} {'of':>6} {'median':>7} {'bad-1':>7}"
+    f" {'z>1':>6} {'z>2':>6} {'z>3':>6} {'blank':>12} {'hidden':>12}"
 )
 
 
 def line(name: str, f: dict[str, float]) -> str:
     return (
-        f"{name:32} {100 * f['density']:8.2f} {f['median']:7.4f} {100 * f['bad_1']:7.3f}"
+        f"{name:32} {100 * f['density']:8.2f} {100 * f['possible']:6.1f} {f['median']:7.4f} {100 * f['bad_1']:7.3f}"
         + "".join(f" {100 * f[f'z{k}']:6.2f}" for k in (1, 2, 3))
         + f" {100 * f['blank']:5.0f} /{100 * f['blank_share']:4.1f}"
         + f" {100 * f['precision']:5.0f} {100 * f['recall']:5.0f}"

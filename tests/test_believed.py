@@ -112,7 +112,7 @@ def test_the_odometrys_errors_grow_with_the_motion_and_leave_the_constant_draws_
 
 
 def test_a_trial_without_odometry_keeps_its_key():
-    assert trial("believed.sigma.rotation_deg=0.5").key == "6336c179a495902d"
+    assert trial("believed.sigma.rotation_deg=0.5").key == "142960a24b635bef"
     assert trial("believed.sigma.odometry.along=0.01").key != trial().key
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from harness.matching.slanted import _doubt_kernels as _kernels
-from harness.matching.slanted.doubt import Surroundings, factor, unlike
+from harness.matching.slanted.doubt import Surroundings, factor, factor_by_start, unlike
+from harness.matching.slanted.sigma import doubted
 
 
 def field(shape=(40, 50), seed=1):
@@ -94,6 +95,19 @@ def test_what_makes_doubt():
     assert factor(one_pixel(near=0.1), INDEX, own)[0] > 3 * usual
     assert factor(one_pixel(), INDEX, INDEX[::-1])[0] == pytest.approx(2 * usual)
     assert factor(one_pixel(near=0.0), INDEX, own)[0] == np.inf  # a blank place
+
+
+def test_a_match_is_doubted_as_far_as_it_has_left_the_start():
+    from_start = np.array([0.0, 0.1, 0.5, 1.0, 5.0, 50.0, 500.0, np.nan])
+    doubt = factor_by_start(from_start, np.ones(8, bool))
+    assert doubt[:-1] == pytest.approx(np.clip(from_start[:-1], 0.25, 10.0) / 0.6)
+    assert doubt[3] < doubt[-1] < doubt[4]  # without a start, as a few pixels away from one
+    # Where the views have nothing in common, what has stayed at the start is doubted no less for it.
+    assert factor_by_start(from_start, np.zeros(8, bool)) == pytest.approx(np.maximum(doubt, 1.0))
+
+
+def test_doubt_makes_standard_deviations_larger_and_its_lack_none_smaller():
+    assert doubted(np.full(4, 0.1), np.array([0.3, 1.0, 32.0, np.inf])) == pytest.approx([0.1, 0.1, 0.2, np.inf])
 
 
 def test_nothing_known_is_no_certainty():

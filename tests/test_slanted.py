@@ -17,9 +17,9 @@ from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
 from harness.matching.slanted import _fit_kernels, _median_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.matching.slanted.field import Part, warp_between
+from harness.matching.slanted.field import Part, Step, steps_back, steps_forth, warp_between
 from harness.matching.slanted.refine import Slanted, refine_slanted
-from harness.matching.slanted.sigma import centre_of_spline, smoothed_noise
+from harness.matching.slanted.sigma import density_at_0, smoothed_noise
 
 SENSOR = Sensor(
     camera=Camera(width_px=220, height_px=220, focal_px=560.0, cx_px=109.5, cy_px=109.5),
@@ -414,24 +414,38 @@ def bound_px(there):
     return np.sqrt(2 / total[row, column]) * rate / GRID.phi_pitch
 
 
-def test_centres_of_splines():
-    # Cubic: 2/3; quintic: 11/20 (Schoenberg).
-    assert [centre_of_spline(m) for m in (2, 3, 4, 6)] == pytest.approx([1, 3 / 4, 2 / 3, 11 / 20], abs=1e-14)
+def test_densities_of_sums():
+    # Of equal sides, centres of B-splines: cubic 2/3, quintic 11/20 (Schoenberg).
+    assert [density_at_0({1.0: m}) for m in (2, 3, 4, 6)] == pytest.approx([1, 3 / 4, 2 / 3, 11 / 20], abs=1e-14)
+    # Of two sides: the lower of the two densities.
+    assert density_at_0({0.25: 1, 2.0: 1}) == pytest.approx(0.5, abs=1e-14)
+    # A triangle of sides 1/2 over a side of 1: all of it is under the density 1.
+    assert density_at_0({0.5: 2, 1.0: 1}) == pytest.approx(1, abs=1e-14)
 
 
 @pytest.mark.parametrize("f", [0.2, 0.6, 0.9])
-def test_noise_that_steps_leave(f):
+@pytest.mark.parametrize("narrow", [0, 3])
+def test_noise_that_steps_leave(f, narrow):
     """The recursion itself, on an impulse of noise; every window's plane is the mean of its noise."""
     impulse = np.zeros((321, 321))
     impulse[160, 160] = 1
-    plane = ndimage.uniform_filter(impulse, 17)
-    field = np.zeros_like(plane)
-    for step in range(8):
-        part = f if step >= 6 else f * f
-        field = (1 - part) / (1 - f) * plane + part * ndimage.uniform_filter(field, 17)
-    # Windows of 17 samples for a continuum: 1/17², a few times over.
+    steps = steps_forth(Slanted(narrow_iterations=narrow, sharp_iterations=2))
+    field = np.zeros_like(impulse)
+    for step in steps:
+        part = f if step.sharp else f * f
+        plane, before = (ndimage.uniform_filter(each, step.window_px) for each in (impulse, field))
+        field = (1 - part) / (1 - f) * plane + part * before
+    # Windows of 11 and 17 samples for a continuum: 1/11², a few times over.
     expected = np.sum(field**2) / np.sum(plane**2)
-    assert np.polynomial.polynomial.polyval(f, smoothed_noise(8, 2)) == pytest.approx(expected, rel=0.01)
+    assert np.polynomial.polynomial.polyval(f, smoothed_noise(steps)) == pytest.approx(expected, rel=0.015)
+
+
+def test_the_last_steps_are_sharp_and_wide_whatever_their_number():
+    far, narrow, sharp = Step(17, sharp=False), Step(11, sharp=False), Step(17, sharp=True)
+    assert steps_forth(Slanted()) == (*[narrow] * 3, *[far] * 2, *[sharp] * 3)
+    assert steps_forth(Slanted(iterations=4)) == (narrow, *[sharp] * 3)
+    assert steps_forth(Slanted(iterations=1)) == (sharp,)
+    assert steps_back(Slanted(window_px=5)) == (Step(5, sharp=False), Step(5, sharp=True))
 
 
 def test_noise_of_interpolation():

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from harness.camera.fill import last_known
 from harness.geometry.angles import Array, normalise
@@ -11,6 +12,9 @@ from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.matching.interface import Reason
 from harness.matching.slanted.field import Field, Mask, Part, read_planes
+
+_MISSING_SQUARE_PX, _MISSING_SHARE = 7, 0.05
+"""A hidden pixel has this share of the pixels of such a square without a start (three of them)."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +43,15 @@ def seen_back(x: Array, w: Array, reverse: Reverse) -> tuple[Array, Array]:
 
 
 def tell_occluded(
-    reasons: NDArray[np.uint8], w: Array, unlike: Mask, reverse: Reverse, grid: Grid, apart: float
+    reasons: NDArray[np.uint8], w: Array, unlike: Mask, start: Array, reverse: Reverse, grid: Grid, apart: float
 ) -> None:
     """Mark pixels without a match that view 2 cannot see.
 
     What a hidden pixel shows goes on from the matched pixels around, and is the farthest of what they show: the nearer
     surface is the one that hides it. It is hidden if view 2 sees something nearer where that would be, by more than
-    `apart`, and if nothing that was found in view 2 is like it. Without the latter, pixels at the edge of the nearer
-    surface, and in blank places, would be said to be hidden.
+    `apart`, if nothing that was found in view 2 is like it, and if the start lacks pixels around: view 2 matched theirs
+    with others. Without the last two, pixels at the edge of the nearer surface, and in blank places, would be said to
+    be hidden.
 
     Parameters
     ----------
@@ -56,8 +61,12 @@ def tell_occluded(
         Inverse ranges, right where there is a match.
     unlike
         Pixels whose surroundings no plane explains.
+    start
+        NaN where there was none.
     """
-    row, column = np.nonzero(((reasons == Reason.NO_MATCH) | (reasons == Reason.INCONSISTENT)) & unlike)
+    missing = ndimage.uniform_filter(np.isnan(start).astype(float), _MISSING_SQUARE_PX, mode=("nearest", "wrap"))
+    without = (reasons == Reason.NO_MATCH) | (reasons == Reason.INCONSISTENT)
+    row, column = np.nonzero(without & unlike & (missing > _MISSING_SHARE))
     behind = farthest_beside(np.where(reasons == Reason.MATCHED, w, np.nan))[row, column]
     _, nearer = seen_back(directions(grid)[row, column], behind, reverse)
     with np.errstate(invalid="ignore"):

@@ -2,9 +2,10 @@
 
 The standard deviation of a fit says how far noise moves the plane that its window shows. It knows nothing of a window
 that lies across a crease or a border, on texture beside a blank place, or on nothing that the two views have in common.
-Three things tell. The planes of the windows around differ, which bounds the standard deviation from below. Pixels near
-by remain unexplained. And what the plane was fitted to lies elsewhere. The last two are no errors by themselves; they
-make a large one likelier, so that such a match is held to a narrower limit: see `factor`.
+Four things tell. The planes of the windows around differ, which bounds the standard deviation from below. Pixels near
+by remain unexplained. What the plane was fitted to lies elsewhere. And it has left the start, which semi-global
+matching found in another way. The last three are no errors by themselves; they make a large one likelier, so that such
+a match is held to a narrower limit: see `factor` and `factor_by_start`.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -27,6 +28,13 @@ _BY_TEXTURE = 0.55
 """The power with which doubt grows as the texture around the pixel falls below the window's."""
 _MOVED = 2.0
 """The doubt of a plane taken from a window beside the pixel: it is extrapolated."""
+_LEFT_START = 0.6
+"""How far from the start a match is doubted neither more nor less, panorama pixels; doubt is in proportion to it. This
+and the next three leave as many matches as without them, and two thirds of those that are off by more than 1 px."""
+_LEFT_LEAST, _LEFT_MOST = 0.25, 10.0
+"""Nearer than the first the start's own error is what is seen, farther than the second nothing more is learned."""
+_NO_START = 2.0
+"""What counts as that distance where there is no start, panorama pixels."""
 _UNLIKE = 2.0
 """By how much the residual of something else exceeds that of noise: it is the sum of two textures."""
 
@@ -113,3 +121,18 @@ def factor(around: Surroundings, index: NDArray[np.intp], window: NDArray[np.int
         texture = around.texture_near.ravel()[index] / around.texture.ravel()[window]
         doubt = np.exp(_BY_UNEXPLAINED * unexplained) * np.clip(texture, 0.0, 2.0) ** -_BY_TEXTURE
     return np.where(window != index, _MOVED * doubt, doubt)
+
+
+def factor_by_start(from_start: Array, in_common: NDArray[np.bool_]) -> Array:
+    """How many times as narrow a limit pixels are held to for where the start was; multiplies `factor`.
+
+    Parameters
+    ----------
+    from_start
+        How far from the start they are, panorama pixels; NaN where there is none.
+    in_common
+        Whether the two views have anything in common in their windows. Elsewhere the start stays as it was, so that
+        to agree with it is no merit.
+    """
+    left = np.where(np.isnan(from_start), _NO_START, np.clip(from_start, _LEFT_LEAST, _LEFT_MOST)) / _LEFT_START
+    return np.where(in_common, left, np.maximum(left, 1.0))

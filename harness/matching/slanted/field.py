@@ -43,6 +43,10 @@ _CENTRE_BONUS = 0.8
 _RESIDUAL_WEIGHT = 0.5
 """Weight of a window's own residual, beside that of the patch, in the choice."""
 
+_BEYOND = 2.0
+"""Planes may be nearer than the search goes by this factor: what is on both sides of the limit is one surface, and
+windows that see it need its pixels. They are no matches."""
+
 _MEDIAN_REACH = 2
 """Reach of the median over the start, pixels: it removes single outliers and pairs of them."""
 
@@ -174,13 +178,47 @@ def no_samples(shape: tuple[int, ...]) -> Samples:
     return Samples(np.zeros(shape, bool), *np.zeros((3, *shape), np.float32))
 
 
+@dataclass(frozen=True)
+class Step:
+    """How a Gauss-Newton step is taken."""
+
+    window_px: int
+    """Side of the windows, odd."""
+    sharp: bool
+    """Whether pixels choose between planes by patches, too, and the step goes no farther than its solution."""
+
+
+def steps_forth(settings: Slanted) -> tuple[Step, ...]:
+    """The steps of view 1: narrow windows, then wide ones, of which the last are sharp."""
+    sharp = min(settings.sharp_iterations, settings.iterations)
+    far = settings.iterations - sharp
+    narrow = min(settings.narrow_iterations, far)
+    return (
+        *[Step(narrow_px(settings), sharp=False)] * narrow,
+        *[Step(settings.window_px, sharp=False)] * (far - narrow),
+        *[Step(settings.window_px, sharp=True)] * sharp,
+    )
+
+
+def steps_back(settings: Slanted) -> tuple[Step, ...]:
+    """The steps of view 2, which begin at what view 1 ended with: wide windows bridge the gaps that its points leave
+    where view 2 has more pixels, narrow ones keep borders where they are.
+    """
+    return Step(settings.window_px, sharp=False), Step(narrow_px(settings), sharp=True)
+
+
+def narrow_px(settings: Slanted) -> int:
+    """Side of a narrow window: two thirds of the others', odd, and no less than a plane with gain and offset needs."""
+    return max(2 * (settings.window_px // 3) + 1, 5)
+
+
 def fit(
     first: View,
     second: View,
     warp: Warp,
     start: Array,
     settings: Slanted,
-    iterations: int,
+    steps: tuple[Step, ...],
     pixel: float,
     pool: ThreadPoolExecutor,
     *,
@@ -197,7 +235,7 @@ def fit(
     covariance
         Whether it is wanted.
     """
-    shape, half = start.shape, settings.window_px // 2
+    shape = start.shape
     samples = no_samples(shape)
     covariances, none = (np.zeros((*size, 6), np.float32) for size in (shape if covariance else (0, 0), (0, 0)))
     field = Field(
@@ -211,19 +249,19 @@ def fit(
         chosen=np.full(shape, -1, np.int32),
     )
     in_rows(pool, len(start), _median_kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
-    for iteration in range(iterations):
+    for number, step in enumerate(steps, 1):
         sample(field.w, second, warp, samples, pool)
-        sharp = iteration >= iterations - settings.sharp_iterations
+        half, reach = step.window_px // 2, settings.patch_px // 2 if step.sharp else -1
         in_rows(
-            pool, len(start), _fit_kernels.fit_rows, half, _LEAST_SHARE * settings.window_px**2, _SLOPE_WEIGHT,
-            not sharp, warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope,
-            samples.motion, field.plane, field.covariance if iteration == iterations - 1 else none, field.residual,
+            pool, len(start), _fit_kernels.fit_rows, half, _LEAST_SHARE * step.window_px**2, _SLOPE_WEIGHT,
+            not step.sharp, warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope,
+            samples.motion, field.plane, field.covariance if number == len(steps) else none, field.residual,
             field.gain, field.offset, field.share,
         )  # fmt: skip
         in_rows(
-            pool, len(start), _kernels.choose_rows, half, settings.patch_px // 2 if sharp else -1, _APART_PX * pixel,
-            _CENTRE_BONUS, _RESIDUAL_WEIGHT, 1 / settings.d_max_m, 1 / settings.d_min_m, warp.valid, warp.x, warp.t,
-            warp.R, warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
+            pool, len(start), _kernels.choose_rows, half, reach, _APART_PX * pixel, _CENTRE_BONUS,
+            _RESIDUAL_WEIGHT, 1 / settings.d_max_m, _BEYOND / settings.d_min_m, warp.valid, warp.x, warp.t, warp.R,
+            warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
             field.offset, field.w, field.chosen,
         )  # fmt: skip
     return field

@@ -18,8 +18,11 @@ that fits the pixel's own surroundings better: it keeps borders sharp, and carri
 or missing. At last view 2 is fitted to view 1 in the same way; where the two contradict each other, there is no match.
 
 The standard deviation is that of least squares, from the window's own residual, with three corrections; see `sigma`. It
-is no less than three quarters of what the planes around differ by, and half of what the match back misses the pixel by;
-see `doubt`.
+is no less than three quarters of what the planes around differ by, and half of what the match back misses the pixel by,
+and grows with doubt; see `doubt`.
+
+The first steps fit narrow windows: what lies between two borders and is narrower than a window would be lost to what is
+beside it, and with it the planes that later steps choose from. Wide windows end it, as noise asks for.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -36,7 +39,7 @@ from harness.machine import available_cpus
 from harness.matching.interface import Matches, Reason
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.back import Reverse, seen_back, tell_occluded
-from harness.matching.slanted.doubt import Surroundings, factor, surroundings_of, unlike
+from harness.matching.slanted.doubt import Surroundings, factor, factor_by_start, surroundings_of, unlike
 from harness.matching.slanted.field import (
     Field,
     Image,
@@ -49,11 +52,13 @@ from harness.matching.slanted.field import (
     part_of,
     read_planes,
     sample,
+    steps_back,
+    steps_forth,
     view_of,
     warp_between,
 )
 from harness.matching.slanted.settings import Slanted
-from harness.matching.slanted.sigma import CONFIRMED, at_least, inflation_of, sigma_of
+from harness.matching.slanted.sigma import CONFIRMED, at_least, doubted, inflation_of, sigma_of
 
 _ACROSS_SEAM = 6
 """How many windows a periodic image is continued by on both sides."""
@@ -117,18 +122,18 @@ def refine_slanted(
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
         first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2))
         start = _start(start_alpha_2, forth_warp, grid, pool)
-        forth = fit(first, second, forth_warp, start, settings, settings.iterations, grid.phi_pitch, pool)
+        forth = fit(first, second, forth_warp, start, settings, steps_forth(settings), grid.phi_pitch, pool)
         start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
         samples = no_samples(forth.w.shape)
         sample(forth.w, second, forth_warp, samples, pool)
         inflation = inflation_of(forth, first, samples, forth_warp, pool)
         around = surroundings_of(forth, first, samples, forth_warp, settings.window_px, pool)
-        read = _on_panorama(forth, inflation, around, forth_warp, part_1, grid, settings, pool)
+        read = _on_panorama(forth, inflation, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
         del forth, samples, inflation, around, forth_warp  # a field takes 76 bytes a pixel: one at a time
         back_warp = warp_between(part_2, part_1, _reversed(motion), closed[1][1])
-        steps = settings.sharp_iterations
+        steps = steps_back(settings)
         reverse = fit(second, first, back_warp, start, settings, steps, grid.phi_pitch, pool, covariance=False)
-        return _matches(read, Reverse(reverse, part_2, motion), grid, settings, pool)
+        return _matches(read, start_alpha_2, Reverse(reverse, part_2, motion), grid, settings, pool)
 
 
 def _reversed(motion: Motion) -> Motion:
@@ -176,7 +181,7 @@ class _Read:
     sigma: Array
     """Standard deviation of alpha_2, radians."""
     doubt: Array
-    """See `doubt.factor`; infinite outside the limits."""
+    """See `doubt`; infinite outside the limits."""
     unlike: Mask
     """See `doubt.unlike`."""
 
@@ -190,6 +195,7 @@ def _on_panorama(
     forth: Field,
     inflation: Array,
     around: Surroundings,
+    start_alpha_2: Array,
     warp: Warp,
     part: Part,
     grid: Grid,
@@ -204,14 +210,17 @@ def _on_panorama(
     def read(rows: slice) -> None:
         x = panorama[rows]
         index, window, w = read_planes(forth, x, part)
-        length, across = np.linalg.norm(x - w[..., None] * warp.t, axis=-1), _across(warp.t, x)
+        q = x - w[..., None] * warp.t
+        from_start = np.abs(angle_between(q, warp.t) - start_alpha_2[rows]) / grid.phi_pitch
+        length, across = np.linalg.norm(q, axis=-1), _across(warp.t, x)
         sigma_w = sigma_of(forth, inflation, x, window, warp, settings)
         # d alpha_2/dw = |t × x|/|x - w t|²
         sigma = across / length**2 * at_least(sigma_w, around.disagreement.ravel()[index])
         with np.errstate(invalid="ignore"):
             within = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
         result.w[rows], result.sigma[rows], result.unlike[rows] = w, sigma, unexplained[index]
-        result.doubt[rows] = np.where(within, factor(around, index, window), np.inf)
+        doubt = factor(around, index, window) * factor_by_start(from_start, forth.share.ravel()[window] < 1)
+        result.doubt[rows] = np.where(within, doubt, np.inf)
 
     list(pool.map(read, _bands(grid)))
     return result
@@ -222,7 +231,9 @@ def _across(t: Array, x: Array) -> Array:
     return np.asarray(np.linalg.norm(np.cross(t, x), axis=-1))
 
 
-def _matches(read: _Read, reverse: Reverse, grid: Grid, settings: Slanted, pool: ThreadPoolExecutor) -> Matches:
+def _matches(
+    read: _Read, start_alpha_2: Array, reverse: Reverse, grid: Grid, settings: Slanted, pool: ThreadPoolExecutor
+) -> Matches:
     """The planes that view 2's own confirm, and reasons for the rest."""
     alpha_2, sigma_2, reasons = np.empty(grid.shape), np.empty(grid.shape), np.empty(grid.shape, np.uint8)
     limit, apart = settings.max_sigma_px * grid.phi_pitch, settings.consistency_px * grid.phi_pitch
@@ -240,8 +251,8 @@ def _matches(read: _Read, reverse: Reverse, grid: Grid, settings: Slanted, pool:
         reason[_across(t, x) <= 1e-9 * np.linalg.norm(t)] = Reason.NO_EPIPOLAR_PLANE
         matched = reason == Reason.MATCHED
         alpha_2[rows], reasons[rows] = np.where(matched, angle_between(q, t), np.nan), reason
-        sigma_2[rows] = np.where(matched, sigma, np.nan)
+        sigma_2[rows] = np.where(matched, doubted(sigma, read.doubt[rows]), np.nan)
 
     list(pool.map(confirm, _bands(grid)))
-    tell_occluded(reasons, read.w, read.unlike, reverse, grid, apart)
+    tell_occluded(reasons, read.w, read.unlike, start_alpha_2, reverse, grid, apart)
     return Matches(alpha_2=alpha_2, confidence=1 / sigma_2, sigma_alpha_2=sigma_2, reason=reasons)

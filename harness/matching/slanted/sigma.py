@@ -1,8 +1,11 @@
 """The standard deviation of what slanted windows find: that of least squares, corrected; see `sigma_of`."""
 
+from collections import Counter
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from math import comb
+from itertools import product
+from math import comb, factorial, prod
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -12,7 +15,7 @@ from scipy import ndimage
 from harness.geometry.angles import Array
 from harness.matching.slanted import _fit_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
-from harness.matching.slanted.field import Field, Samples, View, Warp, in_rows
+from harness.matching.slanted.field import Field, Samples, Step, View, Warp, in_rows, steps_forth
 from harness.matching.slanted.settings import Slanted
 
 _CORRELATED_PX = 33
@@ -23,6 +26,10 @@ CONFIRMED = 0.5
 """The standard deviation is at least these parts of what the planes around differ by, and of what the match back from
 view 2 misses the pixel by. With both, errors at noise 10 lie within one, two and three as often as Gaussian ones, to a
 few per cent; larger parts cover more than one in 68 %."""
+
+_BY_DOUBT = 0.2
+"""The power of doubt that the standard deviation grows with: errors of doubtful matches have longer tails. With a fifth
+the noisy corridor's errors lie within one and two as often as Gaussian ones."""
 
 
 def sigma_of(
@@ -45,7 +52,7 @@ def sigma_of(
     b = c_2 * (x_1 * e_0 - x_0 * e_1) + x_2 * (c_0 * e_1 - c_1 * e_0)
     c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
     spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
-    smoothed = polyval(field.share.ravel()[window], smoothed_noise(settings.iterations, settings.sharp_iterations))
+    smoothed = polyval(field.share.ravel()[window], smoothed_noise(steps_forth(settings)))
     # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
     residual = field.residual.ravel()[window] + 1e-10
     with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
@@ -57,35 +64,48 @@ def at_least(sigma_w: Array, disagreement: Array) -> Array:
     return np.asarray(np.fmax(sigma_w, _DISAGREEMENT * disagreement))
 
 
+def doubted(sigma: Array, doubt: Array) -> Array:
+    """Standard deviations of matches that are held to limits narrower by these factors; see `doubt`."""
+    return np.asarray(sigma * np.maximum(doubt, 1.0) ** _BY_DOUBT)
+
+
 @lru_cache(maxsize=8)
-def smoothed_noise(iterations: int, sharp_iterations: int) -> Array:
+def smoothed_noise(steps: tuple[Step, ...]) -> Array:
     """Coefficients of the variance, in units of s² C, as a polynomial of f; read-only.
 
-    Two planes, one smoothed k times over a window and one l times, correlate as (b_n+2(0)/b_2(0))², n = k + l: planes
-    of neighbouring windows share pixels, which is smoothing too, and b_m is the density of the sum of m evenly
-    distributed numbers, the centred B-spline of degree m - 1.
+    Planes of neighbouring windows share pixels, so that each step smooths the field over its window: what is left of a
+    plane's noise in the end is spread as the sum of independent numbers, each evenly distributed over the window of its
+    own step or of one after it. Two planes correlate as the square of the density of the difference of two such sums at
+    0, once for rows and once for columns, in units of the last window's side, whose C it is.
     """
+    sides = [step.window_px / steps[-1].window_px for step in reversed(steps)]
     # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f), p = 0 for the last.
-    powers = [1 if k < sharp_iterations else 2 for k in range(iterations)]
-    weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(iterations)]
+    powers = [1 if step.sharp else 2 for step in reversed(steps)]
+    weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(len(steps))]
     total = np.zeros(2 * sum(powers) - 1)
     for k, one in enumerate(weights):
         for m, other in enumerate(weights):
-            product = np.convolve(one, other)
-            total[: len(product)] += product * centre_of_spline(k + m + 2) ** 2
+            both = np.convolve(one, other)
+            total[: len(both)] += both * density_at_0(Counter(sides[: k + 1] + sides[: m + 1])) ** 2
     total.flags.writeable = False
     return total
 
 
-def centre_of_spline(m: int) -> float:
-    """b_m(0) = sum_k (-1)^k C(m, k) max(m/2 - k, 0)^(m-1)/(m-1)!; 1 for m = 2."""
+def density_at_0(sides: Mapping[float, int]) -> float:
+    """Density at 0 of the sum of independent numbers, of which so many are evenly distributed over -side/2 .. side/2.
+
+    sum_signs (product of the signs) max(signs · sides/2, 0)^(n-1)/((n-1)! product of the sides), n >= 2 numbers; of
+    equal sides C(m, k) choices have k minuses.
+    """
+    n = sum(sides.values())
     total = 0.0
-    for k in range((m + 1) // 2):
-        term = 1.0
-        for j in range(1, m):
-            term *= (m / 2 - k) / j
-        total += (-1) ** k * comb(m, k) * term
-    return total
+    for minuses in product(*(range(m + 1) for m in sides.values())):
+        choices, at = 1.0, 0.0
+        for (side, m), k in zip(sides.items(), minuses, strict=True):
+            choices *= (-1) ** k * comb(m, k)
+            at += side * (m / 2 - k)
+        total += choices * max(at, 0.0) ** (n - 1)
+    return total / (factorial(n - 1) * prod(side**m for side, m in sides.items()))
 
 
 def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: ThreadPoolExecutor) -> Array:
