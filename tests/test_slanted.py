@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor, pixel_directions, project
-from harness.geometry.angles import normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
@@ -35,7 +34,7 @@ def texture(x, y):
     """Sixty waves of 0.25 m and longer: eight mirror pixels or more."""
     directions, phases = WAVES
     lengths = 0.25 + 0.5 * np.linspace(0, 1, len(phases))
-    k = 2 * np.pi * normalise(directions) / lengths[:, None]
+    k = 2 * np.pi * directions / np.linalg.norm(directions, axis=-1, keepdims=True) / lengths[:, None]
     total = np.zeros(np.shape(x))
     for (k_x, k_y), phase in zip(k, phases, strict=True):
         total += np.cos(k_x * x + k_y * y + phase)
