@@ -10,8 +10,9 @@ the setting, of the best ones of `experiments/peers.toml`, with the lowest bad-1
     pip install 'omnirange[peers]'
     python benchmarks/occlusion.py [--unseen] [--only NAME] [--ours]
 
-Weights and limits were chosen on the shipped scenes and the first rooms; `--unseen` takes others. The number and width of
-the windows' steps were chosen with a look at these, too; rooms 20 to 22, which nothing was chosen by, gain as much.
+Weights and limits were chosen on the shipped scenes and the first rooms; `--unseen` takes others. The number and width
+of the windows' steps were chosen with a look at these, too. Rooms 20 to 22 were used for nothing: see
+`docs/decisions.md`.
 """
 
 import argparse
