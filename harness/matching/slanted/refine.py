@@ -18,8 +18,8 @@ that fits the pixel's own surroundings better: it keeps borders sharp, and carri
 or missing. At last view 2 is fitted to view 1 in the same way; where the two contradict each other, there is no match.
 
 The standard deviation is that of least squares, from the window's own residual, with three corrections; see `sigma`. It
-is no less than three quarters of what the planes around differ by, and half of what the match back misses the pixel by,
-and grows with doubt; see `doubt`.
+is no less than two thirds of what the planes around differ by, and two fifths of what the match back misses the pixel
+by, and grows with doubt; see `doubt`.
 
 The first steps fit narrow windows: what lies between two borders and is narrower than a window would be lost to what is
 beside it, and with it the planes that later steps choose from. Wide windows end it, as noise asks for.

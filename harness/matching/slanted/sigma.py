@@ -21,15 +21,15 @@ from harness.matching.slanted.settings import Slanted
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
 
-_DISAGREEMENT = 0.75
-CONFIRMED = 0.5
+_DISAGREEMENT = 2 / 3
+CONFIRMED = 0.4
 """The standard deviation is at least these parts of what the planes around differ by, and of what the match back from
 view 2 misses the pixel by. With both, errors at noise 10 lie within one, two and three as often as Gaussian ones, to a
 few per cent; larger parts cover more than one in 68 %."""
 
 _BY_DOUBT = 0.2
 """The power of doubt that the standard deviation grows with: errors of doubtful matches have longer tails. With a fifth
-the noisy corridor's errors lie within one and two as often as Gaussian ones."""
+the noisy corridor's errors lie within one and two as often as Gaussian ones, to 2 %."""
 
 
 def sigma_of(
@@ -60,7 +60,7 @@ def sigma_of(
 
 
 def at_least(sigma_w: Array, disagreement: Array) -> Array:
-    """Standard deviations of inverse range, no less than three quarters of what the planes around differ by."""
+    """Standard deviations of inverse range, no less than two thirds of what the planes around differ by."""
     return np.asarray(np.fmax(sigma_w, _DISAGREEMENT * disagreement))
 
 
