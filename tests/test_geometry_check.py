@@ -215,7 +215,8 @@ def test_sigma_covers_two_thirds_of_what_an_error_does(names):
     for seed in range(4):
         draws = np.random.default_rng(seed)
         sizes = np.radians(0.1) if names[0].startswith("turn") else np.radians(0.5) if names[0][:2] == "t " else 0.3
-        change = dict(zip(names, sizes * normalise(draws.normal(size=len(names))), strict=True))
+        way = draws.normal(size=len(names))
+        change = dict(zip(names, sizes * way / np.linalg.norm(way), strict=True))
         sensor, turn = _with_errors(change)
         across, off = np.full(len(x), np.nan), np.full(len(x), np.nan)
         across[in_view], off[in_view] = _apparent(x[in_view], planes[in_view], sensor, turn)
