@@ -110,7 +110,11 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
 def _budget(budget: list[dict[str, Any]]) -> list[str]:
     """What a misaligned mirror costs, where the matcher's own errors are what it predicts of them."""
     own = {each["range_m"]: each for each in budget if not each["causes"]}
-    told = [range_m for range_m, each in own.items() if abs(each["over_drawn"] - 1) < _PREDICTED]
+    told = [
+        range_m
+        for range_m, each in own.items()
+        if each["measured_ci95_m"] and abs(each["over_drawn"] - 1) < _PREDICTED  # of one draw nothing is said
+    ]
 
     def times(case: str) -> str:
         of_case = {each["range_m"]: each["measured_m"] for each in budget if each["case"] == case}
