@@ -213,7 +213,7 @@ class Reason(IntEnum):
     """In view 2 the point lies beside its epipolar curve, unlike its surroundings: most likely it has moved."""
     OCCLUDED = 9
     """There is no match, and view 2 seems to see a nearer surface in front of the point. Of the pixels said to be so, a
-    tenth to a half are, depending on the scene: see `occlusion_precision`."""
+    tenth to six tenths are, depending on the scene: see `occlusion_precision`."""
 
 
 @dataclass(frozen=True, repr=False)
