@@ -13,7 +13,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from harness.annotations import inside, members, tags
-from harness.display import brief, shortened
+from harness.display import brief, listed, shortened
 from harness.errors import InputError, nearest
 from harness.renamed import Renaming, former_names, give_notice, up_to_date
 from harness.toml import levels, read_toml
@@ -403,7 +403,7 @@ def _owners(word: str, alternatives: list[Any]) -> str:
     for tag in ("kind", "model"):
         owners = [each for each in alternatives if word in getattr(each, "model_fields", ())]
         if names := sorted({f"'{name}'" for each in owners for name in tags(each, tag)}):
-            return f"it is a key of {tag} {' or '.join(names)}"
+            return f"it is a key of {tag} {listed(names, 'or')}"
     return ""
 
 

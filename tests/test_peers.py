@@ -446,7 +446,10 @@ def test_reconstruct_says_that_it_has_no_answer_for_a_vertical_baseline():
     ("change", "message"),
     [
         ("block_px=4", "matching.block_px: must be odd, so that it has a centre; found 4"),
-        ("window_px=5", "matching.window_px: unknown key 'window_px'; it is a key of kind 'column' or"),
+        (
+            "window_px=5",
+            "matching.window_px: unknown key 'window_px'; it is a key of kind 'column', 'slanted' or 'window'",
+        ),
         ("d_max_m=1", "d_min_m = 1 must be below d_max_m = 1"),
         ("mode=hh5", "matching.mode: 'hh5' is not valid; did you mean 'hh'?"),
     ],

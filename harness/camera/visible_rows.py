@@ -3,7 +3,6 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from harness.camera.sensor import Sensor
 from harness.camera.unwrap import can_be_sampled
@@ -72,15 +71,10 @@ def _rows(sensors: tuple[Sensor, ...], rotation: bytes) -> tuple[float, float] |
     visible_azimuths = visible.sum(axis=1)
     if not visible_azimuths.any():
         return None
-    counts = visible_azimuths >= MOSTLY * _typical(visible_azimuths, visible_azimuths * level[:, 0])
+    seen = visible_azimuths * level[:, 0]  # in proportion to the solid angle
+    typical = np.quantile(visible_azimuths, 0.5, weights=seen, method="inverted_cdf")
+    counts = visible_azimuths >= MOSTLY * typical
     edges = np.flatnonzero(np.diff(np.concatenate([[False], counts, [False]])))
     first, end = edges[0::2], edges[1::2]
     longest = np.argmax(end - first)
     return float(np.tan(elevations[first[longest]])), float(np.tan(elevations[end[longest] - 1]))
-
-
-def _typical(values: NDArray[np.integer], weights: Array) -> float:
-    """The weighted median: the least value up to which there is half the weight."""
-    order = np.argsort(values)
-    below = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(below, below[-1] / 2)])

@@ -81,7 +81,9 @@ def run(options: Namespace) -> None:
         else:
             _convert(read, options)
     except InputError as error:
-        raise error if error.file else InputError(error.problem, file=options.file, key=error.key) from error
+        if error.file is not None:
+            raise
+        raise InputError(error.problem, file=options.file, key=error.key) from error
 
 
 def _central(read: "SensorFile") -> "SensorFile":

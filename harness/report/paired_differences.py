@@ -112,14 +112,14 @@ class Pairing:
             else:
                 for each in mine:
                     by_verdict.setdefault(each.verdict, []).append(f"{name} ({each.group})")
-        if len(by_verdict) == 1:
-            [(key, names)] = by_verdict.items()
-            said = [f"{_VERDICTS[key]} in all {len(names)} figures"]
-        else:
-            quoted = {key: listed([f"“{each}”" for each in names]) for key, names in by_verdict.items()}
-            said = [f"{words} in {quoted[key]}" for key, words in _VERDICTS.items() if key in quoted]
         if not by_verdict:
             return ""
+        alike = len(by_verdict) == 1
+        said = [
+            f"{words} in " + (f"all {len(names)} figures" if alike else listed(f"“{each}”" for each in names))
+            for key, words in _VERDICTS.items()
+            if (names := by_verdict.get(key))
+        ]
         return f"{self.second.name} against {self.first.name}: {'; '.join(said)}."
 
 
