@@ -27,16 +27,17 @@ def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int
                 item = left.popleft()
             except IndexError:  # all are done, or under way
                 return
-            work(item)
+            try:
+                work(item)
+            except BaseException:
+                left.clear()  # what has not begun is left
+                raise
 
     with ThreadPoolExecutor(max(others, 1)) as pool:  # which begins no thread before it is needed
         begun = [pool.submit(work_off) for _ in range(others)]
-        try:
-            work_off()
-            for each in begun:
-                each.result()
-        finally:
-            left.clear()  # after an error, what has not begun is left
+        work_off()
+        for each in begun:
+            each.result()
 
 
 def in_bands(work: Callable[[int, int], None], length: int, bands: int, threads: int | None) -> None:

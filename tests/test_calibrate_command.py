@@ -262,3 +262,10 @@ def test_misalignment_is_told_and_written_with_the_best_central_sensor_beside_it
     assert "--misalignment: a unified (Mei) camera has no mirror" in capsys.readouterr().err
     assert main(["sensor", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "sensor.html")]) == 0
     assert "Camera and mirror are misaligned (x_mm = " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["s.html", "s.json", "corners.csv", "folder/"])
+def test_a_file_that_is_no_toml_is_refused_before_any_of_three_replaces_another(name, tmp_path, capsys):
+    assert main(["calibrate", "--corners", "corners.csv", "--out", f"{tmp_path}/{name}"]) == 2
+    assert "must end in .toml: the page and all numbers are written beside it" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

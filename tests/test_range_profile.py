@@ -293,6 +293,18 @@ def test_two_photographs_become_a_scan(tmp_path, capsys):
     assert {each.name for each in (tmp_path / "scan").iterdir()} == {"scan.csv", "scan.json", "scan.pcd", "scan.ply"}
 
 
+@pytest.mark.slow
+def test_a_scan_of_a_wrong_geometry_says_so_last(tmp_path, capsys):
+    sensor = {"camera": {"width_px": 320, "height_px": 240, "focal_px": 307.06, "cx_px": 159.5, "cy_px": 119.5}}
+    for name, x in (("left", 0.0), ("right", 0.3)):
+        harness.render("box", sensor=sensor, position_m=(x, 0.0, 1.0), samples=4).write(tmp_path / name)
+    images = [str(tmp_path / name / "omni.png") for name in ("left", "right")]
+    options = ["--sensor", str(tmp_path / "left" / "sensor.toml"), "--matcher", "sgm", "--height", "1"]
+    elsewhere = ["--baseline", "0", "0.3", "0", "--support", "1", "--out", str(tmp_path / "scan")]
+    assert main(["scan", *images, *options, *elsewhere]) == 0
+    assert capsys.readouterr().err.splitlines()[-1].endswith(": do not trust it")
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -44,6 +44,22 @@ def test_an_error_is_raised_and_what_has_not_begun_is_left(threads, kind):
     assert len(done) < 999 or threads > 1  # others may have been quicker
 
 
+def test_an_error_of_another_thread_stops_this_one():
+    failed, done = threading.Event(), []
+    caller = threading.get_ident()
+
+    def work(number: int) -> None:
+        if threading.get_ident() != caller:
+            failed.set()
+            raise ValueError(number)
+        assert failed.wait(timeout=30)
+        done.append(number)
+
+    with pytest.raises(ValueError, match=r"^\d+$"):
+        in_threads(work, range(1000), 2)
+    assert len(done) < 999
+
+
 @pytest.mark.parametrize(("length", "bands"), [(0, 3), (1, 3), (10, 3), (10, 1), (3, 10)])
 def test_bands_cover_everything_in_order(length, bands):
     covered = []

@@ -93,6 +93,8 @@ def run(options: Namespace) -> None:
     from harness.files import make_folder_of
     from harness.spec import dump_toml
 
+    if options.out is not None and options.out.suffix.lower() != ".toml":
+        raise InputError("must end in .toml: the page and all numbers are written beside it", file=options.out)
     make_folder_of(options.out)
     board = None
     if options.board is not None and options.corners is not None:

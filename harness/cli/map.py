@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_images, add_out
-from harness.cli.range import add_matching, motions_between, ranging, sequence_settings
+from harness.cli.range import add_matching, motions_between, ranging, sequence_settings, warn_of
 from harness.cli.scan import add_band, band_of, naming_options
 from harness.errors import InputError
 
@@ -60,7 +60,7 @@ def run(options: Namespace) -> int:
         return FAILED
     tilt = dict(zip(("pitch_deg", "roll_deg"), options.tilt_deg, strict=True))
     first = Pose(position_m=(0.0, 0.0, options.height), **tilt)
-    scans, places = [], []
+    scans, places, verdicts = [], [], []
     poses = level_poses([each if isinstance(each, Motion) else each.motion for each in motions], first)
     pairs = zip(pairwise(images), motions, poses[:-1], strict=True)
     for (left, right), motion, (pose, place) in pairs:
@@ -71,6 +71,7 @@ def run(options: Namespace) -> int:
             )
         scans.append(scan)
         places.append(place)
+        verdicts.append(estimate.geometry.verdict)
         print(f"{left}, {right}: {scan.profile.known.mean():.1%} of the bearings have an obstacle", flush=True)
         for line in estimate.geometry.lines():
             print(f"  {line}", flush=True)
@@ -78,6 +79,7 @@ def run(options: Namespace) -> int:
     grid.write(options.out)
     free, occupied = (int((grid.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
     print(f"{free:.2f} m2 free, {occupied:.2f} m2 occupied; {options.out / 'map.yaml'}")
+    warn_of(*verdicts)
     return OK
 
 

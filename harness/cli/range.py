@@ -2,6 +2,7 @@
 
 import math
 import sys
+import warnings
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from harness.cli.exits import FAILED, OK
 from harness.cli.motion_options import add_length, check_length, naming_options
 from harness.cli.options import Commands, Parser, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
+from harness.display import counted, listed
 
 if TYPE_CHECKING:
     from harness.api.motion import MotionEstimate
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from harness.api.sequence import PairRange
     from harness.camera.sensor import Sensor
     from harness.geometry.pose import Motion
+    from harness.pipeline.geometry_check import Verdict
     from harness.runs.photograph_settings import OwnSettings
 
 _LARGE_MP = 3.0
@@ -202,6 +205,19 @@ def tell_matching(estimate: "RangeEstimate") -> None:
         print(estimate.matches.remark)
     for line in (*estimate.sharpness.lines(), *estimate.geometry.lines()):
         print(line)
+
+
+def warn_of(*verdicts: "Verdict") -> None:
+    """Say last of all that what was made of these geometries is not to be trusted, where that is so."""
+    from harness.errors import Notice
+    from harness.pipeline.geometry_check import Verdict
+
+    bad = [each for each in verdicts if each in (Verdict.WRONG, Verdict.UNKNOWN)]
+    if bad:
+        of = f" of {counted(len(bad), 'pair')} of {len(verdicts)}" if len(verdicts) > 1 else ""
+        warnings.warn(
+            f"the geometry{of} is {listed(dict.fromkeys(map(str, bad)))}: do not trust it", Notice, stacklevel=1
+        )
 
 
 def ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, Parser, add_images, add_out, positive
-from harness.cli.range import add_matching, estimate_of, tell_matching
+from harness.cli.range import add_matching, estimate_of, tell_matching, warn_of
 from harness.errors import InputError
 
 _OPTIONS = {
@@ -114,6 +114,7 @@ def run(options: Namespace) -> int:
         f"{known.mean():.1%} of {known.size} bearings have an obstacle, the nearest at {nearest:.2f} m; "
         f"{options.out / 'scan.json'}"
     )
+    warn_of(estimate.geometry.verdict)
     return OK
 
 
