@@ -373,8 +373,8 @@ def require_central(sensor: Sensor, file: str | Path | None = None) -> None:
     if not sensor.is_central:
         raise InputError(
             "camera and mirror are misaligned, so that rays meet in no viewpoint, which is needed here; use the "
-            "central sensor that omnirange calibrate writes beside it, or the aligned one: omnirange sensor FILE "
-            "--central --to toml --out central.toml writes it",
+            "central sensor that omnirange calibrate writes beside it, or one without [misalignment]: omnirange sensor "
+            "FILE --central --to toml --out central.toml writes it",
             file=file,
             key="misalignment",
         )
