@@ -164,7 +164,10 @@ def test_no_report_of_other_trials_stands_beside_new_tables(small: Path, tmp_pat
     assert "removed" not in again.stdout
     (out / "environment.json").write_text("a note")
     other = omnirange(tmp_path, "run", small, "--set", "noise.sigma_grey=3", "--out", out, "--no-report")
-    assert other.stdout.splitlines()[-1] == f"removed from {out}: summary.json and report.html of earlier trials"
+    assert other.stdout.splitlines()[-2:] == [
+        f"removed from {out}: summary.json and report.html of earlier trials",
+        f"still in {out} of earlier trials: environment.json",
+    ]
     assert sorted(path.name for path in out.iterdir() if path.name in OF_ALL_ROWS) == ["environment.json"]
     assert omnirange(tmp_path, "report", out).returncode == 0
     assert all((out / name).is_file() for name in OF_ALL_ROWS)

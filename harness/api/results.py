@@ -19,7 +19,7 @@ from harness.runs.details import with_method
 from harness.runs.dotted import value_at
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.recorded import recorded
-from harness.runs.run import Result, Row, columns_of, result_from, rows_of, write_report, write_summary
+from harness.runs.run import Result, Row, columns_of, result_from, rows_of, write_report, write_summary, write_tables
 from harness.runs.settings_reference import unit_of
 from harness.runs.store import DATABASE, OTHER_CODE, Store
 from harness.runs.values import shown
@@ -214,6 +214,7 @@ class RunResult:
         page = build_report(self._result)
         with Store(self.folder / DATABASE) as store:
             store.read_earlier(each.key for each in self.experiment.planned)
+            write_tables(self.experiment, self._rows, store, self.folder)  # others may have been run into it since
             write_summary(self._result, store, self.folder)
             write_report(self._result, page, store, self.folder)
         return self.folder / "report.html"

@@ -1,5 +1,6 @@
 """Running an experiment."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import Any
 from harness.api.loading import load_experiment
 from harness.api.progress import Progress, someone_watches
 from harness.api.results import RunResult
-from harness.errors import InputError
+from harness.display import listed
+from harness.errors import InputError, Notice
 from harness.files import make_folder
 from harness.pipeline.maps import FOLDER, prepare_folder
 from harness.runs.executors import backend_for
@@ -93,10 +95,17 @@ def run(
                 bar.finish()
         rows = rows_of(experiment, store)
         if folder:
-            write_tables(experiment, rows, store, folder)
+            _say_earlier(folder, *write_tables(experiment, rows, store, folder))
     if all(row.state == "failed" for row in rows):
         raise InputError(rows[0].finished.message)
     return RunResult(experiment, rows, folder)
+
+
+def _say_earlier(folder: Path, removed: list[str], still_there: list[str]) -> None:
+    """Tell what of earlier trials was in the folder, and what is."""
+    for what, files in (("removed", removed), ("still there", still_there)):
+        if files:
+            warnings.warn(f"{folder}: {what}: {listed(files)} of earlier trials", Notice, stacklevel=3)
 
 
 def _observer(bar: Progress | None) -> Callable[[Sequence[Finished]], None]:

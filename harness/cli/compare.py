@@ -32,10 +32,11 @@ def run(options: Namespace) -> int:
 
     from harness.files import make_folder_of, write
     from harness.report.paired_differences import build_comparison
+    from harness.runs.earlier import COMPARISON
 
     make_folder_of(options.out)
     comparison = build_comparison(*options.folders)
-    page = options.out or options.folders[-1] / "comparison.html"
+    page = options.out or options.folders[-1] / COMPARISON
     write(page, comparison.html)
     console = Console()
     lines = list(comparison.lines())

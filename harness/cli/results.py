@@ -64,13 +64,14 @@ def write(
     from harness.runs.density import too_sparse
     from harness.runs.remarks import remarks
     from harness.runs.run import result_from, rows_of, run_status, write_summary, write_tables
+    from harness.runs.written import OF_ALL_ROWS
 
     rows = rows_of(experiment, store)
     now = run_status(experiment, store)
     has_report = with_report and bool(now.done)
     may_copy = has_report and len(rows) > _FEW
     with _long_lived(), begun_in_a_copy(lambda: all_trials_of(experiment, rows), may_copy=may_copy) as all_trials:
-        removed = write_tables(experiment, rows, store, folder)
+        removed, left = write_tables(experiment, rows, store, folder)
         interrupts.check()
         if may_copy:
             from harness.report import build  # noqa: F401 - it takes long, and the copy takes longer
@@ -85,6 +86,8 @@ def write(
         show_report(shown)
     elif removed:
         print(f"removed from {shown}: {listed(removed)} of earlier trials")
+    if still := [each for each in left if not has_report or each not in OF_ALL_ROWS]:  # a report replaces those
+        print(f"still in {shown} of earlier trials: {listed(still)}")
     sparse = too_sparse((row.planned.trial, row.payload) for row in rows if row.state == "done")
     for line in filter(None, (sparse, *remarks(rows))):
         warnings.warn(line, Notice, stacklevel=1)

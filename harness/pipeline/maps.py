@@ -47,7 +47,8 @@ MAPS = {
 """Unit and meaning of each map by name. Every map is `[height, width]` of view 1's panorama."""
 
 README = f"""\
-The maps of every trial of this run, one file KEY.npz for each, where KEY is the trial's key in trials.csv.
+The maps of the trials that were run with --keep-arrays, one file KEY.npz for each, where KEY is the trial's key in
+trials.csv. A file whose KEY is not there is of other trials, which were run into this folder before.
 
     import numpy as np
     maps = np.load("maps/KEY.npz")
@@ -274,6 +275,15 @@ def has_maps(folder: Path, key: str) -> bool:
         with maps_file(folder, key).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             stored = (str(archive["key"]), str(archive["code"]))
             return stored == (key, code_hash()) and archive.zip.testzip() is None
+    except _UNREADABLE:
+        return False
+
+
+def is_of_present_code(file: Path) -> bool:
+    """Whether a file of maps was made by the present code and libraries; quicker than `has_maps`."""
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            return str(archive["code"]) == code_hash()
     except _UNREADABLE:
         return False
 

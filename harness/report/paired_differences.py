@@ -182,6 +182,7 @@ def build_comparison(*folders: Path) -> Comparison:
             for pairing, picture in zip(pairings, pictures, strict=True)
         ],
         facts=_fact_table(runs),
+        mark=" ".join(each.mark for each in runs),
     )
     return Comparison(runs, pairings, html)
 

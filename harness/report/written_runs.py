@@ -8,12 +8,13 @@ import os
 import tomllib
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError, Notice
 from harness.runs.cases import CASE, NAME, keys_of, settings_of
+from harness.runs.earlier import mark_of
 from harness.runs.values import identity_of, value_of
 from harness.runs.written import read_written
 
@@ -57,6 +58,8 @@ class Run:
     """The figures of each trial that is done; NaN for a missing figure."""
     facts: dict[str, str]
     """Versions, machine, hash of the source."""
+    mark: str = ""
+    """The text by which a page says that it is of this run's table of trials."""
 
 
 def names_of_folders(folders: Sequence[Path]) -> list[str]:
@@ -98,7 +101,7 @@ def read_run(folder: Path, name: str) -> Run:
         facts = json.loads(files.get(_FACTS, b"{}"))
         path = folder / "trials.csv"
         rows = list(csv.DictReader(io.StringIO(files["trials.csv"].decode(), newline="")))
-        run = _run(folder, name, experiment, base, rows, facts)
+        run = replace(_run(folder, name, experiment, base, rows, facts), mark=mark_of([files["trials.csv"]]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         why = f"there is no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"cannot be read as part of a run ({why})", file=path) from error

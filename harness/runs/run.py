@@ -27,6 +27,7 @@ from harness.runs import executors
 from harness.runs.cases import CASE
 from harness.runs.details import Beforehand, Details, details_of, keep
 from harness.runs.dotted import value_at
+from harness.runs.earlier import of_earlier_trials
 from harness.runs.experiment import Experiment, Planned
 from harness.runs.methods import MethodId, MethodName, method_id, method_names
 from harness.runs.path_maps import write_path_maps
@@ -276,7 +277,7 @@ def run_experiment(experiment: Experiment, folder: Path | None = None, *, worker
 # --- What is written ----------------------------------------------------------------------------------------------
 
 
-def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: Path) -> list[str]:
+def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: Path) -> tuple[list[str], list[str]]:
     """Write the files without a report: `experiment.toml`, `trials.csv`, `timings.csv`, and `failures.csv` if needed.
 
     A report and a summary of other rows are removed.
@@ -290,6 +291,8 @@ def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: 
     -------
     removed
         The names of files that were.
+    left
+        What there still is of earlier trials, in words; see `earlier.of_earlier_trials`.
 
     Raises
     ------
@@ -301,14 +304,14 @@ def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: 
         "trials.csv": _trials(experiment, rows),
         "timings.csv": _timings(rows),
     }
-    removed = remove_stale(_digest(experiment, store), store, folder)
+    removed, left = remove_stale(_digest(experiment, store), store, folder)
     write_files(tables, folder, store)
     failures = folder / "failures.csv"
     if any(row.state == "failed" for row in rows):
         write(failures, _failures(experiment, rows))
     else:
         failures.unlink(missing_ok=True)
-    return removed
+    return removed, left + of_earlier_trials(folder, {each.key for each in experiment.planned})
 
 
 def write_summary(result: Result, store: Store, folder: Path) -> None:

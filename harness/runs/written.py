@@ -25,7 +25,7 @@ OF_ALL_ROWS = ("environment.json", "summary.json", "report.html")
 _LIMIT_BYTES = 1 << 30
 """The most that is read of such a file: a hundred thousand trials have tables of some hundred megabytes."""
 
-_FACT, _FACT_OF_REPORT = "written", "reported"
+_FACT, _FACT_OF_REPORT, _FACT_OF_TABLES = "written", "reported", "tables"
 
 
 def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
@@ -36,12 +36,12 @@ def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
     InputError
         When the folder cannot be written to.
     """
-    hashes = dict(_stored_hashes(store) or {})
-    for name, text in files.items():
-        data = encoded(text)
+    contents = {name: encoded(text) for name, text in files.items()}
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+    # Beforehand: a file that is there when the process dies is known as ours.
+    store.set_fact(_FACT, (_stored_hashes(store) or {}) | hashes)
+    for name, data in contents.items():
         write(folder / name, data)
-        hashes[name] = hashlib.sha256(data).hexdigest()
-    store.set_fact(_FACT, hashes)
 
 
 def set_reported(digest: str, store: Store, folder: Path) -> None:
@@ -49,19 +49,29 @@ def set_reported(digest: str, store: Store, folder: Path) -> None:
     store.set_fact(_FACT_OF_REPORT, [digest, _hashes(folder)])
 
 
-def remove_stale(digest: str, store: Store, folder: Path) -> list[str]:
-    """Remove the files that follow from other rows than those with this digest, and return their names.
+def remove_stale(digest: str, store: Store, folder: Path) -> tuple[list[str], list[str]]:
+    """Remove the files that follow from other rows than those with this digest, which are the rows from now on.
 
-    They would stand beside new tables and contradict them. Files that somebody has changed since are left.
+    They would stand beside new tables and contradict them. Files that somebody has changed since are left. To be called
+    before anything is written: then all that is there after it is of these rows, reported to the end or not.
+
+    Returns
+    -------
+    removed, left : list of str
+        Names of files.
     """
-    reported, hashes = store.fact(_FACT_OF_REPORT), _stored_hashes(store) or {}
-    if reported is None or reported[0] == digest:
-        return []
-    present = _hashes(folder)
-    stale = [name for name in OF_ALL_ROWS if present[name] is not None and present[name] == hashes.get(name)]
-    for name in stale:
+    hashes, present = _stored_hashes(store) or {}, _hashes(folder)
+    reported = store.fact(_FACT_OF_REPORT)
+    # Earlier versions have recorded only for which rows the report was finished.
+    of_rows, kept = store.fact(_FACT_OF_TABLES) or [reported and reported[0], []]
+    are_new = of_rows != digest
+    there = [name for name in (OF_ALL_ROWS if are_new else kept) if present[name] is not None]
+    left = [name for name in there if present[name] != hashes.get(name)]
+    removed = [name for name in there if name not in left] if are_new else []
+    for name in removed:
         (folder / name).unlink()
-    return stale
+    store.set_fact(_FACT_OF_TABLES, [digest, left])
+    return removed, left
 
 
 def is_written(digest: str, store: Store, folder: Path) -> bool:
