@@ -4,7 +4,7 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -121,6 +121,25 @@ def make_folder_of(path: Path | None, option: str = "--out") -> None:
     make_folder(path.parent, option)
     if path.is_dir():
         raise InputError("is a folder; give the name of a file", file=path, key=option)
+
+
+def check_replaces_none(written: Iterable[Path | None], read: Iterable[Path | None], option: str = "--out") -> None:
+    """Refuse to write over a file that is read.
+
+    Parameters
+    ----------
+    written, read
+        Files, there or not; None is none.
+
+    Raises
+    ------
+    InputError
+        Names the file, the option that gave it, and that another name would be right.
+    """
+    there = [each for each in read if each is not None and each.exists()]
+    for file in written:
+        if file is not None and file.exists() and any(file.samefile(each) for each in there):
+            raise InputError("would be written over, and is read; give another name", file=file, key=option)
 
 
 def check_own(folder: Path, own: Collection[str]) -> None:

@@ -41,6 +41,11 @@ def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int
 
 
 def in_bands(work: Callable[[int, int], None], length: int, bands: int, threads: int | None) -> None:
-    """Call `work(first, end)` for contiguous bands that together cover `0 .. length`; see `in_threads`."""
+    """Call `work(first, end)` for contiguous bands that together cover `0 .. length`; see `in_threads`.
+
+    None is empty: of a length of 0 there are none.
+    """
+    if length < 1:
+        return
     edges = np.linspace(0, length, max(1, min(bands, length)) + 1).astype(int).tolist()
     in_threads(lambda band: work(*band), itertools.pairwise(edges), threads)

@@ -269,3 +269,17 @@ def test_a_file_that_is_no_toml_is_refused_before_any_of_three_replaces_another(
     assert main(["calibrate", "--corners", "corners.csv", "--out", f"{tmp_path}/{name}"]) == 2
     assert "must end in .toml: the page and all numbers are written beside it" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("given", "out"), [("a.json", "a.toml"), ("a.toml", "a.toml"), ("a-central.toml", "a.toml")])
+def test_no_file_that_is_read_is_written_over(given, out, csv, tmp_path, capsys):
+    file = tmp_path / given
+    file.write_bytes(csv.read_bytes())
+    corners = ["--corners", str(file)] if given == "a.json" else ["--corners", str(csv), "--start", str(file)]
+    options = ["--model", "hyperboloid", "--misalignment", "--out", str(tmp_path / out)]
+    assert main(["calibrate", *corners, *options]) == 2
+    assert (
+        capsys.readouterr().err == f"omnirange: {file}: --out: would be written over, and is read; give another name\n"
+    )
+    assert [each.name for each in tmp_path.iterdir()] == [given]
+    assert file.read_bytes() == csv.read_bytes()

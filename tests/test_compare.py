@@ -178,3 +178,12 @@ def test_comparison_in_chromium(runs, tmp_path, width):
         assert (visited.requests, visited.complaints) == ([], [])
         assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
         assert visited.page.locator("figure img").count() == 1
+
+
+@pytest.mark.parametrize("name", ["trials.csv", "run.sqlite"])
+def test_a_page_is_not_written_over_a_run(runs, name, capsys):
+    file = runs["again"] / name
+    before = file.read_bytes()
+    assert main(["compare", str(runs["window"]), str(runs["again"]), "--out", str(file)]) == 2
+    assert f"{file}: --out: would be written over, and is read" in capsys.readouterr().err
+    assert file.read_bytes() == before

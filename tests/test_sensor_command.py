@@ -359,3 +359,18 @@ def test_a_profile_that_no_pixel_sees_is_named_with_its_file(tmp_path, capsys):
         "far.toml",
     )
     assert said(capsys, far, code=2).startswith(f"omnirange: {far}: profile: no pixel of the image sees anything")
+
+
+def test_a_sensor_without_a_format_is_refused_before_anything_is_made(mirror, tmp_path, capsys):
+    text = said(capsys, mirror, "--central", "--out", tmp_path / "new" / "c.toml", code=2)
+    assert "new/c.toml: --out: must end in .html, .svg or .png; give --to FORMAT, such as --to toml" in text
+    missing = said(capsys, tmp_path / "none.toml", "--to", "toml", "--out", tmp_path / "new" / "c.toml", code=2)
+    assert "none.toml: no such file" in missing
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_sensor_is_not_written_over_itself(mirror, capsys):
+    before = mirror.read_bytes()
+    text = said(capsys, mirror, "--to", "kalibr", "--out", mirror, code=2)
+    assert f"{mirror}: --out: would be written over, and is read; give another name" in text
+    assert mirror.read_bytes() == before

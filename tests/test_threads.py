@@ -65,3 +65,4 @@ def test_bands_cover_everything_in_order(length, bands):
     covered = []
     in_bands(lambda first, end: covered.append((first, end)), length, bands, 1)
     assert [row for first, end in covered for row in range(first, end)] == list(range(length))
+    assert all(first < end for first, end in covered)

@@ -59,11 +59,9 @@ class CalibrationResult(SensorCalibration):
         """
         from harness.report.calibration_page import build_page
 
-        toml = Path(file)
-        paths: tuple[Path, ...] = (toml, toml.with_suffix(".json"), toml.with_suffix(".html"))
+        paths = files_of(Path(file), has_central=self.central is not None)
         page = build_page(self)
         if self.central is not None:
-            paths = (*paths, toml.with_name(f"{toml.stem}-central.toml"))
             write(paths[3], dump_toml(self.central.sensor))
         write(paths[2], page)
         write(paths[1], json.dumps(record_of(self), allow_nan=False) + "\n")
@@ -77,6 +75,12 @@ class CalibrationResult(SensorCalibration):
         table = f"<table><tr><th>key</th><th>value</th><th>standard deviation</th></tr>{body}</table>"
         caption = f"{len(self.corners.images)} images, {len(self.corners.image)} corners, RMS {self.rms_px:.3g} px"
         return html_figure({}, caption) + table
+
+
+def files_of(toml: Path, *, has_central: bool) -> tuple[Path, ...]:
+    """The files that `CalibrationResult.write` writes: sensor, numbers and page, and the best central sensor."""
+    central = (toml.with_name(f"{toml.stem}-central.toml"),) if has_central else ()
+    return (toml, toml.with_suffix(".json"), toml.with_suffix(".html"), *central)
 
 
 def calibrate(

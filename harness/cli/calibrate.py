@@ -90,12 +90,9 @@ def run(options: Namespace) -> None:
     """Calibrate, write the files, and print the result."""
     import harness
     from harness.errors import InputError
-    from harness.files import make_folder_of
     from harness.spec import dump_toml
 
-    if options.out is not None and options.out.suffix.lower() != ".toml":
-        raise InputError("must end in .toml: the page and all numbers are written beside it", file=options.out)
-    make_folder_of(options.out)
+    _check_out(options)
     board = None
     if options.board is not None and options.corners is not None:
         raise InputError("leave it out: the file of corners contains their positions on the board", file="--board")
@@ -134,6 +131,21 @@ def run(options: Namespace) -> None:
         print(f"\n{dump_toml(calibration.sensor)}")
     else:
         print(", ".join(str(each) for each in calibration.write(options.out)))
+
+
+def _check_out(options: Namespace) -> None:
+    """Check that the files can be written and none is read, and make their folder."""
+    from harness.api.calibrating import files_of
+    from harness.errors import InputError
+    from harness.files import check_replaces_none, make_folder_of
+
+    if options.out is None:
+        return
+    if options.out.suffix.lower() != ".toml":
+        raise InputError("must end in .toml: the page and all numbers are written beside it", file=options.out)
+    make_folder_of(options.out)
+    written = files_of(options.out, has_central=options.misalignment)
+    check_replaces_none(written, [options.corners, options.start, *options.images])
 
 
 def _field(options: Namespace) -> dict[str, float] | None:

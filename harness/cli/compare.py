@@ -30,11 +30,15 @@ def run(options: Namespace) -> int:
     """Write the page, and print a table for every pair of runs; the exit code is 1 if nothing was paired."""
     from rich.console import Console
 
-    from harness.files import make_folder_of, write
+    from harness.files import check_replaces_none, make_folder_of, write
     from harness.report.paired_differences import build_comparison
     from harness.runs.earlier import COMPARISON
+    from harness.runs.store import DATABASE
+    from harness.runs.written import WRITTEN
 
     make_folder_of(options.out)
+    own = (*WRITTEN, DATABASE)
+    check_replaces_none([options.out], [folder / name for folder in options.folders for name in own])
     comparison = build_comparison(*options.folders)
     page = options.out or options.folders[-1] / COMPARISON
     write(page, comparison.html)

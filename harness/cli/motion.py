@@ -46,7 +46,7 @@ def run(options: Namespace) -> int:
     """Estimate the motion, print it, and write the requested files."""
     import harness
     from harness.errors import InputError
-    from harness.files import make_folder_of
+    from harness.files import check_replaces_none, make_folder_of
 
     check_length(options)
     if not 0 <= options.calibration_sigma_px < float("inf"):
@@ -55,6 +55,11 @@ def run(options: Namespace) -> int:
         raise InputError(f"must be 0 or more; found {options.seed}", file="--seed")
     make_folder_of(options.out)
     make_folder_of(options.json, "--json")
+    read = [options.left, options.right, options.sensor, options.sensor_2]
+    check_replaces_none([options.out], read)
+    check_replaces_none([options.json], read, "--json")
+    if options.json is not None and options.json == options.out:
+        raise InputError("is the file of --out, too; give another name", file=options.json, key="--json")
     sensor = first_sensor(options, central=True)
     assert sensor is not None
     with naming_options():

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 FORMATS = ("toml", "opencv", "opencv-xml", "kalibr", "camodocal", "basalt", "ocamcalib", "colmap")
 _PAGE = Path("sensor.html")
+_ENDINGS = (".html", ".htm", ".svg", ".png")
+"""Those of a page and of pictures."""
 
 
 def add(commands: Commands) -> None:
@@ -68,11 +70,13 @@ def run(options: Namespace) -> None:
     # The matrices of a fit are small: threads would wait for each other.
     os.environ.update({name: value for name, value in ONE_THREAD.items() if "NUMBA" not in name} | os.environ)
 
-    from harness.files import make_folder_of
+    from harness.files import check_replaces_none, make_folder_of
     from harness.io.calibrations.sensors import read_sensor
 
-    make_folder_of(options.out)
+    _check_out(options)
     read = read_sensor(options.file, chosen(options, options.camera))
+    make_folder_of(options.out)
+    check_replaces_none([options.out], [options.file])
     try:
         if options.central:
             read = _central(read)
@@ -84,6 +88,13 @@ def run(options: Namespace) -> None:
         if error.file is not None:
             raise
         raise InputError(error.problem, file=options.file, key=error.key) from error
+
+
+def _check_out(options: Namespace) -> None:
+    """Refuse a page, or a picture, whose name has another ending."""
+    if options.to is None and options.out is not None and options.out.suffix.lower() not in _ENDINGS:
+        problem = "must end in .html, .svg or .png; give --to FORMAT, such as --to toml, to write the sensor itself"
+        raise InputError(problem, file=options.out, key="--out")
 
 
 def _central(read: "SensorFile") -> "SensorFile":
