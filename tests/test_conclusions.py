@@ -11,17 +11,15 @@ def test_an_axis_that_matters_is_named_with_its_ratio():
     """Twice the error at every seed, whatever the seed's own luck: pairs tell it exactly."""
     done = rows(lambda _m, s, seed: 0.01 * luck(seed) * (2 if s["noise.sigma_grey"] else 1))
     (sentence,) = conclusions(done)
-    assert sentence.startswith("noise.sigma_grey: the median range error (column (parabola), on walls) is ")
-    assert "at 0, and with every seed 2 times that" in sentence
-    assert sentence.endswith("at 4.")
+    assert sentence.startswith("noise σ: the median range error (column (parabola), on walls) is ")
+    assert "at 0 grey levels, and with every seed 2 times that" in sentence
+    assert sentence.endswith("at 4 grey levels.")
 
 
 def test_an_axis_that_does_not_matter_is_said_not_to():
     done = rows(lambda _m, s, seed: 0.01 * luck(seed, int(s["noise.sigma_grey"])))
     (sentence,) = conclusions(done)
-    assert sentence.startswith(
-        "noise.sigma_grey makes no difference that these seeds show (column (parabola), on walls"
-    )
+    assert sentence.startswith("noise σ makes no difference that these seeds show (column (parabola), on walls")
 
 
 def test_methods_are_compared_on_alike_trials():
@@ -62,7 +60,7 @@ def test_methods_that_never_had_the_same_settings_are_not_compared():
 def test_long_errors_are_in_metres():
     done = rows(lambda _m, s, _seed: 0.8 if s["noise.sigma_grey"] else 1.6)
     (sentence,) = conclusions(done)
-    assert "is 800 mm at 4, and with every seed 2 times that, 1.6 m at 0." in sentence
+    assert "is 800 mm at 4 grey levels, and with every seed 2 times that, 1.6 m at 0 grey levels." in sentence
 
 
 def test_a_ratio_of_one_seed_is_no_conclusion():
@@ -73,7 +71,7 @@ def test_a_ratio_of_one_seed_is_no_conclusion():
 def test_a_small_difference_that_is_sure_is_called_small():
     done = rows(lambda _m, s, seed: 0.01 * luck(seed) * (1.015 if s["noise.sigma_grey"] else 1))
     (sentence,) = conclusions(done)
-    assert sentence.startswith("noise.sigma_grey changes the median range error by less than 2 % (column (parabola), ")
+    assert sentence.startswith("noise σ changes the median range error by less than 2 % (column (parabola), ")
 
 
 def test_few_seeds_are_said():
@@ -107,15 +105,15 @@ def test_axes_come_in_the_order_of_what_they_do_and_those_that_do_nothing_togeth
         axes=axes,
     )
     first, second, third = conclusions(done)
-    assert first.startswith("noise.sigma_grey: ")
-    assert second.startswith("matching.window_px: ")
+    assert first.startswith("noise σ: ")
+    assert second.startswith("window: ")
     assert third.startswith("chip.bits and view_2.roll_deg make no difference that these seeds show (")
 
 
 def test_sizes_are_products():
     sizes = {"scene.objects.0.size_m": [[4.0, 4.0, 6.0], [8.0, 8.0, 6.0]]}
     (sentence,) = conclusions(rows(lambda _m, s, seed: 0.01 * luck(seed) * s["scene.objects.0.size_m"][0], axes=sizes))
-    assert " at 4 × 4 × 6, and with every seed 2 times that, " in sentence
+    assert " at 4 × 4 × 6 m, and with every seed 2 times that, " in sentence
 
 
 def test_a_first_screen_has_three_sentences_and_the_warning():

@@ -32,8 +32,8 @@ def error_of(method, settings, seed):
 def test_the_best_choice_is_named_beside_the_middle_over_all_conditions():
     said = headline(rows(error_of, methods=METHODS, axes=WINDOWS))
     assert said.startswith(
-        "Best of 4 settings: column (parabola) with matching.window_px = 11. Its median range error on walls, "
-        "averaged over noise.sigma_grey, is "
+        "Best of 4 settings: column (parabola) with window = 11 px. Its median range error on walls, "
+        "averaged over noise σ, is "
     )
     low, high = (float(each) for each in said.partition("[")[2].partition("]")[0].split(", "))
     assert low < 20 * 2**0.5 < high  # mm; the mean of the seeds' luck is within its interval
@@ -43,10 +43,10 @@ def test_the_best_choice_is_named_beside_the_middle_over_all_conditions():
 def test_a_condition_that_comes_first_is_what_a_sweep_is_about():
     axes = dict(reversed(WINDOWS.items()))
     said = headline(rows(error_of, methods=METHODS, axes=axes))
-    assert said.startswith("noise.sigma_grey: the median range error (column (parabola), on walls) is ")
-    assert "at 0, and with every seed 2 times that, " in said
+    assert said.startswith("noise σ: the median range error (column (parabola), on walls) is ")
+    assert "at 0 grey levels, and with every seed 2 times that, " in said
     alike = headline(rows(lambda _m, s, seed: 0.01 * luck(seed, int(s["noise.sigma_grey"]))))
-    assert alike.startswith("noise.sigma_grey makes no difference that these seeds show (")
+    assert alike.startswith("noise σ makes no difference that these seeds show (")
     # Where cases name the methods, these are what it is about, whatever the conditions.
     labels = {("column", "none"): "plain", ("column", "parabola"): "fine"}
     assert headline(rows(error_of, methods=METHODS, axes=axes), names=labels, named_by_cases=True).startswith(

@@ -1,5 +1,8 @@
 """The motion between two views is the same whichever file says it: a pose, a rig or a trajectory."""
 
+import json
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,8 +13,8 @@ import harness
 from harness.camera.sensor import Sensor, lens_from_sensor, unproject
 from harness.cli import main
 from harness.errors import InputError
-from harness.io.motions import motion_of
-from harness.spec import dump_toml
+from harness.io.motions import motion_of, motions_of_poses
+from harness.spec import dump_toml, parse
 
 angles = st.floats(-180, 180)
 positions = st.tuples(*[st.floats(-10, 10)] * 3)
@@ -154,3 +157,93 @@ def test_options_of_range(tmp_path, capsys):
     ):
         assert main([*images, *options]) == 2
         assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_a_motion_is_not_written_over_its_sensor(option, tmp_path, capsys):
+    sensor = tmp_path / "sensor.toml"
+    sensor.write_text("kept")
+    assert main(["motion", "left.png", "right.png", "--sensor", str(sensor), option, str(sensor)]) == 2
+    assert f"{sensor}: {option}: would be written over, and is read; give another name" in capsys.readouterr().err
+    assert sensor.read_text() == "kept"
+
+
+class TestPoseOfEachView:
+    """`--pose` repeated, and files of one pose where that says no motion."""
+
+    @pytest.fixture
+    def views(self, tmp_path):
+        """Folders as `omnirange render` writes them, small: where they stand in the world is far from each other."""
+        camera = {"width_px": 160, "height_px": 120, "focal_px": 153.53, "cx_px": 79.5, "cy_px": 59.5}
+        sensor = parse(Sensor, {"camera": camera})
+        poses = [harness.Pose(position_m=(x, 0.2, 1.0), yaw_deg=30.0) for x in (0.0, 0.4, 0.9)]
+        for number, pose in enumerate(poses):
+            grid = harness.Grid(width_px=180, height_px=50, z_min=-1.0, z_max=0.3)
+            view = harness.render(
+                "box",
+                position_m=pose.position_m,
+                yaw_deg=pose.yaw_deg,
+                sensor=sensor,
+                samples=1,
+                grid=grid,
+            )
+            view.write(tmp_path / f"v{number}")
+        return [tmp_path / f"v{number}" for number in range(3)], poses
+
+    def command(self, name, views, *options):
+        images = [str(each / "omni.png") for each in views]
+        sensor, out = str(views[0] / "sensor.toml"), str(views[0].parent / "out")
+        return main([name, *images, "--sensor", sensor, "--out", out, *map(str, options)])
+
+    def test_poses_in_the_world(self, views):
+        folders, poses = views
+        files = [each / "pose.toml" for each in folders]
+        for motion, pair in zip(motions_of_poses(files, 3), pairwise(poses), strict=True):
+            same(motion, harness.relative_motion(*pair))
+
+    def test_poses_in_the_frame_before(self, tmp_path):
+        pose = harness.Pose(position_m=(0.3, 0.1, 0), yaw_deg=20)
+        (tmp_path / "pose.toml").write_text(dump_toml(pose))
+        for motion in motions_of_poses([tmp_path / "pose.toml"] * 2, 3):
+            same(motion, harness.relative_motion(harness.Pose(), pose))
+
+    def test_of_a_command(self, views, tmp_path):
+        folders, poses = views
+        given = [word for each in folders[:2] for word in ("--pose", each / "pose.toml")]
+        x, y, _ = harness.relative_motion(*poses[:2]).t_v1
+        medians = []
+        for options in (given, ["--baseline", x, y, 0.0]):
+            assert self.command("range", folders[:2], *options, "--matcher", "column") == 0
+            medians.append(json.loads((tmp_path / "out" / "range.json").read_text())["range_median_m"])
+        assert medians[0] == pytest.approx(medians[1], rel=1e-9)  # motions differ by roundings
+
+    @pytest.mark.parametrize(
+        ("name", "count", "given", "message"),
+        [
+            (
+                "range",
+                2,
+                (0,),
+                "pose.toml: is a view's pose in the world, as omnirange render writes it, and no motion",
+            ),
+            ("map", 3, (0,), "pose.toml: holds one pose; more than two images need a trajectory in TUM's"),
+            ("map", 3, (0, 1), "v0/pose.toml: is a view's pose in the world"),
+            ("map", 2, (0, 1, 2), "--pose: must be one trajectory or rig, or a pose for each of the 2 images; found 3"),
+            ("map", 3, (0, 1, 1), "--pose: views 1 and 2 are in one place, which determines no range"),
+        ],
+    )
+    def test_what_is_refused(self, name, count, given, message, views, capsys):
+        folders, _ = views
+        options = [word for each in given for word in ("--pose", folders[each] / "pose.toml")]
+        height = ["--height", 1.0] if name == "map" else []
+        assert self.command(name, folders[:count], *options, *height) == 2
+        said = capsys.readouterr().err
+        assert message in said
+        assert said.count("\n") == 1
+
+    @pytest.mark.parametrize("option", [("--rotation-deg", 1, 0, 0), ("--baseline-length", 1), ("--views", 0, 1)])
+    def test_what_poses_do_not_need(self, option, views, capsys):
+        folders, _ = views
+        options = [word for each in folders for word in ("--pose", each / "pose.toml")]
+        assert self.command("range", folders, *options, *option) == 2
+        assert capsys.readouterr().err.startswith(f"omnirange: {option[0]}: ")

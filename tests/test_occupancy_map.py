@@ -1,5 +1,6 @@
 """Maps against floor plans drawn by hand, the single-beam posterior, and files read back."""
 
+import csv
 from itertools import pairwise
 
 import numpy as np
@@ -292,10 +293,17 @@ def test_photographs_become_a_map(tmp_path, capsys):
         images.append(str(tmp_path / str(i) / "omni.png"))
     options = ["--sensor", str(tmp_path / "0" / "sensor.toml"), "--baseline", "0.5", "0", "0", "--matcher", "sgm",
                "--height", "1", "--support", "2", "--cell", "0.1", "--out", str(tmp_path / "map")]  # fmt: skip
-    assert main(["map", *images, *options]) == 0
-    said = capsys.readouterr().out
+    Image.new("L", (200, 150), 128).save(tmp_path / "blank.png")
+    assert main(["map", *images, str(tmp_path / "blank.png"), *options]) == 0
+    printed = capsys.readouterr()
+    pairs = list(csv.DictReader((tmp_path / "map" / "pairs.csv").read_text(encoding="utf-8").splitlines()))
+    assert [each["geometry"] for each in pairs] == ["ok", "ok", "unknown"]
+    assert [float(each["x_m"]) for each in pairs] == pytest.approx([0.0, 0.5, 1.0])
+    last = f"the geometry of 1 pair of 3 is unknown ({images[2]}, {tmp_path / 'blank.png'}): do not trust it"
+    assert printed.err.splitlines()[-1].endswith(last)
+    said = printed.out
     assert "m2 free" in said
-    assert said.count("\n  geometry ") == 2  # the verdict of each pair
+    assert said.count("\n  geometry ") == 3  # the verdict of each pair
     assert f"{images[1]}, {images[2]}: " in said
     state, frame = read_map(tmp_path / "map" / "map.yaml")
     x, y = frame.centres()

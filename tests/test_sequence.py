@@ -118,7 +118,7 @@ def test_command(folder, tmp_path, capsys):
     for options, message in (
         (["--pose", str(folder / "trajectory.txt")], "--frame: a trajectory does not say which frame it moves"),
         ([*trajectory, "--views", "0", "1"], "--views: is for two images"),
-        (["--pose", str(folder / "view0" / "pose.toml")], "pose.toml: is no trajectory"),
+        (["--pose", str(folder / "view0" / "pose.toml")], "pose.toml: holds one pose; more than two images need"),
     ):
         assert main([*base, *options]) == 2
         assert message in capsys.readouterr().err

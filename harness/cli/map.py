@@ -1,5 +1,7 @@
 """`omnirange map`: a sequence of photographs of your own as an occupancy grid."""
 
+import csv
+import io
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -14,8 +16,13 @@ from harness.cli.scan import add_band, band_of, naming_options
 from harness.errors import InputError
 
 if TYPE_CHECKING:
+    from harness.api.mapping import RangeScan
     from harness.api.motion import MotionEstimate
     from harness.camera.sensor import Sensor
+    from harness.pipeline.geometry_check import Verdict
+
+Place = tuple[float, float, float]
+"""X and y on the map, metres, and yaw, degrees."""
 
 
 def add(commands: Commands) -> None:
@@ -26,7 +33,7 @@ def add(commands: Commands) -> None:
         brief="a map of free and occupied space, from images of your own",
         description="Match each of several omnidirectional images with the next, as omnirange range does, make range "
         "profiles of the pairs, as omnirange scan does, and put them together on a grid: map.png and map.yaml, as "
-        "ROS's map_server reads them.",
+        "ROS's map_server reads them, and pairs.csv, what each pair was worth.",
         epilog="The map's frame is that of the first view's scan: origin at its viewpoint, x where its x axis points, "
         "y to the left. Each answer counts by its standard deviation.",
     )
@@ -42,6 +49,7 @@ def run(options: Namespace) -> int:
     """Match each image with the next, gather, and write the map."""
     import harness
     from harness.api.mapping import level_poses
+    from harness.files import write
     from harness.geometry.pose import Motion, Pose
     from harness.mapping.occupancy import Cell
     from harness.mapping.settings import OccupancyMap
@@ -77,10 +85,22 @@ def run(options: Namespace) -> int:
             print(f"  {line}", flush=True)
     grid = harness.range_map(scans, places, cell_m=options.cell)
     grid.write(options.out)
+    write(options.out / "pairs.csv", _table(images, scans, places, verdicts))
     free, occupied = (int((grid.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
     print(f"{free:.2f} m2 free, {occupied:.2f} m2 occupied; {options.out / 'map.yaml'}")
-    warn_of(*verdicts)
+    warn_of(*verdicts, pairs=[f"{left}, {right}" for left, right in pairwise(images)])
     return OK
+
+
+def _table(images: list[Path], scans: "list[RangeScan]", places: list[Place], verdicts: "list[Verdict]") -> str:
+    """The pairs as CSV: where each was taken on the map, and whether its motion and calibration agree with it."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["left", "right", "x_m", "y_m", "yaw_deg", "share_with_obstacle", "geometry"])
+    for (left, right), scan, place, verdict in zip(pairwise(images), scans, places, verdicts, strict=True):
+        where = [f"{each:.6g}" for each in place]
+        writer.writerow([left, right, *where, f"{scan.profile.known.mean():.4f}", verdict])
+    return stream.getvalue()
 
 
 def _estimated(options: Namespace, sensor: "Sensor", images: list[Path]) -> "list[MotionEstimate] | None":

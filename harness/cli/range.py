@@ -4,6 +4,7 @@ import math
 import sys
 import warnings
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -97,9 +98,11 @@ def _add_motion(command: Parser) -> None:
     pose = where.add_argument(
         "--pose",
         type=Path,
+        action="append",
         metavar="FILE",
         help="where view 2 is: its pose in view 1's frame, TOML as omnirange motion writes it; a rig's calibration, "
-        "such as a Kalibr camchain; or a trajectory in TUM's or KITTI's format",
+        "such as a Kalibr camchain; or a trajectory in TUM's or KITTI's format. Repeated, the pose of each view in one "
+        "frame, as omnirange render writes it",
     )
     completers.offer(pose, completers.files())
     where.add_argument(
@@ -176,7 +179,7 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
     else:
         motion = _given_motion(options, sensors)
         if not motion.baseline_m > 0:
-            source = "--baseline" if options.pose is None else options.pose
+            source = "--baseline" if options.pose is None else options.pose[-1]
             raise InputError("must not be zero: two views from one point determine no range", file=source)
     if options.mask == Path("auto"):
         sensor = _without_body(options, sensors, motion, settings)
@@ -207,17 +210,25 @@ def tell_matching(estimate: "RangeEstimate") -> None:
         print(line)
 
 
-def warn_of(*verdicts: "Verdict") -> None:
-    """Say last of all that what was made of these geometries is not to be trusted, where that is so."""
+def warn_of(*verdicts: "Verdict", pairs: Sequence[str] = ()) -> None:
+    """Say last of all that what was made of these geometries is not to be trusted, where that is so.
+
+    Parameters
+    ----------
+    pairs
+        The names of the pairs, if there are several.
+    """
     from harness.errors import Notice
     from harness.pipeline.geometry_check import Verdict
 
     bad = [each for each in verdicts if each in (Verdict.WRONG, Verdict.UNKNOWN)]
     if bad:
-        of = f" of {counted(len(bad), 'pair')} of {len(verdicts)}" if len(verdicts) > 1 else ""
-        warnings.warn(
-            f"the geometry{of} is {listed(dict.fromkeys(map(str, bad)))}: do not trust it", Notice, stacklevel=1
-        )
+        of, which = "", ""
+        if len(verdicts) > 1:
+            of = f" of {counted(len(bad), 'pair')} of {len(verdicts)}"
+            which = f" ({'; '.join(pair for pair, each in zip(pairs, verdicts, strict=True) if each in bad)})"
+        kinds = listed(dict.fromkeys(map(str, bad)))
+        warnings.warn(f"the geometry{of} is {kinds}{which}: do not trust it", Notice, stacklevel=1)
 
 
 def ranging(options: Namespace, settings: "OwnSettings") -> dict[str, Any]:
@@ -274,11 +285,11 @@ def sequence_settings(options: Namespace) -> "tuple[Sensor, OwnSettings]":
 
 def motions_between(options: Namespace, sensor: "Sensor", count: int) -> "list[Motion] | None":
     """The motions between successive ones of so many images, as they were given; None where they are estimated."""
-    if options.pose is not None and count > 2:
+    if options.pose is not None and (count > 2 or len(options.pose) > 1):
         return _along(options, sensor, count)
     if options.pose is not None or options.baseline is not None:
         return [_given_motion(options, (sensor, sensor))] * (count - 1)
-    check_length(options)
+    _check_estimated(options)
     return None
 
 
@@ -312,39 +323,35 @@ def _sequence(options: Namespace) -> int:
 
 
 def _along(options: Namespace, sensor: "Sensor", count: int) -> "list[Motion]":
-    """The motions between successive poses of a trajectory, one pose for each image."""
+    """The motions between successive poses of a trajectory, or of files of poses, one pose for each image."""
     from harness.camera.sensor import lens_from_sensor
     from harness.errors import InputError
-    from harness.io.motions import read_motions
+    from harness.io.motions import motions_of_poses, read_motions
 
-    lens = lens_from_sensor(sensor)
-    try:
-        motions = read_motions(options.pose, lens, options.frame)
-    except InputError as error:
-        raise InputError(
-            error.problem, file=error.file, key="--frame" if error.key == "frame" else error.key
-        ) from error
-    if len(motions) != count - 1:
-        raise InputError(f"has {len(motions) + 1} poses; there are {count} images", file=options.pose)
+    _check_given(options)
+    file = options.pose[0]
+    if len(options.pose) > 1:
+        motions = motions_of_poses(options.pose, count)
+    else:
+        try:
+            motions = read_motions(file, lens_from_sensor(sensor), options.frame)
+        except InputError as error:
+            key = "--frame" if error.key == "frame" else error.key
+            raise InputError(error.problem, file=error.file, key=key) from error
+        if len(motions) != count - 1:
+            raise InputError(f"has {len(motions) + 1} poses; there are {count} images", file=file)
     standing = next((i for i, each in enumerate(motions) if not each.baseline_m > 0), None)
     if standing is not None:
-        raise InputError(
-            f"poses {standing} and {standing + 1} are in one place, which determines no range", file=options.pose
-        )
+        problem = f"views {standing} and {standing + 1} are in one place, which determines no range"
+        raise InputError(problem, file="--pose" if len(options.pose) > 1 else file)
     return motions
 
 
 def _estimated(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "MotionEstimate":
     """The motion from view 1 to view 2, from the images."""
     import harness
-    from harness.errors import InputError
 
-    for option in ("rotation_deg", "views", "frame"):
-        if getattr(options, option) is not None:
-            raise InputError(
-                "belongs to --baseline or --pose, and neither is given", file=f"--{option.replace('_', '-')}"
-            )
-    check_length(options)
+    _check_estimated(options)
     with naming_options():
         return harness.estimate_motion(
             options.left,
@@ -361,28 +368,20 @@ def _given_motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Moti
     import harness
     from harness.camera.sensor import lens_from_sensor
     from harness.errors import InputError
-    from harness.io.motions import read_motion
+    from harness.io.motions import motions_of_poses, read_motion
     from harness.spec import parse
 
-    for option in ("baseline_length", "camera_height"):
-        if getattr(options, option) is not None:
-            option_used = "--baseline" if options.pose is None else "--pose"
-            raise InputError(
-                f"{option_used} says where view 2 is; leave one of them out", file=f"--{option.replace('_', '-')}"
-            )
+    _check_given(options)
     if options.pose is not None:
-        if options.rotation_deg is not None:
-            raise InputError("the rotation is in the file of --pose; leave one of them out", file="--rotation-deg")
+        if len(options.pose) > 1:
+            return motions_of_poses(options.pose, 2)[0]
         lenses = lens_from_sensor(sensors[0]), lens_from_sensor(sensors[1])
         views = None if options.views is None else (options.views[0], options.views[1])
         try:
-            return read_motion(options.pose, lenses, views, options.frame)
+            return read_motion(options.pose[0], lenses, views, options.frame)
         except InputError as error:
             key = {"views": "--views", "frame": "--frame"}.get(error.key or "", error.key)
             raise InputError(error.problem, file=error.file, key=key) from error
-    for option in ("views", "frame"):
-        if getattr(options, option) is not None:
-            raise InputError("belongs to --pose, which is not given", file=f"--{option}")
     yaw, pitch, roll = options.rotation_deg or (0.0, 0.0, 0.0)
     table = {"position_m": options.baseline, "yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
     try:
@@ -390,6 +389,37 @@ def _given_motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Moti
     except InputError as error:
         option = "--rotation-deg" if (error.key or "").endswith("_deg") else "--baseline"
         raise InputError(error.problem, file=option, key=error.key) from error
+
+
+def _check_estimated(options: Namespace) -> None:
+    """Refuse options that belong to a motion that is given."""
+    from harness.errors import InputError
+
+    for option in ("rotation_deg", "views", "frame"):
+        if getattr(options, option) is not None:
+            problem = "belongs to --baseline or --pose, and neither is given"
+            raise InputError(problem, file=f"--{option.replace('_', '-')}")
+    check_length(options)
+
+
+def _check_given(options: Namespace) -> None:
+    """Refuse options that contradict a motion that is given, or choose from what is not."""
+    from harness.errors import InputError
+
+    used = "--baseline" if options.pose is None else "--pose"
+    for option in ("baseline_length", "camera_height"):
+        if getattr(options, option) is not None:
+            problem = f"{used} says where view 2 is; leave one of them out"
+            raise InputError(problem, file=f"--{option.replace('_', '-')}")
+    if options.pose is not None and options.rotation_deg is not None:
+        raise InputError("the rotation is in the file of --pose; leave one of them out", file="--rotation-deg")
+    for option in ("views", "frame"):
+        if getattr(options, option) is None:
+            continue
+        if options.pose is None:
+            raise InputError("belongs to --pose, which is not given", file=f"--{option}")
+        if len(options.pose) > 1:
+            raise InputError("is for one file of several poses; here each --pose is one", file=f"--{option}")
 
 
 def _without_body(

@@ -1,5 +1,7 @@
 """The motion between two views from a file: a pose, a rig's calibration, or a trajectory."""
 
+from collections.abc import Sequence
+from itertools import pairwise, starmap
 from pathlib import Path
 from typing import Literal
 
@@ -10,9 +12,10 @@ from harness.geometry.angles import Array
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.io.calibrations import READERS
 from harness.io.calibrations.parsing import read_content
+from harness.io.calibrations.record import Content
 from harness.io.calibrations.rigs import transform_between
 from harness.io.trajectories import Trajectory, is_trajectory, read_trajectory
-from harness.spec import load
+from harness.spec import load, parse
 
 Frame = Literal["sensor", "lens"]
 """The frame whose poses a trajectory has: the sensor's, z up; or the lens's, X along u, Y along v, Z along the axis."""
@@ -20,6 +23,17 @@ Frame = Literal["sensor", "lens"]
 _UNKNOWN = (
     "holds no pose, no rig and no trajectory; known are view 2's pose as TOML (position_m, yaw_deg, ...), calibration "
     "files with where each camera is, and trajectories in TUM's (8 numbers a line) or KITTI's format (12)"
+)
+
+_BESIDE_A_POSE = {"panorama", "R_world_from_view"}
+"""What `omnirange render` writes beside the pose of a view in the world."""
+_IN_THE_WORLD = (
+    "is a view's pose in the world, as omnirange render writes it, and no motion between two views; give the pose of "
+    "each view (--pose FIRST --pose SECOND; in Python, relative_motion(first, second))"
+)
+_ONE_POSE = (
+    "holds one pose; more than two images need a trajectory in TUM's (8 numbers a line) or KITTI's format (12), or a "
+    "pose for each image (--pose A --pose B --pose C)"
 )
 
 
@@ -50,7 +64,7 @@ def read_motion(
     content = read_content(file)
     if is_trajectory(content):
         return _of_trajectory(read_trajectory(content), lens_from_sensor, views, frame)
-    is_pose = content.syntax == "toml" and any(key in content.table for key in Pose.model_fields)
+    is_pose = _is_pose(content)
     known = next((each for each in READERS.values() if each.recognises(content)), None)
     if not is_pose and known is None:
         raise InputError(_UNKNOWN, file=file)
@@ -62,7 +76,45 @@ def read_motion(
         return motion_of(transform_between(known.read(content), *(views or (0, 1))), lens_from_sensor)
     if views is not None:
         raise InputError("are for rigs and trajectories; this file holds one pose", file=file, key="views")
+    if _BESIDE_A_POSE & content.table.keys():
+        raise InputError(_IN_THE_WORLD, file=file)
     return relative_motion(Pose(), load(Pose, file))
+
+
+def motions_of_poses(files: Sequence[Path], count: int) -> list[Motion]:
+    """The motions between successive ones of so many views, from files of one pose each.
+
+    Parameters
+    ----------
+    files
+        As many as views: the pose of each in one frame, such as the world's, as `omnirange render` writes it. One less:
+        the pose of each view but the first in the frame of the one before it, as `omnirange motion` writes it.
+
+    Raises
+    ------
+    InputError
+        When a file holds no such pose, or they are of another number.
+    """
+    if len(files) not in (count, count - 1):
+        problem = f"must be one trajectory or rig, or a pose for each of the {count} images; found {len(files)} files"
+        raise InputError(problem, key="--pose")
+    poses = [_pose(file, in_the_world=len(files) == count) for file in files]
+    if len(files) == count:
+        return list(starmap(relative_motion, pairwise(poses)))
+    return [relative_motion(Pose(), pose) for pose in poses]
+
+
+def _pose(file: Path, *, in_the_world: bool) -> Pose:
+    content = read_content(file)
+    if not _is_pose(content):
+        raise InputError("holds no pose: TOML with position_m, yaw_deg, pitch_deg, roll_deg", file=file)
+    if not in_the_world and _BESIDE_A_POSE & content.table.keys():
+        raise InputError(_IN_THE_WORLD, file=file)
+    return parse(Pose, {key: each for key, each in content.table.items() if key not in _BESIDE_A_POSE}, file=file)
+
+
+def _is_pose(content: Content) -> bool:
+    return content.syntax == "toml" and any(key in content.table for key in Pose.model_fields)
 
 
 def read_motions(file: Path, lens_from_sensor: Array, frame: Frame | None = None) -> list[Motion]:
@@ -79,6 +131,8 @@ def read_motions(file: Path, lens_from_sensor: Array, frame: Frame | None = None
         When the file is no trajectory, or lacks a value that is needed.
     """
     content = read_content(file)
+    if _is_pose(content):
+        raise InputError(_ONE_POSE, file=file)
     if not is_trajectory(content):
         raise InputError("is no trajectory in TUM's (8 numbers a line) or KITTI's format (12)", file=file)
     trajectory = read_trajectory(content)

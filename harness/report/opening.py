@@ -90,11 +90,13 @@ def _wanted(context: Context) -> list[str]:
     sweep, said = context.sweep, context.summary.get("headline") or ""
     if not sweep.several:
         return []
-    axes = sorted(
-        sweep.axes, key=lambda axis: (said.startswith((f"{axis.key}:", f"{axis.key} ")), *_interest(axis)), reverse=True
-    )
+    axes = sorted(sweep.axes, key=lambda axis: (_is_about(said, axis), *_interest(axis)), reverse=True)
     best = ["figure-best-baseline"] if [axis.key for axis in axes] == [BASELINE] else []
     return [*_OF_RESULTS, *best, *(f"figure-{axis.slug}" for axis in axes), "figure-regions"]
+
+
+def _is_about(said: str, axis: Axis) -> bool:
+    return said.startswith((f"{axis.name}:", f"{axis.name} "))
 
 
 def _interest(axis: Axis) -> tuple[bool, int]:

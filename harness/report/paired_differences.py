@@ -20,10 +20,10 @@ from harness.report import theme, written_runs
 from harness.report.data import Cell, Data, Heading, Table, count, interval, number, words
 from harness.report.markup import template
 from harness.report.pairing import METHOD, Pairs, pairs_of
-from harness.report.sweep import name_of
 from harness.report.theme import WIDE, Picture
 from harness.report.typography import figure
 from harness.report.written_runs import NONE, Run, names_of_folders, read_run
+from harness.runs.key_names import name_of
 
 _FAR = 300
 """Shares in percent from which an axis is logarithmic beyond 100: one figure would crush all others."""

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 from harness.display import listed, shortened_labels
 from harness.report.shipped_names import with_names
-from harness.report.sweep import name_of, texts_of, value_text
+from harness.report.sweep import texts_of, value_text
 from harness.report.written_runs import NONE, Run
 from harness.runs.cases import CASE
+from harness.runs.key_names import name_of
 
 METHOD = "method"
 """Stands for all settings of the matcher where trials of different methods are pairs."""

@@ -14,6 +14,7 @@ from harness.report import theme
 from harness.report.method_styles import looks
 from harness.runs.analysis import law_condition, noise_condition
 from harness.runs.cases import CASE
+from harness.runs.key_names import name_and_unit, name_of
 from harness.runs.methods import METHOD_KEYS, MethodName
 from harness.runs.run import Result, Row
 from harness.runs.values import Settings, identity_of, shown, text_of
@@ -21,14 +22,6 @@ from harness.runs.values import Settings, identity_of, shown, text_of
 NOT_AN_AXIS = ("seed", *METHOD_KEYS)
 """Keys that vary, but are averaged over or drawn as methods."""
 
-_NAMES = {
-    "view_2.baseline_m": ("baseline |t|", "m"),
-    "matching.window_px": ("window", "px"),
-    "matching.pitch_px": ("pitch", "px"),
-    "noise.sigma_grey": ("noise σ", "grey levels"),
-    "filter.log_sigma_px": ("LoG σ", "px"),
-    "scene.objects.0.size_m": ("size of the first object", "m"),
-}
 _STROKES: tuple[tuple[Any, str], ...] = (
     ("solid", "o"),
     ((0, (4, 1.8)), "s"),
@@ -73,12 +66,12 @@ class Axis:
     @property
     def name(self) -> str:
         """The axis's name for people."""
-        return _NAMES.get(self.key, (self.key, ""))[0]
+        return name_and_unit(self.key)[0]
 
     @property
     def unit(self) -> str:
         """The unit as shown; empty if there is none, or none that is known here."""
-        return _NAMES.get(self.key, (self.key, ""))[1]
+        return name_and_unit(self.key)[1]
 
     @property
     def label(self) -> str:
@@ -215,12 +208,6 @@ def value_text(value: Any) -> str:
 def in_words(coordinates: Settings) -> str:
     """Coordinates on the axes, with the names that people use."""
     return shown({name_of(key): value for key, value in coordinates.items()})
-
-
-def name_of(key: str) -> str:
-    """The name that people use for a key, with its unit."""
-    name, unit = _NAMES.get(key, (key, ""))
-    return f"{name} ({unit})" if unit else name
 
 
 def _ordered(values: list[Any]) -> list[Any]:

@@ -12,6 +12,7 @@ import pandas as pd
 from harness.display import listed
 from harness.evaluation.statistics import FEW_SEEDS, balanced, mean_over_seeds
 from harness.runs.cases import CASE
+from harness.runs.key_names import name_and_unit
 from harness.runs.methods import METHOD_KEYS, MethodName, in_words
 from harness.runs.values import identity_of, shown, text_of
 
@@ -183,7 +184,7 @@ def _along(table: pd.DataFrame, key: str, axes: dict[str, list[Any]], figure: st
     if not _has_interval(ratio):
         return None
     values = [axes[key][int(i)] for i in curve.x]  # type: ignore[call-overload]
-    low, high = (f"{length(curve.mean[i])} at {_quoted(value_text(values[i]))}" for i in (least, most))
+    low, high = (f"{length(curve.mean[i])} at {_measure(key, values[i])}" for i in (least, most))
     return _Along(key, ratio, (low, high))
 
 
@@ -192,20 +193,25 @@ def _about_axes(compared: Sequence[_Along], who: str) -> Iterator[str]:
     differing = [each for each in compared if _differs(each.ratio)]
     for each in sorted(differing, key=lambda each: -abs(math.log(each.ratio[0]))):
         low, high = each.ends
-        yield f"{each.key}: the median range error ({who}) is {low}, and {_times(each.ratio)} that, {high}."
+        name = name_and_unit(each.key)[0]
+        yield f"{name}: the median range error ({who}) is {low}, and {_times(each.ratio)} that, {high}."
     alike = [each for each in compared if each not in differing]
     small = [each for each in alike if each.ratio[1] > 1]  # sure, but small
     unsure = [each for each in alike if each not in small]
     if small:
         yield (
-            f"{listed([each.key for each in small])} {'change' if len(small) > 1 else 'changes'} the median range "
+            f"{_names(small)} {'change' if len(small) > 1 else 'changes'} the median range "
             f"error by less than 2 % ({who}: {_at_most(small)})."
         )
     if unsure:
         yield (
-            f"{listed([each.key for each in unsure])} {'make' if len(unsure) > 1 else 'makes'} no difference that "
+            f"{_names(unsure)} {'make' if len(unsure) > 1 else 'makes'} no difference that "
             f"these seeds show ({who}: {_at_most(unsure)})."
         )
+
+
+def _names(compared: Sequence[_Along]) -> str:
+    return listed([name_and_unit(each.key)[0] for each in compared])
 
 
 def _at_most(compared: Sequence[_Along]) -> str:
@@ -235,8 +241,13 @@ def length(metres: float) -> str:
 
 
 def said_of(key: str, value: Any) -> str:
-    """A key with its value in a sentence: a case is called by its name alone."""
-    return _quoted(value_text(value)) if key == CASE else f"{key} = {_quoted(value_text(value))}"
+    """A key's name with its value in a sentence: a case is called by its name alone."""
+    return _quoted(value_text(value)) if key == CASE else f"{name_and_unit(key)[0]} = {_measure(key, value)}"
+
+
+def _measure(key: str, value: Any) -> str:
+    """A value with the unit that its key has for people."""
+    return f"{_quoted(value_text(value))} {name_and_unit(key)[1]}".rstrip()
 
 
 def _quoted(text: str) -> str:

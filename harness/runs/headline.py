@@ -13,6 +13,7 @@ from harness.display import listed
 from harness.evaluation.law import NO_LAW, slope_verdict
 from harness.evaluation.statistics import balanced, mean_over_seeds
 from harness.runs.conclusions import about_axis, best_method, length, measured, said_of, table_of
+from harness.runs.key_names import name_and_unit
 from harness.runs.methods import MethodName, in_words
 
 BASELINE = "view_2.baseline_m"
@@ -228,7 +229,7 @@ def _of_the_best(table: pd.DataFrame, axes: dict[str, list[Any]]) -> str | None:
         between, without = "", " (one seed, no interval)"
     elif math.isclose(low, high, rel_tol=1e-9):
         between, without = "", " (the same with every seed)"
-    over = f", averaged over {listed(conditions)}," if conditions else ""
+    over = f", averaged over {listed([name_and_unit(key)[0] for key in conditions])}," if conditions else ""
     which = "settings" if chosen else "methods"
     return (
         f"Best of {pivot.shape[1]} {which}: {who}. Its median range error {where}{over} is "
