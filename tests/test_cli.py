@@ -242,7 +242,7 @@ def test_all_that_there_is_has_a_line(arguments: list[str], capsys: pytest.Captu
             '[axes]\nscene = ["bx"]\n',
             "axes.scene: 'bx': no such scene; did you mean 'box'? Otherwise give the path of a TOML file or one of",
         ),
-        ("[axes]\nseed = [1, 2, 1]\n", "axes: two trials are the same: seed = 1, and seed = 1; remove one"),
+        ("[axes]\nseed = [1, 2, 1]\n", "axes.seed: has the value 1 twice; leave one out"),
         (
             '[[cases]]\nname = "a"\n"noise.sigma" = 3\n',
             "cases[0].noise.sigma: unknown key 'sigma'; did you mean 'sigma_grey'?",

@@ -72,6 +72,7 @@ def run(options: Namespace) -> int:
     from harness.runs.run import is_reported, open_run, run_plan, run_status
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
+    _say_left_out(options, experiment)
     _say_law(experiment)
     if options.dry_run:
         return _dry_run(experiment, options.experiment, with_report=not options.no_report)
@@ -129,6 +130,28 @@ def _meanwhile(experiment: "Experiment", beforehand: "dict[str, Made]") -> Itera
     from harness.report import build  # noqa: F401
 
     yield
+
+
+def _say_left_out(options: Namespace, experiment: "Experiment") -> None:
+    """Tell which of the experiment's axes a matcher or camera model of an option has left without a meaning."""
+    from harness.runs.dotted import KIND, MODEL_KINDS
+    from harness.runs.load import load_experiment
+
+    kinds = [
+        f"{option} {each}"
+        for option, given in (("--set", options.set), ("--axis", options.axis))
+        for each in given
+        if each.partition("=")[0].strip() in (KIND, *MODEL_KINDS)
+    ]
+    if not kinds:
+        return
+    meant = {each.partition("=")[0].strip() for each in options.set}  # these say themselves that they replace an axis
+    gone = [key for key in load_experiment(options.experiment).axes if key not in experiment.axes and key not in meant]
+    if gone:
+        one = len(gone) == 1
+        text = f"{experiment.name}: the {'axis' if one else 'axes'} {listed(gone)} {'is' if one else 'are'} left out: "
+        has_none = "has no such setting" if len(kinds) == 1 else "have no such setting, or not all of them"
+        warnings.warn(f"{text}{listed(kinds)} {has_none}", Notice, stacklevel=1)
 
 
 def _say_law(experiment: "Experiment") -> None:

@@ -30,7 +30,7 @@ from harness.runs.cases import (
 from harness.runs.dotted import changed, value_at, worked_out
 from harness.runs.methods import METHOD_KEYS, MethodName, method_id, method_names, names_for_people
 from harness.runs.named_files import SENSORS
-from harness.runs.values import Settings, shown
+from harness.runs.values import Settings, identity_of, shown, text_of
 from harness.simulation.fingerprint import fingerprint
 from harness.spec import Spec, as_given, checked_plain, parse
 
@@ -159,6 +159,7 @@ class Experiment(Spec):
             }
             key = trial.key
             if key in trials:
+                self._check_twice()
                 raise InputError(
                     f"two trials are the same: {shown(trials[key][0])}, and {shown(coordinates)}; remove one",
                     key="axes" if case is None else f"cases[{case}]",
@@ -213,6 +214,14 @@ class Experiment(Spec):
             several = " x ".join(text for text, count in counts.items() if count > 1)
             problem = f"{total} trials are more than the {MOST_TRIALS} that an experiment may have: {several}"
             raise InputError(problem, key="axes" if self.axes else "cases")
+
+    def _check_twice(self) -> None:
+        """Refuse an axis that has a value twice."""
+        for key, values in self.axes.items():
+            identities = [identity_of(key, value) for value in values]
+            twice = next((value for i, value in enumerate(values) if identities.index(identities[i]) < i), None)
+            if twice is not None:
+                raise InputError(f"has the value {text_of(twice)} twice; leave one out", key=f"axes.{key}")
 
     def _settings(self) -> Iterator[tuple[int | None, Settings]]:
         """The number of the case, if there are any, and what changes in the base trial."""

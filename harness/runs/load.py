@@ -16,6 +16,7 @@ from harness.runs.dotted import changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute, of_matcher, read_in
 from harness.runs.overrides import listed, plain, read_value, split, values_of, with_axes, with_cases, with_sets
+from harness.runs.values import text_of
 from harness.spec import Spec, parse
 from harness.toml import read_toml
 
@@ -63,7 +64,7 @@ def load_experiment(
     if isinstance(axes, Mapping):
         values = {str(key): listed(str(key), each) for key, each in axes.items()}
     else:
-        values = {key: values_of(text, key) for key, text in (split("--axis", each) for each in axes)}
+        values = _axes_of(axes)
     settings = _up_to_date(DottedKeys(Trial), settings, set_option)
     values = _up_to_date(DottedKeys(Trial, listed=True), values, axis_option)
     changed = with_axes(with_sets(experiment, settings, set_option), values, axis_option)
@@ -73,10 +74,23 @@ def load_experiment(
         _ = changed.planned
     except InputError as error:
         blamed = _blamed(error, changed, file, (set_option, settings), (axis_option, values), cases is not None)
+        if blamed.file == (file and str(file)) and (settings or values) and _is_valid(experiment):
+            where = error.key.removeprefix("axes.") if error.key and error.key != "axes" else None
+            blamed = InputError(error.problem, file=axis_option if values else set_option, key=where)
         if blamed is error:
             raise
         raise blamed from error
     return changed
+
+
+def _axes_of(options: Sequence[str]) -> dict[str, list[Any]]:
+    """The axes of `--axis`; one that is given twice could mean either or both."""
+    axes: dict[str, list[Any]] = {}
+    for key, text in (split("--axis", each) for each in options):
+        if key in axes:
+            raise InputError(f"is given twice; write all values in one: --axis {key}=A,B", file="--axis", key=key)
+        axes[key] = values_of(text, key)
+    return axes
 
 
 def _blamed(
@@ -103,10 +117,23 @@ def _blamed(
         return InputError(error.problem, file="cases", key=key_of_name(key, changed.cases))
     if key in {f"axes.{each}" for each in axes[1]}:
         return InputError(error.problem, file=axes[0], key=key.removeprefix("axes."))
+    for each, values in axes[1].items():
+        if key.startswith(f"axes.{each}."):  # another axis leads into the values of this one
+            plain = next((value for value in values if not isinstance(value, Mapping | str)), None)
+            problem = error.problem if plain is None else f"must be a table; found {text_of(plain)}"
+            return InputError(problem, file=axes[0], key=each)
     for each in sets[1]:
         if f"{key}.".startswith(f"trial.{each}.") or f"trial.{each}" == f"{key}.file":
             return InputError(error.problem, file=sets[0], key=each)
     return InputError(error.problem, file=file, key=error.key)
+
+
+def _is_valid(experiment: Experiment) -> bool:
+    """Whether an experiment is valid as it was before any option."""
+    try:
+        return bool(experiment.planned)
+    except InputError:
+        return False
 
 
 def _cases_up_to_date(cases: Mapping[str, Any]) -> list[dict[str, Any]]:

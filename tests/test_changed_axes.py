@@ -1,0 +1,57 @@
+"""`--set` and `--axis` over an experiment's own axes: what they leave out is said, and they are blamed for what is wrong."""
+
+import pytest
+
+from harness.cli import main
+from harness.errors import InputError
+from harness.runs.load import load_experiment
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--set", "matching.kind=slanted"), "the axis matching.subpixel is left out: --set matching.kind=slanted has"),
+        (
+            ("--axis", "matching.kind=slanted,opencv-reconstruct"),
+            "the axes matching.window_px and matching.subpixel are left out: "
+            "--axis matching.kind=slanted,opencv-reconstruct has no such setting",
+        ),
+        (("--set", "matching.kind=column"), ""),
+        (("--set", "matching.subpixel=none"), ""),  # it is said where it is said what it is
+        (("--set", "matching.kind=slanted", "--set", "matching.window_px=7"), "the axis matching.subpixel is left out"),
+    ],
+)
+def test_an_axis_that_a_matcher_does_not_have_is_said_to_be_left_out(options, said, capsys):
+    assert main(["run", "smoke", "--dry-run", *options]) == 0
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == bool(said)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--axis", "matching=3"), "--axis: matching: must be a table; found 3"),
+        (("--axis", "noise=2"), "--axis: noise: must be a table; found 2"),
+        (("--axis", "seed=1,1"), "--axis: seed: has the value 1 twice; leave one out"),
+        (("--axis", "seed=1,2,1.0"), "--axis: seed: has the value 1.0 twice; leave one out"),
+        (
+            ("--axis", "seed=1", "--axis", "seed=2"),
+            "--axis: seed: is given twice; write all values in one: --axis seed=",
+        ),
+        (
+            ("--axis", "view_2.azimuth_deg=0", "--axis", "view_2={baseline_m=0.3},{baseline_m=0.4}"),
+            "--axis: two trials",
+        ),
+    ],
+)
+def test_the_option_is_blamed_and_not_the_experiment(options, said, capsys):
+    assert main(["run", "smoke", "--dry-run", *options]) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {said}")
+
+
+def test_a_file_is_blamed_for_what_is_wrong_without_any_option(tmp_path):
+    file = tmp_path / "e.toml"
+    file.write_text('name = "e"\n[trial]\nscene = "box"\n[axes]\nseed = [1, 1]\n')
+    with pytest.raises(InputError, match=r"e\.toml: axes\.seed: has the value 1 twice"):
+        load_experiment(file, axes=["noise.sigma_grey=1,2"])
