@@ -83,6 +83,8 @@ def look_here() -> str:
 
 def absent(module: str, name: str) -> InputError:
     """The complaint that there is no such module; `name` is what asked for it."""
+    if module.endswith(".py"):
+        return InputError(f"a module is named without .py: {name.replace('.py:', ':', 1)}", file=name)
     return InputError(f"there is no module {module}, neither installed nor in {Path.cwd()}", file=name)
 
 

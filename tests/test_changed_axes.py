@@ -1,6 +1,7 @@
 """`--set` and `--axis` over an experiment's axes: what they leave out is said, and errors name the option."""
 
 import pytest
+from sweeps import write_small
 
 from harness.cli import main
 from harness.errors import InputError
@@ -54,3 +55,24 @@ def test_a_file_is_blamed_for_what_is_wrong_without_any_option(tmp_path):
     file.write_text('name = "e"\n[trial]\nscene = "box"\n[axes]\nseed = [1, 1]\n')
     with pytest.raises(InputError, match=r"e\.toml: axes\.seed: has the value 1 twice"):
         load_experiment(file, axes=["noise.sigma_grey=1,2"])
+
+
+def test_of_an_experiment_that_is_valid_only_with_the_option_too(tmp_path, capsys):
+    file = tmp_path / "e.toml"
+    file.write_text('name = "e"\n[trial]\nscene = "box"\nmatching.kind = "absent:match"\n[axes]\n"seed" = [1, 2]\n')
+    assert main(["run", str(file), "--dry-run"]) == 2
+    assert "there is no module absent" in capsys.readouterr().err
+    assert main(["run", str(file), "--dry-run", "--set", "matching.kind=slanted"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_an_experiment_of_ones_own_is_not_written_over(tmp_path, capsys):
+    """Unless it is the file of a run in that folder, which is written again."""
+    own = tmp_path / "experiment.toml"
+    text = write_small(own, "# mine\n").read_text(encoding="utf-8")
+    assert main(["run", str(own), "--out", str(tmp_path), "--no-report"]) == 2
+    assert f"{own}: --out: would be written over, and is read" in capsys.readouterr().err
+    assert own.read_text(encoding="utf-8") == text
+    out = tmp_path / "out"
+    assert main(["run", str(own), "--out", str(out), "--no-report"]) == 0
+    assert main(["run", str(out / "experiment.toml"), "--out", str(out), "--no-report"]) == 0

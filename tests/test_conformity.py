@@ -204,6 +204,8 @@ def test_the_command_with_something_broken(candidate: Write, capsys: pytest.Capt
     ("arguments", "said"),
     [
         (["absent:match"], "matching.kind: absent:match: there is no module absent"),
+        (["pkg.mine.py:match"], "matching.kind: pkg.mine.py:match: a module is named without .py: pkg.mine:match"),
+        (["./mine.py"], "matching.kind: './mine.py' is a file; write its module and function: mine:match"),
         (
             ["windw"],
             "matching.kind: 'windw' is neither a matcher nor written package.module:function; did you mean 'win",

@@ -65,11 +65,13 @@ def run(options: Namespace) -> int:
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
-    from harness.files import make_folder
+    from harness.files import check_replaces_none, make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.load import load_experiment
     from harness.runs.preflight import preflight
     from harness.runs.run import is_reported, open_run, run_plan, run_status
+    from harness.runs.store import DATABASE
+    from harness.runs.written import WRITTEN
 
     experiment = load_experiment(options.experiment, options.set, options.axis)
     _say_left_out(options, experiment)
@@ -78,6 +80,8 @@ def run(options: Namespace) -> int:
         return _dry_run(experiment, options.experiment, with_report=not options.no_report)
     shown = options.out or Path("results") / experiment.name
     make_folder(shown)
+    if not (shown / DATABASE).exists():  # a run's own file says what is written into its place again
+        check_replaces_none([shown / name for name in WRITTEN], [Path(options.experiment)])
     folder = shown.absolute()  # matchers of other people may change the working folder
     with open_run(experiment, folder) as store:
         maps = prepare_folder(folder / FOLDER) if options.keep_arrays else None
@@ -135,7 +139,7 @@ def _meanwhile(experiment: "Experiment", beforehand: "dict[str, Made]") -> Itera
 def _say_left_out(options: Namespace, experiment: "Experiment") -> None:
     """Tell which of the experiment's axes a matcher or camera model of an option has left without a meaning."""
     from harness.runs.dotted import KIND, MODEL_KINDS
-    from harness.runs.load import load_experiment
+    from harness.runs.load import own_axes
 
     kinds = [
         f"{option} {each}"
@@ -146,7 +150,7 @@ def _say_left_out(options: Namespace, experiment: "Experiment") -> None:
     if not kinds:
         return
     meant = {each.partition("=")[0].strip() for each in options.set}  # these say themselves that they replace an axis
-    gone = [key for key in load_experiment(options.experiment).axes if key not in experiment.axes and key not in meant]
+    gone = [key for key in own_axes(options.experiment) if key not in experiment.axes and key not in meant]
     if gone:
         one = len(gone) == 1
         text = f"{experiment.name}: the {'axis' if one else 'axes'} {listed(gone)} {'is' if one else 'are'} left out: "

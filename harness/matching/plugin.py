@@ -37,6 +37,8 @@ class Plugin(Parametrised):
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", kind) and kind not in offered:
             from harness.matching.registry import BUILT_IN
 
+            if file := re.fullmatch(r"(?:\./)?([A-Za-z_]\w*)\.py(?::([A-Za-z_]\w*))?", kind):
+                raise ValueError(f"'{kind}' is a file; write its module and function: {file[1]}:{file[2] or 'match'}")
             known = [*BUILT_IN, *offered]
             raise ValueError(
                 f"'{kind}' is neither a matcher nor written package.module:function; {nearest(kind, known)}"

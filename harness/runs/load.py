@@ -83,6 +83,12 @@ def load_experiment(
     return changed
 
 
+def own_axes(source: Source) -> tuple[str, ...]:
+    """The keys of an experiment's own axes, whether or not it is valid without any option."""
+    experiment, _ = _read_experiment(source)
+    return tuple(experiment.axes)
+
+
 def _axes_of(options: Sequence[str]) -> dict[str, list[Any]]:
     """The axes of `--axis`; one that is given twice could mean either or both."""
     axes: dict[str, list[Any]] = {}
