@@ -7,8 +7,8 @@ how many of the pixels without texture are matched (blank). Over all pixels that
 in view 2's field, `hidden` is the precision and recall of "view 2 does not see this". Of StereoSGBM the line is that of
 the setting, of the best ones of `experiments/peers.toml`, with the lowest bad-1 on the pair itself.
 
-StereoSGBM's full mode keeps its costs for all disparities, which are those of a half circle where the baseline is longer
-than the nearest range searched: up to 8 GB for the rooms 11 and 12, which it gives back. Nothing else takes 2 GB.
+StereoSGBM's full mode keeps its costs for all disparities, which are those of a half circle where the baseline is
+longer than the nearest range searched: up to 8 GB for the rooms 11 and 12, which it gives back.
 
     pip install 'omnirange[peers]'
     python benchmarks/occlusion.py [--unseen] [--only NAME] [--ours]

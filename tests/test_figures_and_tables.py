@@ -73,3 +73,21 @@ def test_what_latex_would_read_as_a_command_is_text():
     assert "50 \\% \\& more \\#1 \\{x\\} & $-$3 $\\pm$ 2 $^\\circ$ \\\\\n" in text
     assert r"\caption{A caption, 95 \% \& more.}" in text
     assert r"\label{tab:odd}" in text
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "said"),
+    [
+        ("--latex", "trials.csv", "would be written over, and is read"),
+        ("--latex", "", "is a folder; give the name of a file"),
+        ("--figures", "trials.csv", "cannot be used as the output folder (File exists)"),
+    ],
+)
+def test_nothing_of_the_run_is_written_over(option, name, said, exported, capsys):
+    file = exported / "out" / name
+    before = (exported / "out" / "trials.csv").read_bytes()
+    assert main(["report", str(exported / "out"), option, str(file)]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"omnirange: {file}: {option}: {said}")
+    assert printed.out == ""  # before the report is rebuilt
+    assert (exported / "out" / "trials.csv").read_bytes() == before

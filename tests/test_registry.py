@@ -67,7 +67,7 @@ def test_what_the_next_matcher_knows_is_carried_over(module: Write) -> None:
         ),
         (
             ["matching.kind={name}:demanding"],
-            "{small}: trial.matching.parameters: {name}:demanding needs the parameter 'a",
+            "--set: matching.parameters: {name}:demanding needs the parameter 'a",
         ),
         (
             ["matching.kind={name}:demanding", "matching.parameters.a_file=none.bin"],

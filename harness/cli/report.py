@@ -55,6 +55,7 @@ def run(options: Namespace) -> int:
     database = options.folder / DATABASE
     if not database.is_file():
         raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
+    _check_files(options)
     with Store(database) as store:
         experiment = recorded(store, database)
         now = run_status(experiment, store)
@@ -69,9 +70,20 @@ def run(options: Namespace) -> int:
         return code
 
 
+def _check_files(options: Namespace) -> None:
+    """Check before anything is rebuilt that the figures and tables can be written, and over nothing of the run."""
+    from harness.files import check_replaces_none, make_folder, make_folder_of
+    from harness.runs.store import DATABASE
+    from harness.runs.written import WRITTEN
+
+    if options.figures is not None:
+        make_folder(options.figures, "--figures")
+    make_folder_of(options.latex, "--latex")
+    check_replaces_none([options.latex], [options.folder / name for name in (*WRITTEN, DATABASE)], "--latex")
+
+
 def _export(experiment: "Experiment", store: "Store", options: Namespace) -> None:
     """Write figures and tables as files of their own."""
-    from harness.files import make_folder
     from harness.files import write as write_file
     from harness.report.export import exported, figures_in, latex_of
     from harness.runs.run import result_of
@@ -81,7 +93,6 @@ def _export(experiment: "Experiment", store: "Store", options: Namespace) -> Non
         write_file(options.latex, latex_of(sections))
         print(f"tables: {options.latex}")
     if options.figures is not None:
-        make_folder(options.figures)
         files = figures_in(sections)
         for name, content in files.items():
             write_file(options.figures / name, content)
