@@ -166,7 +166,7 @@ def test_the_command_says_what_large_images_take(capsys):
     large, settings = enlarged(MIRROR, 4), own_settings("", [])
     _tell_size(Namespace(scale=1.0), large, settings)
     told = capsys.readouterr().out
-    assert told.startswith("4.9 megapixels: about 25 s of CPU time and 1.5 GB of memory; --scale 0.5 --set panorama.")
+    assert told.startswith("4.9 megapixels: about 25 s of CPU time and 1.2 GB of memory; --scale 0.5 --set panorama.")
     _tell_size(Namespace(scale=1.0), large, own_settings("sgm", []))
     assert capsys.readouterr().out == told
     _tell_size(Namespace(scale=0.5), large, settings)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.sensor import Sensor, masked_pixels, pixel_directions
+from harness.camera.sensor import Sensor, masked_pixels, pixels_seen
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -76,7 +76,7 @@ def closed_image(image: Image, sensor: Sensor, seam: int = 0) -> tuple[Image, Ma
     seam
         Columns by which all three are padded across the image's seam; see `across_seam`.
     """
-    visible, masked = across_seam(pixel_directions(sensor)[1], seam), masked_pixels(sensor)
+    visible, masked = across_seam(pixels_seen(sensor), seam), masked_pixels(sensor)
     hidden = None if masked is None else across_seam(masked, seam)
     closed, known = without_gaps(across_seam(image, seam), visible, hidden)
     if known is visible:

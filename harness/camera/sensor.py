@@ -32,6 +32,9 @@ from harness.geometry.angles import Array, lengths
 from harness.renamed import Renaming, give_notice
 from harness.spec import Spec, as_given, given_of, parse, remember
 
+_LARGE_PX = 2_000_000
+"""Pixels of an image that count as many; the directions of no more are worked out at a time."""
+
 
 class Sensor(Spec):
     """An omnidirectional sensor, with one viewpoint unless its mirror is misaligned or has a profile of its own.
@@ -333,12 +336,28 @@ def not_masked(sensor: Sensor, pixels: Array) -> np.ndarray:
 @lru_cache(maxsize=8)
 def pixel_directions(sensor: Sensor) -> tuple[Array, np.ndarray]:
     """Unit direction `[height, width, 3]` and validity `[height, width]` of every pixel centre; read-only, cached."""
-    camera = sensor.camera
-    u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
-    directions, valid = unproject(sensor, np.stack([u, v], axis=-1))
-    directions.flags.writeable = False
+    width, height = sensor.camera.width_px, sensor.camera.height_px
+    planes, valid = np.empty((3, height, width)), np.empty((height, width), bool)
+    for first in range(0, height, max(1, _LARGE_PX // width)):
+        rows = slice(first, min(first + max(1, _LARGE_PX // width), height))
+        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(rows.start, rows.stop, dtype=np.float64))
+        directions, valid[rows] = unproject(sensor, np.stack([u, v], axis=-1))
+        planes[:, rows] = np.moveaxis(directions, -1, 0)
+    planes.flags.writeable = False
     valid.flags.writeable = False
-    return directions, valid
+    return np.moveaxis(planes, 0, -1), valid
+
+
+@lru_cache(maxsize=8)
+def pixels_seen(sensor: Sensor) -> np.ndarray:
+    """The validity of `pixel_directions` alone, `[height, width]`; read-only. It outlives `forget_directions`."""
+    return pixel_directions(sensor)[1]
+
+
+def forget_directions(sensor: Sensor) -> None:
+    """Give back what `pixel_directions` keeps of large images, 25 bytes a pixel."""
+    if sensor.camera.width_px * sensor.camera.height_px > _LARGE_PX:
+        pixel_directions.cache_clear()
 
 
 def seam_px(sensor: Sensor, reach_px: int = 32) -> int:

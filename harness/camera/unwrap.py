@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from harness.camera import _sampling_kernels
 from harness.camera.fill import across_seam, closed_image, nearest_known, touches
-from harness.camera.sensor import Sensor, pixel_directions, project, seam_px
+from harness.camera.sensor import Sensor, pixels_seen, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, cylinder
 
@@ -149,7 +149,7 @@ def _sampling_table(sensor: Sensor, grid: Grid, rotation: bytes, order: int) -> 
 @lru_cache(maxsize=8)
 def _visible_pixels(sensor: Sensor) -> NDArray[np.bool_]:
     """The pixels that the sensor sees, continued across the image's seam if it has one."""
-    return across_seam(pixel_directions(sensor)[1], seam_px(sensor))
+    return across_seam(pixels_seen(sensor), seam_px(sensor))
 
 
 def _all_taps_visible(sensor: Sensor, coordinates: Array, order: int) -> NDArray[np.bool_]:

@@ -26,9 +26,14 @@ if TYPE_CHECKING:
 
 _LARGE_MP = 3.0
 """Megapixels of an image from which its cost is said before it is matched."""
-_SECONDS_A_MP, _GIGABYTES, _GIGABYTES_A_MP = 5.0, 1.2, 0.065
-"""What slanted windows and semi-global matching take for a megapixel, on the panorama that suits the sensor, and before
-the first; the time within a factor of two."""
+_SPARING_MP = 2.0
+"""Megapixels from which memory that is free goes back to the system at once, not before:
+to be handed it again takes time."""
+_SECONDS_A_MP = 5.0
+"""CPU time of slanted windows and semi-global matching for a megapixel, on the panorama that suits the sensor, within a
+factor of two."""
+_LEAST_GIGABYTES, _GIGABYTES, _GIGABYTES_A_MP = 1.1, 0.45, 0.15
+"""Their memory, at least, and before the first megapixel and for each: 1.11, 1.17 and 2.23 GB at 2.1, 4.9 and 12."""
 _SAVING = "--scale 0.5 --set panorama.width_px=1080"
 
 
@@ -258,10 +263,11 @@ def _tell_size(options: Namespace, sensor: "Sensor", settings: "OwnSettings") ->
     from harness.machine import give_back_memory
 
     megapixels = sensor.camera.width_px * sensor.camera.height_px / 1e6
-    if megapixels >= _LARGE_MP:
+    if megapixels >= _SPARING_MP:
         give_back_memory()
     if options.scale == 1 and megapixels >= _LARGE_MP and settings.matching.kind in ("slanted", "sgm"):
-        seconds, gigabytes = _SECONDS_A_MP * megapixels, _GIGABYTES + _GIGABYTES_A_MP * megapixels
+        seconds = _SECONDS_A_MP * megapixels
+        gigabytes = max(_LEAST_GIGABYTES, _GIGABYTES + _GIGABYTES_A_MP * megapixels)
         print(
             f"{megapixels:.1f} megapixels: about {seconds:.0f} s of CPU time and {gigabytes:.1f} GB of memory; "
             f"{_SAVING} takes two fifths of the time",

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from harness.camera.fill import across_seam, nearest_known, without_gaps
-from harness.camera.sensor import Sensor, parameters_of, pixel_directions, seam_px
+from harness.camera.sensor import Sensor, parameters_of, pixel_directions, pixels_seen, seam_px
 from harness.geometry.angles import Array, angle_between, normalise
 from harness.motion import _direct_kernels as _kernels
 from harness.motion.features import Correspondences
@@ -63,7 +63,7 @@ def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: 
     """
     prepared = []
     for image, sensor in zip(images, sensors, strict=True):
-        closed, known = without_gaps(image, pixel_directions(sensor)[1])
+        closed, known = without_gaps(image, pixels_seen(sensor))
         smooth = closed[nearest_known(known)].astype(np.float64)
         if blur_px:
             smooth = ndimage.gaussian_filter(smooth, blur_px, mode="nearest")

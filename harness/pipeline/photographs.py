@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from harness.camera.sensor import Sensor, project
+from harness.camera.sensor import Sensor, forget_directions, project
 from harness.camera.visible_rows import with_rows
 from harness.display import OneLine
 from harness.errors import InputError
@@ -48,6 +48,9 @@ WRITTEN = (
     "range.json",
     "across.csv",
 )
+
+_ROWS = 64
+"""Rows of the panorama that are worked on at a time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -126,10 +129,17 @@ class Estimate(OneLine):
     @property
     def colours(self) -> NDArray[np.uint8]:
         """`[pixels with a range, 3]`: red, green and blue of view 1's photograph."""
-        pixels, _ = project(self.pair.sensors[0], directions(self.pair.grid)[self.valid])
+        valid = self.valid
+        return np.concatenate([self._colours(rows, valid[rows]) for rows in _bands(self.pair.grid)])
+
+    def _colours(self, rows: slice, valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+        """The colours of the valid pixels of some of the panorama's rows."""
+        pixels, _ = project(self.pair.sensors[0], directions(self.pair.grid)[rows][valid])
         coordinates = pixels[:, ::-1].T
-        first = self.photographs[0].colour.astype(np.float32)
-        sampled = [ndimage.map_coordinates(first[..., i], coordinates, order=1, mode="nearest") for i in range(3)]
+        bands = np.moveaxis(self.photographs[0].colour, -1, 0)
+        sampled = [
+            ndimage.map_coordinates(each, coordinates, order=1, mode="nearest", output=np.float32) for each in bands
+        ]
         return np.clip(np.rint(np.stack(sampled, axis=-1)), 0, 255).astype(np.uint8)
 
 
@@ -199,10 +209,12 @@ def estimate(
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
     range_m, reason, matching_m = _ranges(pair, matcher, matches)
     forget_large(pair.grid)
+    forget_directions(sensors[0])
     geometry_m = geometry_share(geometry, pair, range_m) * range_m
     motion_m = np.where(np.isfinite(range_m), 0.0, np.nan)
     if motion_error is not None:
-        motion_m = range_sigma(directions(pair.grid), range_m, motion.t_v1, motion_error)
+        for rows in _bands(grid):
+            motion_m[rows] = range_sigma(directions(grid)[rows], range_m[rows], motion.t_v1, motion_error)
     return Estimate(
         photographs=(first, second),
         pair=pair,
@@ -218,6 +230,11 @@ def estimate(
         sharpness=sharpness,
         reason=reason,
     )
+
+
+def _bands(grid: Grid) -> list[slice]:
+    """The panorama's rows, a few at a time: what is worked out for each pixel on the way takes 500 bytes."""
+    return [slice(first, first + _ROWS) for first in range(0, grid.height_px, _ROWS)]
 
 
 def _bands_of(

@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from harness.camera.binning import binned, binned_sensor
 from harness.camera.fill import nearest_known
-from harness.camera.sensor import Sensor, jacobian, pixel_directions, project
+from harness.camera.sensor import Sensor, jacobian, pixels_seen, project
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, directions
@@ -42,6 +42,8 @@ _ALIKE = 0.15
 """Levels closer than this are those of images that are equally sharp."""
 _BLURS = np.array([0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0])
 _BLOCKS = 2, 8
+_ROWS = 64
+"""Rows of the panorama that are looked at at a time."""
 _SAME_SCALE = 1.1
 """Largest ratio of the views' pixels per radian at which blurs are comparable."""
 
@@ -148,7 +150,7 @@ def filled(matches: Matches, others: Matches) -> Matches:
 def _blurred(image: Image, sensor: Sensor, blur_px: float) -> Image:
     """The image smoothed by a Gaussian; gaps stay gaps, and neither they nor invisible pixels contribute."""
     finite = np.isfinite(image)
-    known = pixel_directions(sensor)[1] & finite
+    known = pixels_seen(sensor) & finite
     smooth = ndimage.gaussian_filter(image[nearest_known(known)], blur_px, mode="nearest")
     smooth = np.where(finite, smooth, np.float32(np.nan))
     smooth.flags.writeable = False
@@ -157,15 +159,20 @@ def _blurred(image: Image, sensor: Sensor, blur_px: float) -> Image:
 
 def _levels(image: Image, sensor: Sensor, R: Array, grid: Grid, blur_px: float) -> Array:
     """Levels of one view `[2, 8]`, NaN in blocks that it hardly sees; with a blur added."""
-    known = pixel_directions(sensor)[1] & np.isfinite(image)
+    known = pixels_seen(sensor) & np.isfinite(image)
     filled = image[nearest_known(known)]
     smooth = [ndimage.gaussian_filter(filled, np.hypot(each, blur_px)) for each in (_FINE, _MIDDLE, _COARSE)]
     inside = ndimage.binary_erosion(known, iterations=round(2 * _COARSE))
-    pixels, valid = project(sensor, directions(grid) @ R.T)
-    column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
-    row, column = np.clip(row, 0, image.shape[0] - 1), np.clip(column, 0, image.shape[1] - 1)
-    usable = valid & inside[row, column]
-    bands = [np.where(usable, (a - b)[row, column] ** 2, 0.0) for a, b in pairwise(smooth)]
+    differences = [a - b for a, b in pairwise(smooth)]
+    del filled, smooth
+    usable, bands = np.empty(grid.shape, bool), np.empty((2, *grid.shape), np.float32)
+    for first in range(0, grid.height_px, _ROWS):
+        rows = slice(first, first + _ROWS)
+        pixels, valid = project(sensor, directions(grid)[rows] @ R.T)
+        column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
+        row, column = np.clip(row, 0, image.shape[0] - 1), np.clip(column, 0, image.shape[1] - 1)
+        usable[rows] = valid & inside[row, column]
+        bands[:, rows] = [np.where(usable[rows], each[row, column] ** 2, 0.0) for each in differences]
     fine, coarse, share = (_block_means(each) for each in (*bands, usable.astype(np.float64)))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(share > 0.2, np.log(fine / coarse), np.nan)

@@ -7,7 +7,7 @@ import numpy as np
 
 from harness.camera.lens import Lens
 from harness.camera.reflection import seeing_pixels
-from harness.camera.sensor import Sensor, field_of, in_field, pixel_directions, project
+from harness.camera.sensor import Sensor, field_of, in_field, pixels_seen, project
 from harness.errors import InputError, Notice
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, cylinder
@@ -159,7 +159,7 @@ def _notice(text: str) -> None:
 @lru_cache(maxsize=8)
 def _shares(sensor: Sensor, grid: Grid, rotation: bytes = _IDENTITY) -> tuple[float, float]:
     """The shares of the image's pixels, and of the panorama's, that see something."""
-    return float(pixel_directions(sensor)[1].mean()), float(project(sensor, _directions(grid, rotation))[1].mean())
+    return float(pixels_seen(sensor).mean()), float(project(sensor, _directions(grid, rotation))[1].mean())
 
 
 def _remedy(sensor: Sensor, grid: Grid, name: str) -> str:

@@ -38,7 +38,7 @@ from harness.camera.fill import closed_image, touches
 from harness.camera.sensor import Sensor, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves, forget_curves
-from harness.geometry.panorama import Grid, directions
+from harness.geometry.panorama import Grid, cylinder, directions
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
@@ -164,6 +164,7 @@ def forget_large(grid: Grid) -> None:
         forget_curves()
         geometry_of.cache_clear()
         sine_and_cosine.cache_clear()
+        cylinder.cache_clear()
         _sampling_table.cache_clear()
         forget_reused()
 

@@ -23,7 +23,7 @@ from harness.threads import in_threads
 LARGE_BYTES = 200_000_000
 """Size of the matching costs, a byte for every pixel and label, above which they are made in bands: that takes half as
 long again."""
-_BAND_BYTES = 32_000_000
+_BAND_BYTES = 16_000_000
 """Size of a band's costs."""
 
 Interval = tuple[int, NDArray[np.int32], NDArray[np.int32]]

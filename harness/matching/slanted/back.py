@@ -16,6 +16,9 @@ from harness.matching.slanted.field import Field, Mask, Part, read_planes
 _MISSING_SQUARE_PX, _MISSING_SHARE = 7, 0.05
 """A hidden pixel has this share of the pixels of such a square without a start (three of them)."""
 
+_LINES = 64
+"""Rows, or columns, that are searched at a time: what is worked out for each pixel on the way takes 100 bytes."""
+
 
 @dataclass(frozen=True)
 class Reverse:
@@ -79,8 +82,14 @@ def farthest_beside(w: Array) -> Array:
 
     Rows go round.
     """
-    width = w.shape[1]
-    around = np.concatenate([w, w, w], axis=1)
-    left, right = last_known(around, 1), last_known(around[:, ::-1], 1)[:, ::-1]
-    beside = np.fmin(left, right)[:, width : 2 * width]
-    return np.asarray(np.fmin(beside, np.fmin(last_known(w, 0), last_known(w[::-1], 0)[::-1])))
+    (height, width), least = w.shape, np.empty(w.shape)
+    for first in range(0, height, _LINES):
+        rows = slice(first, first + _LINES)
+        around = np.tile(w[rows], 3)
+        left, right = last_known(around, 1), last_known(around[:, ::-1], 1)[:, ::-1]
+        least[rows] = np.fmin(left, right)[:, width : 2 * width]
+    for first in range(0, width, _LINES):
+        columns = (slice(None), slice(first, first + _LINES))
+        above, below = last_known(w[columns], 0), last_known(w[columns][::-1], 0)[::-1]
+        least[columns] = np.fmin(least[columns], np.fmin(above, below))
+    return least

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from harness.geometry.angles import Array
 from harness.matching.slanted import _doubt_kernels as _kernels
-from harness.matching.slanted.field import Field, Samples, View, Warp, in_rows
+from harness.matching.slanted.field import Field, Image, Samples, View, Warp, in_rows
+from harness.matching.slanted.means import means
 
 _USUAL = 0.2
 """The share of the variance around a pixel that may remain unexplained before a match is doubted."""
@@ -65,30 +65,44 @@ def surroundings_of(
         pool, len(square), _kernels.surroundings_rows, window_px // 2, warp.x, first.image, samples.known,
         samples.value, field.plane, field.chosen, field.gain, field.offset, field.w, square, disagreement,
     )  # fmt: skip
-    image = np.where(samples.known, first.image, np.float32(0))
-    count, mean, variance, residual = pool.map(
-        lambda a: ndimage.uniform_filter(a, side, mode="constant", output=np.float64),
-        (samples.known.astype(np.float32), image, np.square(image, dtype=np.float64), square),
-    )
-    # Means are over all pixels of the square, known or not. A grey level's rounding is below 1.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        variance -= mean * mean / count
-        unexplained = residual / (np.maximum(variance, 0.0) + count)
-        residual /= count
-    g2, motion = (np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion))
+    residual, unexplained = _residuals(first, samples, square, side, pool)
 
     def density(over: int) -> Array:
-        texture, moved = pool.map(lambda a: ndimage.uniform_filter(a, over, mode="constant"), (g2, motion))
+        texture, moved = (
+            np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion)
+        )
+        means(texture, over, pool, texture)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.divide(texture, moved, out=texture)
+            return np.divide(texture, means(moved, over, pool, moved), out=texture)
 
-    return Surroundings(
-        disagreement,
-        residual.astype(np.float32),
-        unexplained.astype(np.float32),
-        density(near(window_px)),
-        density(window_px),
-    )
+    return Surroundings(disagreement, residual, unexplained, density(near(window_px)), density(window_px))
+
+
+def _residuals(
+    first: View, samples: Samples, square: Image, side: int, pool: ThreadPoolExecutor
+) -> tuple[Image, Image]:
+    """`residual` and `unexplained` of `Surroundings`, from the residual's squares; as few arrays at a time as possible,
+    which are as large as the image.
+    """
+
+    def mean(values: NDArray[np.floating]) -> Array:
+        return means(values, side, pool, np.empty(values.shape))
+
+    # Means are over all pixels of the square, known or not. A grey level's rounding is below 1.
+    count = mean(samples.known.astype(np.float32))
+    image = np.where(samples.known, first.image, np.float32(0))
+    variance, level = mean(np.square(image, dtype=np.float64)), mean(image)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level *= level
+        level /= count
+        variance -= level
+        del level
+        np.maximum(variance, 0.0, out=variance)
+        variance += count
+        residual = mean(square)
+        unexplained = np.divide(residual, variance, out=variance).astype(np.float32)
+        residual /= count
+    return residual.astype(np.float32), unexplained
 
 
 def unlike(field: Field, around: Surroundings) -> NDArray[np.bool_]:

@@ -249,17 +249,18 @@ def fit(
         chosen=np.full(shape, -1, np.int32),
     )
     in_rows(pool, len(start), _median_kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
+    del start  # as large as the image
     for number, step in enumerate(steps, 1):
         sample(field.w, second, warp, samples, pool)
         half, reach = step.window_px // 2, settings.patch_px // 2 if step.sharp else -1
         in_rows(
-            pool, len(start), _fit_kernels.fit_rows, half, _LEAST_SHARE * step.window_px**2, _SLOPE_WEIGHT,
+            pool, shape[0], _fit_kernels.fit_rows, half, _LEAST_SHARE * step.window_px**2, _SLOPE_WEIGHT,
             not step.sharp, warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope,
             samples.motion, field.plane, field.covariance if number == len(steps) else none, field.residual,
             field.gain, field.offset, field.share,
         )  # fmt: skip
         in_rows(
-            pool, len(start), _kernels.choose_rows, half, reach, _APART_PX * pixel, _CENTRE_BONUS,
+            pool, shape[0], _kernels.choose_rows, half, reach, _APART_PX * pixel, _CENTRE_BONUS,
             _RESIDUAL_WEIGHT, 1 / settings.d_max_m, _BEYOND / settings.d_min_m, warp.valid, warp.x, warp.t, warp.R,
             warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
             field.offset, field.w, field.chosen,

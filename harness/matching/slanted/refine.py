@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.camera.fill import across_seam, closed_image
-from harness.camera.sensor import Sensor, seam_px
+from harness.camera.sensor import Sensor, forget_directions, seam_px
 from harness.geometry.angles import Array, angle_between
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
@@ -119,20 +119,26 @@ def refine_slanted(
     closed = [closed_image(*each)[:2] for each in zip(images, sensors, seams, strict=True)]
     part_1, part_2 = (part_of(sensors[i], seams[i], closed[i][1]) for i in (0, 1))
     forth_warp = warp_between(part_1, part_2, motion, closed[0][1])
+    forget_directions(sensors[0])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
         first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2))
-        start = _start(start_alpha_2, forth_warp, grid, pool)
-        forth = fit(first, second, forth_warp, start, settings, steps_forth(settings), grid.phi_pitch, pool)
-        start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
+        start, steps = _start(start_alpha_2, forth_warp, grid, pool), steps_forth(settings)
+        forth = fit(first, second, forth_warp, start, settings, steps, grid.phi_pitch, pool)
+        del start  # arrays as large as the image go as soon as they can: they are what memory a large one takes
         samples = no_samples(forth.w.shape)
         sample(forth.w, second, forth_warp, samples, pool)
         inflation = inflation_of(forth, first, samples, forth_warp, pool)
         around = surroundings_of(forth, first, samples, forth_warp, settings.window_px, pool)
+        del samples
         read = _on_panorama(forth, inflation, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
-        del forth, samples, inflation, around, forth_warp  # a field takes 76 bytes a pixel: one at a time
+        del inflation, around
+        start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
+        del forth, forth_warp  # a field takes 76 bytes a pixel: one at a time
         back_warp = warp_between(part_2, part_1, _reversed(motion), closed[1][1])
+        forget_directions(sensors[1])
         steps = steps_back(settings)
         reverse = fit(second, first, back_warp, start, settings, steps, grid.phi_pitch, pool, covariance=False)
+        del first, second, back_warp, start
         return _matches(read, start_alpha_2, Reverse(reverse, part_2, motion), grid, settings, pool)
 
 

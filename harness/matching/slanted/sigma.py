@@ -10,12 +10,12 @@ from math import comb, factorial, prod
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from harness.geometry.angles import Array
 from harness.matching.slanted import _fit_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Field, Samples, Step, View, Warp, in_rows, steps_forth
+from harness.matching.slanted.means import means
 from harness.matching.slanted.settings import Slanted
 
 _CORRELATED_PX = 33
@@ -126,12 +126,11 @@ def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: 
     shared = np.maximum(area, visible, out=area)  # in place: these are as large as the image
     shared += 1
     shared /= 1 + visible
-    around = ndimage.uniform_filter(score, 3, mode="constant")
-    around *= 9
-    around *= score
-    measured = ndimage.uniform_filter(around, _CORRELATED_PX, mode="constant")
-    del around
+    measured = means(score, 3, pool, np.empty(shape))
+    measured *= 9
+    measured *= score
+    means(measured, _CORRELATED_PX, pool, measured)
     score *= score
     with np.errstate(invalid="ignore", divide="ignore"):
-        measured /= ndimage.uniform_filter(score, _CORRELATED_PX, mode="constant")
+        measured /= means(score, _CORRELATED_PX, pool, score)
     return np.clip(np.fmax(shared, measured, out=measured), 1.0, 9.0, out=measured)
