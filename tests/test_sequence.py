@@ -2,6 +2,7 @@
 
 import json
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,3 +132,22 @@ def test_what_is_refused(tmp_path):
         harness.estimate_sequence(["a.png"], harness.Sensor(), tmp_path)
     with pytest.raises(InputError, match="motions: must be one for each image but the last, 2; found 1"):
         harness.estimate_sequence(["a", "b", "c"], harness.Sensor(), tmp_path, motions()[:1])
+
+
+def test_nothing_of_another_sequence_stays_as_if_it_were_of_this_one(tmp_path, monkeypatch, capsys):
+    unknown = SimpleNamespace(direction_v1=None, status="failed", reasons=("no keypoints",))
+    monkeypatch.setattr("harness.api.sequence.estimate_motion", lambda *_, **__: unknown)
+    images = []
+    for name in ("a.png", "b.png", "c.png"):
+        (tmp_path / name).write_bytes(name.encode())
+        images.append(str(tmp_path / name))
+    out = tmp_path / "out"
+    for number in range(4):
+        (out / f"{number:04d}").mkdir(parents=True)
+        (out / f"{number:04d}" / "pair.json").write_text("{}")
+        (out / f"{number:04d}" / "range.npy").write_text("")
+    (out / "points.ply").write_text("")
+    assert main(["range", *images, "--sensor", "mirror", "--out", str(out)]) == 1
+    assert f"still in {out} of another sequence: 0002 and 0003" in capsys.readouterr().out
+    assert [each.parent.name for each in sorted(out.glob("*/range.npy"))] == ["0002", "0003"]
+    assert not (out / "points.ply").exists()

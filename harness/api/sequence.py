@@ -22,6 +22,7 @@ from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion
 from harness.images import LIMIT_BYTES
 from harness.matching.interface import MatcherSettings
+from harness.pipeline.photographs import WRITTEN
 from harness.spec import as_table
 from harness.version import __version__
 
@@ -148,6 +149,12 @@ def estimate_sequence(
     return sequence
 
 
+def folders_of_others(sequence: SequenceRange) -> list[str]:
+    """The folders of pairs in a sequence's folder that are of a longer one, matched there before."""
+    mine = {each.folder for each in sequence.pairs}
+    return sorted(each.parent.name for each in sequence.folder.glob(f"*/{_SUMMARY}") if each.parent.name not in mine)
+
+
 def _names(images: list[Path]) -> list[str]:
     """The files' names, with their folders where some are alike."""
     names = [each.name for each in images]
@@ -197,6 +204,8 @@ def _estimated(
         status, reasons = str(motion.status), list(motion.reasons)
         if motion.direction_v1 is None:
             make_folder(folder)
+            for name in ("range.html", *WRITTEN):  # of another pair, matched here before
+                (folder / name).unlink(missing_ok=True)
             return PairRange(
                 left.name, right.name, folder.name, status, tuple(reasons), "", 0.0, None, None, False, None, None
             )
@@ -231,7 +240,9 @@ def _write(sequence: SequenceRange) -> None:
     write(out / "sequence.json", json.dumps([asdict(each) for each in sequence.pairs], indent=2) + "\n")
     viewpoints = positions(sequence)
     write(out / "range.html", build_page(sequence.pairs, viewpoints))
-    if viewpoints is not None:
+    if viewpoints is None:
+        (out / "points.ply").unlink(missing_ok=True)  # of another sequence
+    else:
         points, colours = _points(sequence)
         cloud = trimesh.PointCloud(points, colors=colours)  # type: ignore[no-untyped-call]
         write(out / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]

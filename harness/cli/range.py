@@ -302,6 +302,7 @@ def motions_between(options: Namespace, sensor: "Sensor", count: int) -> "list[M
 def _sequence(options: Namespace) -> int:
     """Match each image with the next, and write a folder for each pair and a page on all."""
     import harness
+    from harness.api.sequence import folders_of_others
 
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
@@ -325,6 +326,8 @@ def _sequence(options: Namespace) -> int:
         tell=tell,
     )
     print(f"page: {options.out / 'range.html'}")
+    if others := folders_of_others(sequence):
+        print(f"still in {options.out} of another sequence: {listed(others)}")
     return OK if any(each.density for each in sequence.pairs) else FAILED
 
 
