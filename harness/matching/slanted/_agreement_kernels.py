@@ -15,20 +15,21 @@ TILE_ROWS = 7
 
 
 @kernel
-def agree(i, begin, half, apart, w_far, w_near, x, t, plane, residual, tile):
+def agree(i, begin, half, apart, w_far, w_near, x, t, plane, residual, planes, tile):
     """Write where the planes of nine windows, the own one and those moved by `half` pixels, agree to within `apart`.
 
-    begin : the first of the row's columns. apart : radians of alpha_2.
+    begin : the first of the row's columns. apart : radians of alpha_2. planes : `[3, TILE + 2 half]`, scratch.
     """
     n = min(TILE, x.shape[1] - begin)
-    here = x[i, begin : begin + n]
-    for j in range(n):
-        tile[TILE_X + j], tile[TILE_Y + j], tile[TILE_Z + j] = here[j, 0], here[j, 1], here[j, 2]
+    for j in range(TILE):
         tile[LOWEST + j], tile[HIGHEST + j], tile[OWN + j] = math.inf, -math.inf, 0.0
-    for k in range(9):
-        row, shift = i + (k // 3 - 1) * half, (k % 3 - 1) * half
+    for j in range(n):
+        tile[TILE_X + j], tile[TILE_Y + j], tile[TILE_Z + j] = x[i, begin + j, 0], x[i, begin + j, 1], x[i, begin + j, 2]
+    for row in range(i - half, i + half + 1, half):
         if 0 <= row < x.shape[0]:
-            _extend(row, begin + shift, n, w_far, w_near, plane, residual, tile, k == 4)
+            _gather(row, begin - half, plane, residual, planes)
+            for k in range(3):
+                _extend(planes, k * half, w_far, w_near, tile, row == i and k == 1)
     for j in range(n):
         lowest, highest, own = tile[LOWEST + j], tile[HIGHEST + j], tile[OWN + j]
         x_0, x_1, x_2 = tile[TILE_X + j], tile[TILE_Y + j], tile[TILE_Z + j]
@@ -41,18 +42,28 @@ def agree(i, begin, half, apart, w_far, w_near, x, t, plane, residual, tile):
 
 
 @kernel
-def _extend(row, begin, n, w_far, w_near, plane, residual, tile, is_own):
-    """Extend the pixels' inverse ranges by those of the planes of some columns of a row, where there are planes."""
-    first, end = max(0, -begin), min(n, residual.shape[1] - begin)
-    if end <= first:
-        return
-    m, there = plane[row, begin + first : begin + end], residual[row, begin + first : begin + end]
-    to = tile[first:]  # compilers know of slices that none of their columns counts from the end
-    for j in range(m.shape[0]):
-        value = m[j, 0] * to[TILE_X + j] + m[j, 1] * to[TILE_Y + j] + m[j, 2] * to[TILE_Z + j]
-        is_plane = (there[j] < math.inf) & (w_far <= value) & (value <= w_near)
-        lowest, highest = to[LOWEST + j], to[HIGHEST + j]
-        to[LOWEST + j] = value if is_plane & (value < lowest) else lowest
-        to[HIGHEST + j] = value if is_plane & (value > highest) else highest
+def _gather(row, begin, plane, residual, planes):
+    """Write the planes of some columns of a row, from `begin` on, one component after the other; NaN where there is
+    none.
+    """
+    first, end = max(0, -begin), min(planes.shape[1], residual.shape[1] - begin)
+    planes[:, :first] = math.nan
+    planes[:, end:] = math.nan
+    for j in range(first, end):
+        m = plane[row, begin + j]
+        planes[0, j] = m[0] if residual[row, begin + j] < math.inf else math.nan
+        planes[1, j], planes[2, j] = m[1], m[2]
+
+
+@kernel
+def _extend(planes, shift, w_far, w_near, tile, is_own):
+    """Extend the pixels' inverse ranges by those of the planes from a column on, where there are planes."""
+    m_x, m_y, m_z = planes[0, shift:], planes[1, shift:], planes[2, shift:]
+    for j in range(TILE):
+        value = m_x[j] * tile[TILE_X + j] + m_y[j] * tile[TILE_Y + j] + m_z[j] * tile[TILE_Z + j]
+        is_plane = (w_far <= value) & (value <= w_near)
+        lowest, highest = tile[LOWEST + j], tile[HIGHEST + j]
+        tile[LOWEST + j] = value if is_plane & (value < lowest) else lowest
+        tile[HIGHEST + j] = value if is_plane & (value > highest) else highest
         if is_own:
-            to[OWN + j] = value if is_plane else 0.0
+            tile[OWN + j] = value if is_plane else 0.0

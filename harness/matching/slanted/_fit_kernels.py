@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from harness.compiled import kernel
+from harness.matching._vector_kernels import LANES, load, store
 
 VALUE_NOISE = 0.87423
 SLOPE_NOISE = 2.47461
@@ -87,49 +88,25 @@ def _replace(sums, k, half, new, old, left, right):
 
 
 @kernel
-def _copy(sums, k, begin, parts, step):
-    """Copy some columns of a sum to their place in the first row of the parts."""
-    values, out = sums[k, begin : begin + step], parts[0, k * step :]
-    for j in range(values.shape[0]):
-        out[j] = values[j]
-
-
-@kernel
-def _add(parts, of, start, tile, k):
-    """Add to a row of the tile what lies from a place of the parts on."""
-    values, out = parts[of, start : start + TILE], tile[k * TILE :]
-    for j in range(values.shape[0]):
-        out[j] += values[j]
-
-
-@kernel
-def _add_neighbours(parts, of, n):
-    """Write the sums of parts that are n apart to the other row of the parts."""
-    values, other, out = parts[of], parts[of, n:], parts[1 - of]
-    for j in range(other.shape[0]):
-        out[j] = values[j] + other[j]
-
-
-@kernel
-def _sum_over_columns(sums, begin, size, parts, tile):
+def _sum_over_columns(sums, begin, size, fours, tile):
     """Write the sums over `size` neighbouring columns, from each of a tile's columns on.
 
-    sums : `[SUMS, columns]`. parts : `[2, SUMS * (TILE + size - 1)]`, scratch: sums over 1, 2, 4 ... columns in turn,
-    of all quantities, one after the other. tile : `[ROWS * TILE]`, its first rows are written.
+    sums : `[SUMS, columns]`. fours : `[TILE + size + LANES]`, scratch: sums over four columns, which those over more
+    are made of. tile : `[ROWS * TILE]`, its first rows are written.
     """
-    step, n, start, of = TILE + size - 1, 1, 0, 0
+    last, left = begin + size // 4 * 4, size % 4
     for k in range(SUMS):
-        _copy(sums, k, begin, parts, step)
-    tile[: SUMS * TILE] = 0.0
-    while True:
-        if size & n:
-            for k in range(SUMS):
-                _add(parts, of, k * step + start, tile, k)
-            start += n
-        if 2 * n > size:
-            break
-        _add_neighbours(parts, of, n)
-        n, of = 2 * n, 1 - of
+        for j in range(0, TILE + size // 4 * 4 - 4, LANES):
+            at = begin + j
+            two = load(sums, (k, at)) + load(sums, (k, at + 1))
+            store(fours, (j,), two + (load(sums, (k, at + 2)) + load(sums, (k, at + 3))))
+        for j in range(0, TILE, LANES):
+            total = load(fours, (j,))
+            for shift in range(4, size - 3, 4):
+                total += load(fours, (j + shift,))
+            for column in range(last + j, last + j + left):
+                total += load(sums, (k, column))
+            store(tile, (k * TILE + j,), total)
 
 
 # -- Planes ------------------------------------------------------------------------------------------------------------
@@ -254,10 +231,10 @@ def fit_rows(
     """
     height, width = valid.shape
     tiles, size = (width + TILE - 1) // TILE, 2 * half + 1
-    # Column j is `sums[:, half + j]`; a border of windows is 0.
-    sums = np.zeros((SUMS, tiles * TILE + 2 * half))
+    # Column j is `sums[:, half + j]`; a border of windows is 0. Vectors may begin at any column of a window.
+    sums = np.zeros((SUMS, tiles * TILE + 2 * half + LANES))
     new, old = np.zeros((FACTORS, width)), np.zeros((FACTORS, width))
-    tile, parts = np.zeros(ROWS * TILE), np.empty((2, SUMS * (TILE + 2 * half)))
+    tile, fours = np.zeros(ROWS * TILE), np.empty(TILE + size + LANES)
     for i in range(first - 2 * half, end):
         incoming, outgoing = i + half, i - half - 1
         if 0 <= incoming < height:
@@ -275,7 +252,7 @@ def fit_rows(
             if not valid[i, begin : begin + n].any():
                 residual[i, begin : begin + n] = math.inf
                 continue
-            _sum_over_columns(sums, begin, size, parts, tile)
+            _sum_over_columns(sums, begin, size, fours, tile)
             for j in range(n):
                 for axis in range(3):
                     tile[(DIRECTION + axis) * TILE + j] = x[i, begin + j, axis]

@@ -20,7 +20,7 @@ QX, QY, QZ = 0, 1 * SAMPLES, 2 * SAMPLES
 """Direction of the point in view 2, of any length."""
 U, V, U_W, V_W, INSIDE = 3 * SAMPLES, 4 * SAMPLES, 5 * SAMPLES, 6 * SAMPLES, 7 * SAMPLES
 """Its pixel there, from the first column that an image which goes round has been continued by; how the pixel changes
-with inverse range; and 1 within the field, else 0."""
+with inverse range; and 1 if it is in the field and the image, else 0."""
 A0, A1, A2, A3 = 8 * SAMPLES, 9 * SAMPLES, 10 * SAMPLES, 11 * SAMPLES
 B0, B1, B2, B3 = 12 * SAMPLES, 13 * SAMPLES, 14 * SAMPLES, 15 * SAMPLES
 """Weights of the spline's columns and rows."""
@@ -47,18 +47,45 @@ def turn_samples(table, n, R, s):
         table[QZ + k] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
 
 
+@kernel(inline=True)
+def _has_sample(qx, qy, qz, u, v, field, coefficients):
+    """Whether a direction is in the field, and all taps of the spline at its pixel (u, v) are in the image."""
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz)
+    up, along = along_up(qx, qy, qz, field), along_axis(qx, qy, qz, field)
+    inside = (field.lowest * norm <= up) & (up <= field.highest * norm) & (along >= field.nearest * norm)
+    inside &= (u >= 1.0) & (u < coefficients.shape[1] - 2)
+    return inside & (v >= 1.0) & (v < coefficients.shape[0] - 2)
+
+
 @kernel
-def project_samples(table, n, s, camera):
-    """Write where view 2 sees the first n points, and how that changes along s, and the weights of its spline there."""
+def place_samples(table, n, s, camera, coefficients):
+    """Write where view 2 sees the first n points, and the weights of its spline there."""
     model, field, seam, _ = camera
     for k in range(n):
         qx, qy, qz = table[QX + k], table[QY + k], table[QZ + k]
-        norm = math.sqrt(qx * qx + qy * qy + qz * qz)
+        u, v, _, _ = move(qx, qy, qz, s[0], s[1], s[2], model)
+        table[U + k], table[V + k] = u + seam, v
+        has_sample = _has_sample(qx, qy, qz, u + seam, v, field, coefficients)
+        table[INSIDE + k] = 1.0 if has_sample else 0.0
+    _weigh_samples(table, n)
+
+
+@kernel
+def move_samples(table, n, s, camera, coefficients):
+    """The same, and how the pixel changes along s."""
+    model, field, seam, _ = camera
+    for k in range(n):
+        qx, qy, qz = table[QX + k], table[QY + k], table[QZ + k]
         u, v, u_w, v_w = move(qx, qy, qz, s[0], s[1], s[2], model)
-        up, along = along_up(qx, qy, qz, field), along_axis(qx, qy, qz, field)
-        inside = (field.lowest * norm <= up) & (up <= field.highest * norm) & (along >= field.nearest * norm)
         table[U + k], table[V + k], table[U_W + k], table[V_W + k] = u + seam, v, u_w, v_w
-        table[INSIDE + k] = 1.0 if inside else 0.0
+        has_sample = _has_sample(qx, qy, qz, u + seam, v, field, coefficients)
+        table[INSIDE + k] = 1.0 if has_sample else 0.0
+    _weigh_samples(table, n)
+
+
+@kernel
+def _weigh_samples(table, n):
+    """Write the weights of the spline's columns and rows at the first n points."""
     for k in range(n):
         a0, a1, a2, a3 = cubic_weights(table[U + k] - math.floor(table[U + k]))
         b0, b1, b2, b3 = cubic_weights(table[V + k] - math.floor(table[V + k]))
@@ -77,14 +104,11 @@ def column_sums(coefficients, i, j, w0, w1, w2, w3):
 
 @kernel(inline=True)
 def grey_at(table, k, coefficients):
-    """View 2 at sample k; NaN where a tap of the spline is missing or the point is not in the field."""
-    u, v = table[U + k], table[V + k]
-    is_within = 1.0 <= u < coefficients.shape[1] - 2 and 1.0 <= v < coefficients.shape[0] - 2
-    if not (is_within and table[INSIDE + k] == 1.0):
+    """View 2 at sample k; NaN where a tap of the spline is missing, or the point is not in the field."""
+    if table[INSIDE + k] == 0.0:
         return math.nan
-    c0, c1, c2, c3 = column_sums(
-        coefficients, int(v), int(u), table[B0 + k], table[B1 + k], table[B2 + k], table[B3 + k]
-    )
+    i, j = int(table[V + k]), int(table[U + k])
+    c0, c1, c2, c3 = column_sums(coefficients, i, j, table[B0 + k], table[B1 + k], table[B2 + k], table[B3 + k])
     return c0 * table[A0 + k] + c1 * table[A1 + k] + c2 * table[A2 + k] + c3 * table[A3 + k]
 
 
@@ -97,12 +121,10 @@ def sample_with_slopes(table, n, coefficients):
         table[D0 + k], table[D1 + k], table[D2 + k], table[D3 + k] = d0, d1, d2, d3
         table[E0 + k], table[E1 + k], table[E2 + k], table[E3 + k] = e0, e1, e2, e3
     for k in range(n):
-        u, v = table[U + k], table[V + k]
-        is_within = 1.0 <= u < coefficients.shape[1] - 2 and 1.0 <= v < coefficients.shape[0] - 2
-        if not (is_within and table[INSIDE + k] == 1.0):
+        if table[INSIDE + k] == 0.0:
             table[GREY + k] = math.nan
             continue
-        i, j = int(v), int(u)
+        i, j = int(table[V + k]), int(table[U + k])
         c0, c1, c2, c3 = column_sums(coefficients, i, j, table[B0 + k], table[B1 + k], table[B2 + k], table[B3 + k])
         a0, a1, a2, a3 = table[A0 + k], table[A1 + k], table[A2 + k], table[A3 + k]
         table[GREY + k] = c0 * a0 + c1 * a1 + c2 * a2 + c3 * a3
@@ -148,7 +170,7 @@ def misfit(table, n, least, m, a, b, limit, R, s, camera, coefficients):
             yx * x + yy * y + yz * z,
             zx * x + zy * y + zz * z,
         )
-    project_samples(table, n, s, camera)
+    place_samples(table, n, s, camera, coefficients)
     total, seen = 0.0, 0.0
     for k in range(n):
         grey = grey_at(table, k, coefficients)

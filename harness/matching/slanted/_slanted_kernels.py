@@ -23,7 +23,7 @@ from harness.matching.slanted._sample_kernels import (
     Z,
     gather_patch,
     misfit,
-    project_samples,
+    move_samples,
     sample_with_slopes,
     turn_samples,
 )
@@ -69,7 +69,7 @@ def warp_rows(first, end, valid, x, w, R, s, camera, coefficients, known, value,
                     table[W + n] = w[i, j]
                     n += 1
             turn_samples(table, n, R, s)
-            project_samples(table, n, s, camera)
+            move_samples(table, n, s, camera, coefficients)
             sample_with_slopes(table, n, coefficients)
             for k in range(n):
                 if not math.isnan(table[GREY + k]):
@@ -98,11 +98,11 @@ def choose_rows(
     height, width = valid.shape
     window, w_there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
     table, size = np.empty(SIZE), float((2 * reach + 1) * (2 * reach + 1))
-    tile = np.empty(TILE_ROWS * TILE)
+    planes, tile = np.empty((3, TILE + 2 * half)), np.empty(TILE_ROWS * TILE)
     for i in range(first, end):
         for j in range(width):
             if j % TILE == 0:
-                agree(i, j, half, apart, w_far, w_near, x, t, plane, residual, tile)
+                agree(i, j, half, apart, w_far, w_near, x, t, plane, residual, planes, tile)
             w[i, j], chosen[i, j] = math.nan, -1
             if not valid[i, j]:
                 continue
