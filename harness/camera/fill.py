@@ -4,6 +4,8 @@ A spline's prefilter has infinite support: a black surround, or the pixels that 
 image, and a single NaN would spread over all of it. An image of 360 degrees is padded across its left and right border.
 """
 
+import math
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -15,6 +17,9 @@ from harness.camera.sensor import Sensor, masked_pixels, pixels_seen
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 S = TypeVar("S", bound=np.generic)
+
+_LARGEST_KEPT = 2**20
+"""Pixels of the largest mask whose nearest pixels are kept; they take 8 bytes each."""
 Indices = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
@@ -29,13 +34,25 @@ def across_seam(values: NDArray[S], columns: int) -> NDArray[S]:
 def nearest_known(known: NDArray[np.bool_]) -> Indices:
     """Row and column `[height, width]` of the nearest known pixel, for each pixel.
 
-    `image[nearest_known(known)]` is the image with every other pixel set to the nearest known one.
+    `image[nearest_known(known)]` is the image with every other pixel set to the nearest known one. Read-only: images of
+    a sensor know the same pixels, for which this is worked out once.
     """
-    if not known.any():
-        here = np.indices(known.shape, dtype=np.int32)
-        return here[0], here[1]
-    rows, columns = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return rows, columns
+    work = _nearest if known.size > _LARGEST_KEPT else _nearest_kept
+    return work(known.shape, np.packbits(known).tobytes())
+
+
+def _nearest(shape: tuple[int, ...], known_bits: bytes) -> Indices:
+    """See `nearest_known`; the mask is packed, since the key of a cache has to be hashable."""
+    known = np.unpackbits(np.frombuffer(known_bits, np.uint8), count=math.prod(shape)).astype(bool).reshape(shape)
+    if known.any():
+        indices = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    else:
+        indices = np.indices(shape, dtype=np.int32)
+    indices.flags.writeable = False
+    return indices[0], indices[1]
+
+
+_nearest_kept = lru_cache(maxsize=8)(_nearest)
 
 
 def last_known(values: NDArray[S], axis: int) -> NDArray[S]:

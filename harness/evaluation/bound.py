@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.fill import Indices, across_seam, nearest_known
+from harness.camera.fill import across_seam, nearest_known
 from harness.camera.sensor import Sensor, pixel_directions, project, rays_of, seam_px, unproject
 from harness.display import OneLine
 from harness.evaluation import _bound_kernels
@@ -342,10 +342,6 @@ def _spline(image: Image, sensor: Sensor) -> Array:
     shape = (sensor.camera.height_px, sensor.camera.width_px)
     if image.shape != shape:
         raise ValueError(f"the image is {image.shape}, the sensor {shape} (rows, columns)")
-    filled = across_seam(np.asarray(image, dtype=np.float64)[_nearest_valid(sensor)], seam_px(sensor))
+    known = pixel_directions(sensor)[1]
+    filled = across_seam(np.asarray(image, dtype=np.float64)[nearest_known(known)], seam_px(sensor))
     return np.asarray(ndimage.spline_filter(filled, order=5, mode="mirror"))
-
-
-@lru_cache(maxsize=4)
-def _nearest_valid(sensor: Sensor) -> Indices:
-    return nearest_known(pixel_directions(sensor)[1])

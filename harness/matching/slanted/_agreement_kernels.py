@@ -23,8 +23,9 @@ def agree(i, begin, half, apart, w_far, w_near, x, t, plane, residual, planes, t
     n = min(TILE, x.shape[1] - begin)
     for j in range(TILE):
         tile[LOWEST + j], tile[HIGHEST + j], tile[OWN + j] = math.inf, -math.inf, 0.0
+    here = x[i, begin : begin + n]
     for j in range(n):
-        tile[TILE_X + j], tile[TILE_Y + j], tile[TILE_Z + j] = x[i, begin + j, 0], x[i, begin + j, 1], x[i, begin + j, 2]
+        tile[TILE_X + j], tile[TILE_Y + j], tile[TILE_Z + j] = here[j, 0], here[j, 1], here[j, 2]
     for row in range(i - half, i + half + 1, half):
         if 0 <= row < x.shape[0]:
             _gather(row, begin - half, plane, residual, planes)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera.fill import last_known
-from harness.geometry.angles import Array, normalise
+from harness.geometry.angles import Array, lengths
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.matching.interface import Reason
@@ -32,17 +32,17 @@ class Reverse:
 
 
 def seen_back(x: Array, w: Array, reverse: Reverse) -> tuple[Array, Array]:
-    """Points in directions x of view 1 at inverse ranges w, from viewpoint 2 in view 1's orientation and in units of
-    their range from viewpoint 1; and by how much view 2's own surface there is nearer, radians of alpha_2, NaN where it
-    has none.
+    """Angles alpha_2 of the points in directions x of view 1 at inverse ranges w, radians; and by how much view 2's own
+    surface there is nearer, radians of alpha_2, NaN where it has none.
     """
     t, R = reverse.motion.t_v1, reverse.motion.R_v2_from_v1
+    # From viewpoint 2, in view 1's orientation and in units of the range from viewpoint 1.
     q = x - w[..., None] * t
-    length = np.linalg.norm(q, axis=-1)
+    length, across = lengths(q), lengths(np.cross(q, t))
     # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there. With
-    # d alpha_2/dw = |t × x|/|q|² and w_2 = w/|q|, alpha_2 changes by |t × x| |q| for a unit of w_2.
-    _, _, w_2 = read_planes(reverse.field, normalise(q @ R.T), reverse.part)
-    return q, (w_2 - w / length) * np.linalg.norm(np.cross(t, x), axis=-1) * length
+    # d alpha_2/dw = |t × q|/|q|² and w_2 = w/|q|, alpha_2 changes by |t × q| |q| for a unit of w_2.
+    _, _, w_2 = read_planes(reverse.field, q @ R.T / length[..., None], reverse.part)
+    return np.arctan2(across, q @ t), (w_2 - w / length) * across * length
 
 
 def tell_occluded(

@@ -18,7 +18,7 @@ from harness.camera.fill import across_seam, nearest_known
 from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, project
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
-from harness.matching.slanted import _fit_kernels, _median_kernels
+from harness.matching.slanted import _fit_kernels, _median_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.settings import Slanted
 
@@ -272,11 +272,10 @@ def read_planes(field: Field, x: Array, part: Part) -> tuple[NDArray[np.intp], N
     """Flat index of the mirror pixel nearest to each direction, the window that it takes its plane from, and that
     plane's inverse range in the direction itself; NaN where the direction is not seen or there is no plane.
     """
-    height, width = field.w.shape
     pixels, valid = project(part.sensor, x)
-    column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
-    row, column = row - part.rows.start, column + part.seam - part.columns.start
-    index = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
-    window = field.chosen.ravel()[index]
-    w = np.sum(field.plane.reshape(-1, 3)[window] * x, axis=-1)
-    return index, window, np.where(valid & (window >= 0), w, np.nan)
+    index, window, w = np.empty(valid.shape, np.intp), np.empty(valid.shape, np.int32), np.empty(valid.shape)
+    _reading_kernels.read(
+        pixels.reshape(-1, 2), valid.ravel(), np.ascontiguousarray(x).reshape(-1, 3), part.rows.start,
+        part.columns.start - part.seam, field.plane, field.chosen, index.ravel(), window.ravel(), w.ravel(),
+    )  # fmt: skip
+    return index, window, w

@@ -32,7 +32,7 @@ import numpy as np
 
 from harness.camera.fill import across_seam, closed_image
 from harness.camera.sensor import Sensor, forget_directions, seam_px
-from harness.geometry.angles import Array, angle_between
+from harness.geometry.angles import Array, angle_between, lengths
 from harness.geometry.panorama import Grid, directions, pixel_that_holds
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
@@ -216,12 +216,14 @@ def _on_panorama(
     def read(rows: slice) -> None:
         x = panorama[rows]
         index, window, w = read_planes(forth, x, part)
-        q = x - w[..., None] * warp.t
-        from_start = np.abs(angle_between(q, warp.t) - start_alpha_2[rows]) / grid.phi_pitch
-        length, across = np.linalg.norm(q, axis=-1), _across(warp.t, x)
+        # q = x - w t is the point from viewpoint 2; q × t = x × t.
+        across = _across(warp.t, x)
+        ahead = x @ warp.t - w * (warp.t @ warp.t)
+        from_start = np.abs(np.arctan2(across, ahead) - start_alpha_2[rows]) / grid.phi_pitch
         sigma_w = sigma_of(forth, inflation, x, window, warp, settings)
-        # d alpha_2/dw = |t × x|/|x - w t|²
-        sigma = across / length**2 * at_least(sigma_w, around.disagreement.ravel()[index])
+        # d alpha_2/dw = |t × x|/|q|²
+        alpha_2_by_w = across * (warp.t @ warp.t) / (across * across + ahead * ahead)
+        sigma = alpha_2_by_w * at_least(sigma_w, around.disagreement.ravel()[index])
         with np.errstate(invalid="ignore"):
             within = (w >= 1 / settings.d_max_m) & (w <= 1 / settings.d_min_m)
         result.w[rows], result.sigma[rows], result.unlike[rows] = w, sigma, unexplained[index]
@@ -233,8 +235,8 @@ def _on_panorama(
 
 
 def _across(t: Array, x: Array) -> Array:
-    """|t × x|."""
-    return np.asarray(np.linalg.norm(np.cross(t, x), axis=-1))
+    """|t × x|, `[...]`, of directions `[..., 3]`."""
+    return lengths(np.cross(x, t))
 
 
 def _matches(
@@ -247,7 +249,7 @@ def _matches(
 
     def confirm(rows: slice) -> None:
         x = panorama[rows]
-        q, nearer = seen_back(x, read.w[rows], reverse)
+        alpha, nearer = seen_back(x, read.w[rows], reverse)
         missed = np.abs(nearer)
         sigma = np.fmax(read.sigma[rows], CONFIRMED * missed)
         with np.errstate(invalid="ignore"):
@@ -256,7 +258,7 @@ def _matches(
             reason[(reason == Reason.MATCHED) & ~(read.doubt[rows] * sigma <= limit)] = Reason.NO_MATCH
         reason[_across(t, x) <= 1e-9 * np.linalg.norm(t)] = Reason.NO_EPIPOLAR_PLANE
         matched = reason == Reason.MATCHED
-        alpha_2[rows], reasons[rows] = np.where(matched, angle_between(q, t), np.nan), reason
+        alpha_2[rows], reasons[rows] = np.where(matched, alpha, np.nan), reason
         sigma_2[rows] = np.where(matched, doubted(sigma, read.doubt[rows]), np.nan)
 
     list(pool.map(confirm, _bands(grid)))

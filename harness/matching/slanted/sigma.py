@@ -12,7 +12,7 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
-from harness.matching.slanted import _fit_kernels
+from harness.matching.slanted import _fit_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Field, Samples, Step, View, Warp, in_rows, steps_forth
 from harness.matching.slanted.means import means
@@ -43,20 +43,16 @@ def sigma_of(
       far. What is left of the field before, f or f² of it, is smoothed over a window. So the field is the sum of the
       planes that noise alone would give, smoothed n times and less and less of each; see `smoothed_noise`.
     """
-    # Tangents at the middle of the window, as in the kernel.
-    (c_0, c_1, c_2), (x_0, x_1, x_2) = (np.moveaxis(each, -1, 0) for each in (warp.x.reshape(-1, 3)[window], x))
-    cosine = np.hypot(c_0, c_1)
-    off_axis, divisor = cosine > 1e-9, np.maximum(cosine, 1e-9)
-    e_0, e_1 = np.where(off_axis, -c_1 / divisor, 0.0), np.where(off_axis, c_0 / divisor, 1.0)
-    one, a = x_0 * c_0 + x_1 * c_1 + x_2 * c_2, x_0 * e_0 + x_1 * e_1
-    b = c_2 * (x_1 * e_0 - x_0 * e_1) + x_2 * (c_0 * e_1 - c_1 * e_0)
-    c00, c01, c02, c11, c12, c22 = np.moveaxis(field.covariance.reshape(-1, 6)[window], -1, 0)
-    spread = one * (c00 * one + 2 * (c01 * a + c02 * b)) + c11 * a * a + 2 * c12 * a * b + c22 * b * b
+    variance = np.empty(window.shape)
+    _reading_kernels.variances(
+        window.ravel(), np.ascontiguousarray(x).reshape(-1, 3), warp.x.reshape(-1, 3), field.covariance.reshape(-1, 6),
+        variance.ravel(),
+    )  # fmt: skip
     smoothed = polyval(field.share.ravel()[window], smoothed_noise(steps_forth(settings)))
     # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
     residual = field.residual.ravel()[window] + 1e-10
     with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
-        return np.sqrt(spread * residual * smoothed * inflation.ravel()[window])
+        return np.sqrt(variance * residual * smoothed * inflation.ravel()[window])
 
 
 def at_least(sigma_w: Array, disagreement: Array) -> Array:
