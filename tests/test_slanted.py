@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 from harness.camera.intrinsics import Camera, FieldOfView
 from harness.camera.lens import Lens
 from harness.camera.sensor import Sensor, pixel_directions, project
+from harness.geometry.angles import angle_between
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import exact_alpha_2
 from harness.matching.interface import Reason, as_matches
-from harness.matching.slanted import _fit_kernels, _median_kernels
+from harness.matching.slanted import _agreement_kernels, _fit_kernels, _median_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Part, Step, steps_back, steps_forth, warp_between
 from harness.matching.slanted.refine import Slanted, refine_slanted
@@ -254,6 +255,60 @@ def test_a_window_is_the_least_squares_solution(far):
         np.testing.assert_allclose(covariance[i, j, 0], at_centre, rtol=1e-5)
         checked += 1
     assert checked > 30
+
+
+@pytest.mark.parametrize("begin", [0, 64])
+@pytest.mark.parametrize("half", [2, 5])
+def test_planes_of_nine_windows(half, begin):
+    draws = np.random.default_rng(half)
+    shape = (12, 90)
+    x = draws.normal(size=(*shape, 3))
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    plane = 0.3 * x + draws.normal(0, 0.02, x.shape)
+    residual = np.where(draws.random(shape) < 0.3, np.inf, 1).astype(np.float32)
+    t, apart, limits = np.array([0.3, 0.1, 0.05]), 0.01, (0.25, 0.35)
+    tile = np.empty(_agreement_kernels.TILE_ROWS * _agreement_kernels.TILE)
+    planes = np.empty((3, _agreement_kernels.TILE + 2 * half))
+    for i in range(shape[0]):
+        _agreement_kernels.compare_planes(i, begin, half, apart, *limits, x, t, plane, residual, planes, tile)
+        rows = tile.reshape(-1, _agreement_kernels.TILE)[:, : shape[1] - begin]
+        expected = np.full((9, rows.shape[1]), np.nan)
+        for k in range(9):
+            for j in range(rows.shape[1]):
+                row, column = i + (k // 3 - 1) * half, begin + j + (k % 3 - 1) * half
+                if 0 <= row < shape[0] and 0 <= column < shape[1] and np.isfinite(residual[row, column]):
+                    w = plane[row, column] @ x[i, begin + j]
+                    expected[k, j] = w if limits[0] <= w <= limits[1] else np.nan
+        # Sums of three products are added up in another order.
+        first = _agreement_kernels.PLANES // _agreement_kernels.TILE
+        np.testing.assert_allclose(rows[first : first + 9], expected, rtol=1e-14)
+        lowest, highest = np.fmin.reduce(expected), np.fmax.reduce(expected)
+        some = np.isfinite(lowest)
+        np.testing.assert_allclose(rows[0, some], lowest[some], rtol=1e-14)
+        np.testing.assert_allclose(rows[1, some], highest[some], rtol=1e-14)
+        # Inverse ranges as far apart as that are seen `apart` apart from viewpoint 2, in the middle of the nine.
+        w, same = ((lowest + highest) / 2)[some, None], rows[2, some][:, None]
+        here = x[i, begin : begin + len(some)][some]
+        ends = (here - (w + 1e-4 * same * sign) * t for sign in (-0.5, 0.5))  # a ten-thousandth of it, as it is no line
+        np.testing.assert_allclose(angle_between(*ends), 1e-4 * apart, rtol=1e-6)
+
+
+def test_variances_are_those_of_the_tangents_of_windows():
+    draws = np.random.default_rng(0)
+    middle, x = draws.normal(size=(2, 40, 3))
+    middle[0] = 0, 0, 1  # on the axis, where there is no parallel
+    middle, x = (each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (middle, x))
+    root = draws.normal(size=(40, 3, 3))
+    inverse = root @ root.swapaxes(1, 2)
+    window, found = draws.permutation(40).astype(np.int32), np.empty(40)
+    upper = inverse[:, *np.triu_indices(3)].astype(np.float32)
+    _reading_kernels.variances(window, x, middle, upper, found)
+    for k, there in enumerate(window):
+        c = middle[there]
+        e = np.cross([0, 0, 1], c) / np.hypot(c[0], c[1]) if abs(c[2]) < 1 else np.array([0.0, 1.0, 0.0])
+        tangents = np.stack([c, e, np.cross(c, e)]) @ x[k]
+        # Single precision of the inverse normal matrix, whose terms are up to 20.
+        assert found[k] == pytest.approx(tangents @ inverse[there] @ tangents, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.slow

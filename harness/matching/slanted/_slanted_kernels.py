@@ -10,7 +10,16 @@ import numpy as np
 from harness.camera._field_kernels import along_axis, along_up
 from harness.camera._projection_kernels import move
 from harness.compiled import kernel
-from harness.matching.slanted._agreement_kernels import AGREED, OWN, TILE, TILE_ROWS, agree
+from harness.matching.slanted._agreement_kernels import (
+    HIGHEST,
+    LOWEST,
+    OWN,
+    PLANES,
+    SAME,
+    TILE,
+    TILE_ROWS,
+    compare_planes,
+)
 from harness.matching.slanted._sample_kernels import (
     AT_ONCE,
     GREY,
@@ -88,78 +97,69 @@ def choose_rows(
 ):  # fmt: skip
     """Give every pixel the plane of one of nine windows that it lies in: its own, or one moved by `half` pixels.
 
-    Windows at the border of a surface see two of them; one of those moved does not. Where all nine planes agree to
-    within `apart` the own one is taken. Otherwise it is the one that fits best, by a patch about the pixel and by its
-    own window (weight `residual_weight`). Without a patch (`reach` < 0) only windows are compared.
+    Windows at the border of a surface see two of them; one of those moved does not. Where all others agree with the own
+    plane, to within `apart`, that is taken. Otherwise it is the one that fits best, by a patch about the pixel and by
+    its own window (weight `residual_weight`). Without a patch (`reach` < 0) only windows are compared.
 
     apart : radians of alpha_2. centre_bonus : factor on the score of the own window.
     w, chosen : written; the inverse range (NaN: none), and the window's flat index (-1: none).
     """
-    height, width = valid.shape
+    width = valid.shape[1]
     window, w_there, score = np.empty(9, np.int64), np.empty(9), np.empty(9)
     table, size = np.empty(SIZE), float((2 * reach + 1) * (2 * reach + 1))
     planes, tile = np.empty((3, TILE + 2 * half)), np.empty(TILE_ROWS * TILE)
     for i in range(first, end):
         for j in range(width):
             if j % TILE == 0:
-                agree(i, j, half, apart, w_far, w_near, x, t, plane, residual, planes, tile)
+                compare_planes(i, j, half, apart, w_far, w_near, x, t, plane, residual, planes, tile)
             w[i, j], chosen[i, j] = math.nan, -1
             if not valid[i, j]:
                 continue
-            if tile[AGREED + j % TILE] == 1.0:
-                w[i, j], chosen[i, j] = tile[OWN + j % TILE], i * width + j
+            at = j % TILE
+            mine, same = tile[OWN + at], tile[SAME + at]
+            if max(tile[HIGHEST + at] - mine, mine - tile[LOWEST + at]) <= same:
+                w[i, j], chosen[i, j] = mine, i * width + j
                 continue
-            x_0, x_1, x_2 = x[i, j, 0], x[i, j, 1], x[i, j, 2]
-            n, own, lowest, highest = 0, -1, math.inf, -math.inf
+            n, own = 0, -1
             for k in range(9):
-                row, column = i + (k // 3 - 1) * half, j + (k % 3 - 1) * half
-                if not (0 <= row < height and 0 <= column < width) or residual[row, column] == math.inf:
-                    continue
-                value = plane[row, column, 0] * x_0 + plane[row, column, 1] * x_1 + plane[row, column, 2] * x_2
-                if w_far <= value <= w_near:
+                value = tile[PLANES + k * TILE + at]
+                if not math.isnan(value):
+                    row, column = i + (k // 3 - 1) * half, j + (k % 3 - 1) * half
                     own = n if k == 4 else own
                     window[n], w_there[n] = row * width + column, value
                     score[n] = residual_weight * residual[row, column] * (centre_bonus if k == 4 else 1.0)
-                    lowest, highest = min(lowest, value), max(highest, value)
                     n += 1
             if n == 0:
                 continue
-            middle = 0.5 * (lowest + highest)
-            # d alpha_2/dw = |t × x|/|x - w t|²
-            across = (t[1] * x_2 - t[2] * x_1) ** 2 + (t[2] * x_0 - t[0] * x_2) ** 2 + (t[0] * x_1 - t[1] * x_0) ** 2
-            away = (x_0 - middle * t[0]) ** 2 + (x_1 - middle * t[1]) ** 2 + (x_2 - middle * t[2]) ** 2
-            same = apart * away / math.sqrt(across)
-            pick = own
-            if own < 0 or highest - lowest > same:
-                # Planes that agree here are tried once: the best of their windows, or the own one.
-                pick, least = -1, math.inf
-                untried = n
-                pixels = gather_patch(i, j, reach, valid, x, first_image, table) if reach >= 0 else 0
-                while untried > 0:
-                    k = own
-                    if k < 0 or untried < n:
-                        k = 0
-                        for other in range(1, n):
-                            if score[other] < score[k]:
-                                k = other
-                        if score[k] >= least:
-                            break
-                    row, column = window[k] // width, window[k] % width
-                    tried = score[k]
-                    if reach >= 0:
-                        bonus = centre_bonus if k == own else 1.0
-                        tried += bonus * misfit(
-                            table, pixels, 0.5 * size, plane[row, column], gain[row, column], offset[row, column],
-                            (least - tried) / bonus, R, s, camera, coefficients,
-                        )  # fmt: skip
-                    if tried < least:
-                        pick, least = k, tried
-                    for other in range(n):
-                        if score[other] < math.inf and abs(w_there[other] - w_there[k]) <= same:
-                            score[other] = math.inf
-                            untried -= 1
-                if pick < 0:
-                    continue
+            # Planes that agree here are tried once: the best of their windows, or the own one.
+            pick, least = -1, math.inf
+            untried = n
+            pixels = gather_patch(i, j, reach, valid, x, first_image, table) if reach >= 0 else 0
+            while untried > 0:
+                k = own
+                if k < 0 or untried < n:
+                    k = 0
+                    for other in range(1, n):
+                        if score[other] < score[k]:
+                            k = other
+                    if score[k] >= least:
+                        break
+                row, column = window[k] // width, window[k] % width
+                tried = score[k]
+                if reach >= 0:
+                    bonus = centre_bonus if k == own else 1.0
+                    tried += bonus * misfit(
+                        table, pixels, 0.5 * size, plane[row, column], gain[row, column], offset[row, column],
+                        (least - tried) / bonus, R, s, camera, coefficients,
+                    )  # fmt: skip
+                if tried < least:
+                    pick, least = k, tried
+                for other in range(n):
+                    if score[other] < math.inf and abs(w_there[other] - w_there[k]) <= same:
+                        score[other] = math.inf
+                        untried -= 1
+            if pick < 0:
+                continue
             w[i, j], chosen[i, j] = w_there[pick], window[pick]
 
 
