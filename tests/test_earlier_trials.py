@@ -7,7 +7,9 @@ from sweeps import write_small
 
 import harness
 from harness.cli import main
+from harness.cli.results import say_unused_rows
 from harness.errors import Notice
+from harness.runs.store import UnusedRows
 from harness.runs.written import OF_ALL_ROWS
 
 OTHER = ("--set", "noise.sigma_grey=3")
@@ -103,3 +105,10 @@ def test_a_removed_report_is_said_in_python(small, tmp_path):
     run(small, out)
     with pytest.warns(Notice, match=r"removed: environment\.json, summary\.json and report\.html of earlier trials"):
         harness.run(small, sets={"noise.sigma_grey": 3}, out=out, workers=1)
+
+
+def test_trials_that_are_not_used_are_counted(capsys):
+    say_unused_rows(UnusedRows(other_code=1, other_scene=0, other_settings=3))
+    one, more = capsys.readouterr().out.splitlines()
+    assert one == "1 trial in this folder was made by other code or libraries: it is not used"
+    assert more == "3 trials in this folder were made with other settings: they are not used"

@@ -183,7 +183,9 @@ def test_images_that_tell_nothing_end_in_exit_code_1(folder, capsys):
     out = folder / "none.toml"
     command = ["motion", str(folder / "left.png"), str(folder / "noise.png"), "--sensor", sensor, "--out", str(out)]
     assert main(command) == 1
-    assert "status     failed" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "status     failed" in said
+    assert f"{out} is not written: no motion was found" in said
     assert not out.exists()
     command[2] = str(folder / "left.png")
     assert main([*command, "--json", str(folder / "still.json")]) == 1

@@ -81,6 +81,8 @@ def run(options: Namespace) -> int:
     if options.json is not None:
         estimate.write_json(options.json)
     if estimate.direction_v1 is None:
+        if options.out is not None:
+            print(f"{options.out} is not written: no motion was found")
         return FAILED
     if options.out is not None:
         estimate.write(options.out)

@@ -14,7 +14,7 @@ from harness import interrupts
 from harness.api.progress import Steps
 from harness.cli.exits import FAILED, OK
 from harness.cli.tables import cases_table, claims_table, law_tables, methods_table
-from harness.display import listed, unbroken
+from harness.display import counted, listed, unbroken
 from harness.errors import InputError, Notice
 
 if TYPE_CHECKING:
@@ -189,4 +189,5 @@ def say_unused_rows(unused: "UnusedRows") -> None:
         (unused.other_settings, "with other settings"),
     ):
         if count:
-            print(f"{count} trials in this folder were made {why}: they are not used")
+            were, they_are = ("was", "it is") if count == 1 else ("were", "they are")
+            print(f"{counted(count, 'trial')} in this folder {were} made {why}: {they_are} not used")
