@@ -48,13 +48,14 @@ def turn_samples(table, n, R, s):
 
 
 @kernel(inline=True)
-def _has_sample(qx, qy, qz, u, v, field, coefficients):
-    """Whether a direction is in the field, and all taps of the spline at its pixel (u, v) are in the image."""
+def _put_place(table, k, u, v, field, coefficients):
+    """Write a point's pixel, and whether it is in the field, and all taps of the spline there are in the image."""
+    qx, qy, qz = table[QX + k], table[QY + k], table[QZ + k]
     norm = math.sqrt(qx * qx + qy * qy + qz * qz)
     up, along = along_up(qx, qy, qz, field), along_axis(qx, qy, qz, field)
     inside = (field.lowest * norm <= up) & (up <= field.highest * norm) & (along >= field.nearest * norm)
-    inside &= (u >= 1.0) & (u < coefficients.shape[1] - 2)
-    return inside & (v >= 1.0) & (v < coefficients.shape[0] - 2)
+    inside &= (u >= 1.0) & (u < coefficients.shape[1] - 2) & (v >= 1.0) & (v < coefficients.shape[0] - 2)
+    table[U + k], table[V + k], table[INSIDE + k] = u, v, 1.0 if inside else 0.0
 
 
 @kernel
@@ -62,11 +63,8 @@ def place_samples(table, n, s, camera, coefficients):
     """Write where view 2 sees the first n points, and the weights of its spline there."""
     model, field, seam, _ = camera
     for k in range(n):
-        qx, qy, qz = table[QX + k], table[QY + k], table[QZ + k]
-        u, v, _, _ = move(qx, qy, qz, s[0], s[1], s[2], model)
-        table[U + k], table[V + k] = u + seam, v
-        has_sample = _has_sample(qx, qy, qz, u + seam, v, field, coefficients)
-        table[INSIDE + k] = 1.0 if has_sample else 0.0
+        u, v, _, _ = move(table[QX + k], table[QY + k], table[QZ + k], s[0], s[1], s[2], model)
+        _put_place(table, k, u + seam, v, field, coefficients)
     _weigh_samples(table, n)
 
 
@@ -75,11 +73,9 @@ def move_samples(table, n, s, camera, coefficients):
     """The same, and how the pixel changes along s."""
     model, field, seam, _ = camera
     for k in range(n):
-        qx, qy, qz = table[QX + k], table[QY + k], table[QZ + k]
-        u, v, u_w, v_w = move(qx, qy, qz, s[0], s[1], s[2], model)
-        table[U + k], table[V + k], table[U_W + k], table[V_W + k] = u + seam, v, u_w, v_w
-        has_sample = _has_sample(qx, qy, qz, u + seam, v, field, coefficients)
-        table[INSIDE + k] = 1.0 if has_sample else 0.0
+        u, v, u_w, v_w = move(table[QX + k], table[QY + k], table[QZ + k], s[0], s[1], s[2], model)
+        table[U_W + k], table[V_W + k] = u_w, v_w
+        _put_place(table, k, u + seam, v, field, coefficients)
     _weigh_samples(table, n)
 
 
