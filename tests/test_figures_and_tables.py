@@ -91,3 +91,12 @@ def test_nothing_of_the_run_is_written_over(option, name, said, exported, capsys
     assert printed.err.startswith(f"omnirange: {file}: {option}: {said}")
     assert printed.out == ""  # before the report is rebuilt
     assert (exported / "out" / "trials.csv").read_bytes() == before
+
+
+def test_maps_of_the_run_are_not_written_over(exported, capsys):
+    kept = exported / "out" / "maps" / "0123456789abcdef.npz"
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_bytes(b"took long to make")
+    assert main(["report", str(exported / "out"), "--latex", str(kept)]) == 2
+    assert "would be written over" in capsys.readouterr().err
+    assert kept.read_bytes() == b"took long to make"

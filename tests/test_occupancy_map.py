@@ -347,3 +347,14 @@ def test_a_map_that_cannot_be_is_refused_before_anything_is_matched(options, sai
     command = ["map", "a.png", "b.png", "--sensor", "mirror", "--height", "1", "--out", str(tmp_path / "m")]
     assert main([*command, *options]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_the_folder_of_a_map_is_tried_before_anything_is_matched(tmp_path, monkeypatch, capsys):
+    pose, out = tmp_path / "pose.toml", tmp_path / "map"
+    pose.write_text("position_m = [0.5, 0.0, 0.0]\n", encoding="utf-8")
+    out.write_text("mine", encoding="utf-8")
+    monkeypatch.setattr(harness, "estimate_range", lambda *_, **__: pytest.fail("matched"))
+    command = ["map", "a.png", "b.png", "--sensor", "mirror", "--height", "1", "--pose", str(pose), "--out", str(out)]
+    assert main(command) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {out}: --out: cannot be used as the output folder")
+    assert out.read_text(encoding="utf-8") == "mine"

@@ -49,7 +49,7 @@ def run(options: Namespace) -> int:
     """Match each image with the next, gather, and write the map."""
     import harness
     from harness.api.mapping import level_poses
-    from harness.files import write
+    from harness.files import make_folder, write
     from harness.geometry.pose import Motion, Pose
     from harness.mapping.occupancy import Cell
     from harness.mapping.settings import OccupancyMap
@@ -63,6 +63,7 @@ def run(options: Namespace) -> int:
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
     motions: Sequence[Motion | MotionEstimate] | None = motions_between(options, sensor, len(images))
+    make_folder(options.out)
     motions = motions or _estimated(options, sensor, images)
     if motions is None:
         return FAILED
