@@ -355,7 +355,7 @@ def pixels_seen(sensor: Sensor) -> np.ndarray:
 
 
 def forget_directions(sensor: Sensor) -> None:
-    """Give back what `pixel_directions` keeps of large images, 25 bytes a pixel."""
+    """Give back what `pixel_directions` keeps, 25 bytes a pixel and of all sensors, if this one's image is large."""
     if sensor.camera.width_px * sensor.camera.height_px > _LARGE_PX:
         pixel_directions.cache_clear()
 

@@ -91,8 +91,8 @@ def _replace(sums, k, half, new, old, left, right):
 def _sum_over_columns(sums, begin, size, fours, tile):
     """Write the sums over `size` neighbouring columns, from each of a tile's columns on.
 
-    sums : `[SUMS, columns]`. fours : `[TILE + size + LANES]`, scratch: sums over four columns, which those over more
-    are made of. tile : `[ROWS * TILE]`, its first rows are written.
+    sums : `[SUMS, columns]`. size : 4 at least. fours : `[TILE + size + LANES]`, scratch: sums over four columns, which
+    those over more are made of. tile : `[ROWS * TILE]`, its first rows are written.
     """
     last, left = begin + size // 4 * 4, size % 4
     for k in range(SUMS):
