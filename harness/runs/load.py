@@ -75,9 +75,8 @@ def load_experiment(
     except InputError as error:
         blamed = _blamed(error, changed, file, (set_option, settings), (axis_option, values), cases is not None)
         if blamed.file == (file and str(file)) and (settings or values) and _is_valid(experiment):
-            where = (
-                error.key.removeprefix("axes.").removeprefix("trial.") if error.key and error.key != "axes" else None
-            )
+            # What no option names is wrong with all of them together.
+            where = None if error.key in (None, "axes") else error.key.removeprefix("axes.").removeprefix("trial.")
             blamed = InputError(error.problem, file=axis_option if values else set_option, key=where)
         if blamed is error:
             raise
