@@ -97,6 +97,11 @@ def pixel_of(grid: Grid, towards: ArrayLike) -> tuple[Array, Array]:
     return row - 0.5, column - 0.5
 
 
+def row_bands(grid: Grid) -> list[slice]:
+    """The panorama's rows, 32 at a time: what is worked out for each pixel on the way may take 500 bytes."""
+    return [slice(first, first + 32) for first in range(0, grid.height_px, 32)]
+
+
 def pixel_that_holds(grid: Grid, towards: ArrayLike) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
     """Row and column `[...]` of the pixels that directions `[..., 3]` fall on, and whether they fall on any.
 

@@ -21,7 +21,7 @@ from harness.files import make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.motion_error import MotionError, range_sigma
-from harness.geometry.panorama import Grid, directions
+from harness.geometry.panorama import Grid, directions, row_bands
 from harness.geometry.pose import Motion
 from harness.geometry.triangulation import sigma_of_range
 from harness.images import LIMIT_BYTES, decode
@@ -48,9 +48,6 @@ WRITTEN = (
     "range.json",
     "across.csv",
 )
-
-_ROWS = 64
-"""Rows of the panorama that are worked on at a time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,7 +127,7 @@ class Estimate(OneLine):
     def colours(self) -> NDArray[np.uint8]:
         """`[pixels with a range, 3]`: red, green and blue of view 1's photograph."""
         valid = self.valid
-        return np.concatenate([self._colours(rows, valid[rows]) for rows in _bands(self.pair.grid)])
+        return np.concatenate([self._colours(rows, valid[rows]) for rows in row_bands(self.pair.grid)])
 
     def _colours(self, rows: slice, valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
         """The colours of the valid pixels of some of the panorama's rows."""
@@ -213,7 +210,7 @@ def estimate(
     geometry_m = geometry_share(geometry, pair, range_m) * range_m
     motion_m = np.where(np.isfinite(range_m), 0.0, np.nan)
     if motion_error is not None:
-        for rows in _bands(grid):
+        for rows in row_bands(grid):
             motion_m[rows] = range_sigma(directions(grid)[rows], range_m[rows], motion.t_v1, motion_error)
     return Estimate(
         photographs=(first, second),
@@ -230,11 +227,6 @@ def estimate(
         sharpness=sharpness,
         reason=reason,
     )
-
-
-def _bands(grid: Grid) -> list[slice]:
-    """The panorama's rows, a few at a time: what is worked out for each pixel on the way takes 500 bytes."""
-    return [slice(first, first + _ROWS) for first in range(0, grid.height_px, _ROWS)]
 
 
 def _bands_of(

@@ -23,7 +23,7 @@ from harness.camera.fill import nearest_known
 from harness.camera.sensor import Sensor, jacobian, pixels_seen, project
 from harness.display import OneLine
 from harness.geometry.angles import Array
-from harness.geometry.panorama import Grid, directions
+from harness.geometry.panorama import Grid, directions, row_bands
 from harness.geometry.pose import Motion
 from harness.matching.interface import Matches, Reason
 from harness.matching.pair import Pair
@@ -42,8 +42,6 @@ _ALIKE = 0.15
 """Levels closer than this are those of images that are equally sharp."""
 _BLURS = np.array([0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0])
 _BLOCKS = 2, 8
-_ROWS = 64
-"""Rows of the panorama that are looked at at a time."""
 _SAME_SCALE = 1.1
 """Largest ratio of the views' pixels per radian at which blurs are comparable."""
 
@@ -166,8 +164,7 @@ def _levels(image: Image, sensor: Sensor, R: Array, grid: Grid, blur_px: float) 
     differences = [a - b for a, b in pairwise(smooth)]
     del filled, smooth
     usable, bands = np.empty(grid.shape, bool), np.empty((2, *grid.shape), np.float32)
-    for first in range(0, grid.height_px, _ROWS):
-        rows = slice(first, first + _ROWS)
+    for rows in row_bands(grid):
         pixels, valid = project(sensor, directions(grid)[rows] @ R.T)
         column, row = np.moveaxis(np.rint(np.where(valid[..., None], pixels, 0)).astype(np.intp), -1, 0)
         row, column = np.clip(row, 0, image.shape[0] - 1), np.clip(column, 0, image.shape[1] - 1)

@@ -33,7 +33,7 @@ import numpy as np
 from harness.camera.fill import across_seam, closed_image
 from harness.camera.sensor import Sensor, forget_directions, seam_px
 from harness.geometry.angles import Array, angle_between, lengths
-from harness.geometry.panorama import Grid, directions, pixel_that_holds
+from harness.geometry.panorama import Grid, directions, pixel_that_holds, row_bands
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
 from harness.matching.interface import Matches, Reason
@@ -62,9 +62,6 @@ from harness.matching.slanted.sigma import CONFIRMED, at_least, doubted, inflati
 
 _ACROSS_SEAM = 6
 """How many windows a periodic image is continued by on both sides."""
-
-_ROWS = 32
-"""Rows of the panorama that are read at a time."""
 
 
 def refine_slanted(
@@ -192,11 +189,6 @@ class _Read:
     """See `doubt.unlike`."""
 
 
-def _bands(grid: Grid) -> list[slice]:
-    """The panorama's rows, a few at a time: what is worked out for each pixel on the way takes 500 bytes."""
-    return [slice(first, first + _ROWS) for first in range(0, grid.height_px, _ROWS)]
-
-
 def _on_panorama(
     forth: Field,
     inflation: Array,
@@ -230,7 +222,7 @@ def _on_panorama(
         doubt = factor(around, index, window) * factor_by_start(from_start, forth.share.ravel()[window] < 1)
         result.doubt[rows] = np.where(within, doubt, np.inf)
 
-    list(pool.map(read, _bands(grid)))
+    list(pool.map(read, row_bands(grid)))
     return result
 
 
@@ -261,6 +253,6 @@ def _matches(
         alpha_2[rows], reasons[rows] = np.where(matched, alpha, np.nan), reason
         sigma_2[rows] = np.where(matched, doubted(sigma, read.doubt[rows]), np.nan)
 
-    list(pool.map(confirm, _bands(grid)))
+    list(pool.map(confirm, row_bands(grid)))
     tell_occluded(reasons, read.w, read.unlike, start_alpha_2, reverse, grid, apart)
     return Matches(alpha_2=alpha_2, confidence=1 / sigma_2, sigma_alpha_2=sigma_2, reason=reasons)
