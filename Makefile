@@ -22,7 +22,7 @@ findings: $(STAMP)  ## measure anew what the README quotes, into results/referen
 	$(BIN)/python results/reference/findings.py
 
 quick: $(STAMP)  ## run the tests that are not slow; one that has become slow fails
-	$(BIN)/python -m pytest -n auto --dist loadfile -q -m "not slow and not long" --most-cpu-s 2
+	$(BIN)/python -m pytest -n auto --dist loadfile -q -m "not slow and not long" --most-cpu-s 5
 
 long: $(STAMP)  ## run the tests that are left out of `make test`: long repetitions of what it tests
 	$(BIN)/python -m pytest -n auto --dist worksteal -m long

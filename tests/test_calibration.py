@@ -341,8 +341,22 @@ def test_derivative_by_direction_is_used_as_it_stands():
     assert isinstance(poses, BoardPoses)
 
 
-def test_one_board_seen_head_on_determines_nothing():
+@pytest.fixture(scope="module")
+def head_on():
+    """One board that a pinhole sees head-on, the pixel grid's equal."""
     points = np.array([[c, r] for r in range(6) for c in range(9)], dtype=np.float64)
-    corners = corners_of([("a", 0.04 * points, 300 + 10 * points)], 1024, 768)
+    return corners_of([("a", 0.04 * points, 300 + 10 * points)], 1024, 768)
+
+
+def test_one_board_seen_head_on_determines_neither_focal_length_nor_centre(head_on):
+    """It may be larger and farther away, or aside and turned; that it is square and straight it does say."""
+    calibration = calibrate_sensor(head_on, "eucm")
+    assert set(calibration.uncertainty.undetermined) == {
+        "model.beta", "camera.focal_px", "camera.cx_px", "camera.cy_px"
+    }  # fmt: skip
+    assert any("do not determine model.beta, camera.focal_px" in note for note in calibration.notes)
+
+
+def test_corners_that_determine_nothing_are_refused(head_on):
     with pytest.raises(InputError, match=r"determine none of .*: take more boards"):
-        calibrate_sensor(corners, "eucm")
+        calibrate_sensor(head_on, "eucm", fix={"alpha": 0.0, "aspect": 1.0})

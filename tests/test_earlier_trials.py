@@ -39,6 +39,7 @@ def test_a_summary_without_its_report_does_not_stay(small, tmp_path, monkeypatch
     assert not any((out / name).exists() for name in OF_ALL_ROWS)
 
 
+@pytest.mark.slow
 def test_nor_one_between_two_runs_of_the_same_trials(small, tmp_path, monkeypatch, capsys):
     """The finished report was of the trials that are run again; the summary that is there is not."""
     out = tmp_path / "out"
@@ -100,6 +101,7 @@ def test_a_report_from_python_comes_with_its_own_tables(small, tmp_path):
     assert (out / "trials.csv").read_bytes() == table
 
 
+@pytest.mark.slow
 def test_a_removed_report_is_said_in_python(small, tmp_path):
     out = tmp_path / "out"
     run(small, out)

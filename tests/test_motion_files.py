@@ -207,6 +207,7 @@ class TestPoseOfEachView:
         for motion in motions_of_poses([tmp_path / "pose.toml"] * 2, 3):
             same(motion, harness.relative_motion(harness.Pose(), pose))
 
+    @pytest.mark.slow
     def test_of_a_command(self, views, tmp_path):
         folders, poses = views
         given = [word for each in folders[:2] for word in ("--pose", each / "pose.toml")]

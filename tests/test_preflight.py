@@ -42,6 +42,7 @@ def test_a_new_view_inside_an_object_is_said(tmp_path):
         preflight.preflight(experiment.planned, len(experiment.planned), "e.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 def test_no_trial_of_a_shipped_experiment_will_fail(name, monkeypatch):
     """With all extras: a run that fails as it is shipped teaches nobody anything. No `Notice` is an error here."""

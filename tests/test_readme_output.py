@@ -62,6 +62,7 @@ def test_what_the_readme_makes_of_its_table_is_in_it():
     assert most == {1: "alignment", 2: "alignment", 4: "alignment", 8: "rotation"}
 
 
+@pytest.mark.slow
 def test_the_readme_says_what_sensor_prints_of_resolutions(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     (said,) = re.findall(r"At the horizon the three have (.*?) px per degree", README)

@@ -23,6 +23,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 # --- Found, or refused before anything is run ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_chosen_in_any_experiment_with_parameters_as_axes(module: Write) -> None:
     """The paper's axes over window settings go: another matcher has none."""
     name = module(FAR)

@@ -36,6 +36,8 @@ class Adjusted(OneLine):
     normal: Array
     """`[n, n]`: reduced normal matrix of the vector, with the poses eliminated, pixels⁻²: the covariance is its inverse
     times the variance of a corner's coordinate."""
+    diagonal: Array
+    """`[n]`: the diagonal of that matrix for known poses: rounding errors of `normal` are in proportion to it."""
     pose_normal: Array
     """`[boards, 6, 6]`: normal matrices of the poses for a known sensor."""
     cost: float
@@ -103,7 +105,14 @@ def adjust(
         if converged or damping > 1e12:
             break
     final = _linearised(parameters, corners, state, steps, None)
-    return replace(state, normal=final.reduced(), pose_normal=final.poses, rounds=done, converged=converged)
+    return replace(
+        state,
+        normal=final.reduced(),
+        diagonal=np.diag(final.sensor),
+        pose_normal=final.poses,
+        rounds=done,
+        converged=converged,
+    )
 
 
 def _evaluated(
@@ -118,7 +127,7 @@ def _evaluated(
     squares = np.sum(r * r, axis=-1)
     cost = squares.sum() if robust_px is None else (np.log1p(squares / robust_px**2) * robust_px**2).sum()
     nothing = np.zeros((0, 0))
-    return Adjusted(parameters, vector, poses, r, nothing, nothing, float(cost), 0, converged=False)
+    return Adjusted(parameters, vector, poses, r, nothing, np.zeros(0), nothing, float(cost), 0, converged=False)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from harness.display import OneLine
 from harness.geometry.angles import Array
 
 _UNDETERMINED = 1e-13
-"""Eigenvalues of the normal matrix, scaled to a unit diagonal, below this share of the largest are rounding errors."""
+"""Eigenvalues of the normal matrix below this are rounding errors, if it has a unit diagonal while poses are known:
+what boards leave undetermined has some 1e-15 once the poses are eliminated, what they hardly determine 1e-11."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -55,9 +56,9 @@ def uncertainty_of(adjusted: Adjusted) -> Uncertainty:
     parameters, n = adjusted.parameters, len(adjusted.vector)
     freedom = adjusted.residuals.size - n - 6 * len(adjusted.poses.t)
     variance = float(np.sum(adjusted.residuals**2)) / max(freedom, 1)
-    scale = np.sqrt(np.maximum(np.diag(adjusted.normal), 1e-300))
+    scale = np.sqrt(np.maximum(adjusted.diagonal, 1e-300))
     eigenvalue, eigenvector = np.linalg.eigh(adjusted.normal / np.outer(scale, scale))
-    weak = eigenvalue < _UNDETERMINED * eigenvalue[-1]
+    weak = eigenvalue < _UNDETERMINED
     strong = eigenvector[:, ~weak] / np.sqrt(eigenvalue[~weak])
     covariance = variance * (strong @ strong.T) / np.outer(scale, scale)
     # An undetermined direction affects those keys that have a component along it.
