@@ -36,7 +36,7 @@ def load_experiment(
     cases
         Names, each with dotted keys of a trial and their values: cases instead of the experiment's own.
     sets
-        Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
+        Dotted keys of a trial and values: settings of the base trial. The experiment's axis over a key is dropped.
 
     Returns
     -------

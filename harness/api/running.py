@@ -41,7 +41,7 @@ def run(
     cases
         Names, each with dotted keys of a trial and their values: cases instead of the experiment's own.
     sets
-        Dotted keys of a trial and values: settings of the base trial; an axis over the same key is dropped.
+        Dotted keys of a trial and values: settings of the base trial. The experiment's axis over a key is dropped.
     out
         The run's folder, in which an interrupted run is resumed; when None, the run is in memory.
     workers

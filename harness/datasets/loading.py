@@ -8,7 +8,7 @@ from harness import shipped
 from harness.datasets.specification import DatasetSpec
 from harness.errors import InputError
 from harness.runs.dotted import changed
-from harness.runs.overrides import read_value
+from harness.runs.overrides import read_values
 from harness.spec import parse
 from harness.toml import read_toml
 
@@ -33,7 +33,7 @@ def load_spec(source: str | Path | Mapping[str, Any] | DatasetSpec, sets: Sequen
     else:
         file = shipped.find("datasets", str(source))
         table = read_toml(file)
-    settings = dict(read_value("--set", each) for each in sets)
+    settings = read_values("--set", sets)
     if not settings:
         return parse(DatasetSpec, table, file=file)
     try:

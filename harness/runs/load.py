@@ -12,10 +12,20 @@ from harness.matching.registry import Matcher
 from harness.pipeline.specification import Trial
 from harness.renamed import DottedKeys, dotted_up_to_date, give_notice
 from harness.runs.cases import NAME, check_cases, key_of_name, named
-from harness.runs.dotted import changed
+from harness.runs.dotted import KIND, changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute, of_matcher, read_in
-from harness.runs.overrides import listed, plain, read_value, split, values_of, with_axes, with_cases, with_sets
+from harness.runs.overrides import (
+    check_of_use,
+    listed,
+    plain,
+    read_values,
+    split,
+    values_of,
+    with_axes,
+    with_cases,
+    with_sets,
+)
 from harness.runs.values import text_of
 from harness.spec import Spec, parse
 from harness.toml import read_toml
@@ -39,7 +49,8 @@ def load_experiment(
     ----------
     sets
         `key=value`, or keys and values: settings of the base trial; an axis over the same key is dropped. With
-        `matching.kind`, so are axes over settings that this matcher does not have.
+        `matching.kind`, so are axes over settings that this matcher does not have. Where `axes` has the key too, it is
+        one of those values: that of the base trial.
     axes
         `key=a,b,c`, or keys and lists of values: further axes, or other values of one that is there. In text, values
         are as in TOML, or plain words. With an axis over `matching.kind`, the experiment's own axes are dropped that
@@ -60,13 +71,14 @@ def load_experiment(
     if isinstance(sets, Mapping):
         settings = {str(key): plain(value) for key, value in sets.items()}
     else:
-        settings = dict(read_value("--set", each) for each in sets)
+        settings = read_values("--set", sets)
     if isinstance(axes, Mapping):
         values = {str(key): listed(str(key), each) for key, each in axes.items()}
     else:
         values = _axes_of(axes)
     settings = _up_to_date(DottedKeys(Trial), settings, set_option)
     values = _up_to_date(DottedKeys(Trial, listed=True), values, axis_option)
+    check_of_use(settings, set_option, values, axis_option)
     changed = with_axes(with_sets(experiment, settings, set_option), values, axis_option)
     if cases is not None:
         changed = with_cases(changed, _cases_up_to_date(cases))
@@ -246,13 +258,21 @@ def load_matcher(
         if not (isinstance(trial, dict) and isinstance(trial.get("matching"), dict)):
             raise InputError("has no table [matching], nor [trial.matching]", file=file)
         table = {"matching": absolute("", trial["matching"], file.parent, file)}
-    settings = {
-        key: absolute(key, value, Path(), "--set") for key, value in (read_value("--set", each) for each in sets)
-    }
+    settings = {key: absolute(key, value, Path(), "--set") for key, value in read_values("--set", sets).items()}
+    for key in settings:
+        if key in ("matching", KIND):
+            raise InputError(f"the matcher is given already: {kind_or_path}; leave this out", file="--set", key=key)
+        if not key.startswith("matching."):
+            raise InputError("must begin with 'matching.', such as matching.window_px=7", file="--set", key=key)
     table = changed(table, settings, file="--set")
     if parameters:
         table["matching"]["parameters"] = {**table["matching"].get("parameters", {}), **parameters}
-    matcher = parse(_Matching, table, file=file).matching
+    try:
+        matcher = parse(_Matching, table, file=file).matching
+    except InputError as error:
+        if error.key in settings:
+            raise InputError(error.problem, file="--set", key=error.key) from error
+        raise
     try:
         matcher.check()
     except InputError as error:

@@ -14,28 +14,32 @@ from harness.runs.cases import check_cases, key_of_name, label, settings_of
 from harness.runs.dotted import KIND, MODEL_KINDS, changed
 from harness.runs.experiment import Experiment
 from harness.runs.named_files import absolute
-from harness.runs.values import Settings
+from harness.runs.values import Settings, identity_of, text_of
 from harness.spec import Spec, as_given, parse
 from harness.toml import parse_toml
 
 
-def read_value(option: str, text: str) -> tuple[str, Any]:
-    """The key and the value of `key=value` on the command line.
+def read_values(option: str, texts: Iterable[str]) -> Settings:
+    """The keys and values of an option that is given as `key=value`, once for each key.
 
     Raises
     ------
     InputError
-        When it is not written so; names the option.
+        When one is not written so, or a key is given twice; names the option.
     """
-    key, value = split(option, text)
-    try:
-        return key, _value(value)
-    except InputError as error:
-        raise InputError(error.problem, file=option, key=key) from error
+    values: Settings = {}
+    for key, text in (split(option, each) for each in texts):
+        if key in values:
+            raise InputError("is given twice; leave one out", file=option, key=key)
+        try:
+            values[key] = _value(text)
+        except InputError as error:
+            raise InputError(error.problem, file=option, key=key) from error
+    return values
 
 
 def split(option: str, text: str) -> tuple[str, str]:
-    """The two sides of `key=value`; errors as in `read_value`."""
+    """The two sides of `key=value`; errors as in `read_values`."""
     key, equals, value = text.partition("=")
     if not (key and equals):
         raise InputError(f"must be written key=value; found '{shortened(text)}'", key=option)
@@ -92,6 +96,27 @@ def listed(key: str, values: Any) -> list[Any]:
     if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
         raise InputError(f"must be a list of values; found {values!r}", file="axes", key=key)
     return [plain(each) for each in values]
+
+
+def check_of_use(settings: Settings, set_option: str, axes: Mapping[str, list[Any]], axis_option: str) -> None:
+    """Check that no axis that is given too makes a setting void.
+
+    Raises
+    ------
+    InputError
+        When an axis over the same key has other values only, or one over a key around it replaces the setting; names
+        `set_option`.
+    """
+    for key, value in settings.items():
+        for axis in axes:
+            if key.startswith(f"{axis}."):
+                problem = f"is replaced by each value of {axis_option} {axis}; write it there"
+                raise InputError(problem, file=set_option, key=key)
+        # The base trial is shown in detail, so which of the values it has is worth saying.
+        known = [identity_of(key, absolute(key, each, Path(), axis_option)) for each in axes.get(key, ())]
+        if known and identity_of(key, absolute(key, value, Path(), set_option)) not in known:
+            problem = f"{text_of(value)} is none of the values of {axis_option} {key}; add it there, or leave one out"
+            raise InputError(problem, file=set_option, key=key)
 
 
 def with_sets(experiment: Experiment, settings: Settings, option: str) -> Experiment:

@@ -6,7 +6,7 @@ from harness.errors import InputError
 from harness.geometry.panorama import Grid
 from harness.matching.registry import Matcher
 from harness.matching.window.settings import WindowMatcher
-from harness.runs.overrides import read_value
+from harness.runs.overrides import read_values
 from harness.spec import Spec, parse
 
 DEFAULT_KIND = "slanted"
@@ -31,11 +31,14 @@ def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
         Names the option and the key, and what would be right.
     """
     table: dict[str, dict[str, object]] = {"matching": {"kind": kind or DEFAULT_KIND}}
-    for each in sets:
-        key, value = read_value("--set", each)
+    given = {("matching", "kind"): "--matcher"} if kind else {}
+    for key, value in read_values("--set", sets).items():
         room, _, name = key.partition(".")
         if room not in OwnSettings.model_fields or not name:
             room, name = "matching", key
+        if (room, name) in given:
+            raise InputError(f"is given as {given[room, name]} too; leave one out", file="--set", key=key)
+        given[room, name] = key
         target = table.setdefault(room, {})
         *above, last = name.split(".")
         for part in above:
