@@ -8,11 +8,16 @@ from collections.abc import Collection, Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from harness.errors import InputError
+from harness.errors import InputError, with_article
 
 PARTIAL = ".partial"
 """Suffix of the name of a file while it is written; the part before it is random."""
 _LEFTOVER = re.compile(rf"\.[0-9a-f]{{32}}{re.escape(PARTIAL)}")
+
+_START_BYTES = 16
+"""What is read of a file that is too large, to say what it is."""
+_IMAGES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
+"""How files of images begin."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
@@ -41,16 +46,34 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
             if not stat.S_ISREG(status.st_mode):
                 raise _not_regular(path, what)
             # The size may be unknown (/proc) or have grown: the bytes read are checked against the limit.
-            data = stream.read(limit_bytes + 1) if status.st_size <= limit_bytes else None
+            data = stream.read(limit_bytes + 1 if status.st_size <= limit_bytes else _START_BYTES)
     except FileNotFoundError:
         raise InputError("no such file", file=printable(path)) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=printable(path)) from error
     except ValueError as error:  # a null byte or a lone surrogate
         raise InputError("is not a file name", file=printable(path)) from error
-    if data is None or len(data) > limit_bytes:
+    if status.st_size > limit_bytes or len(data) > limit_bytes:
+        if what == "sensor" and _image_kind(data):
+            raise InputError(not_text(data), file=path)
         raise InputError(f"is larger than the {limit_bytes / 2**20:g} MiB that are read of a {what}", file=path)
     return data
+
+
+def not_text(data: bytes, wanted: str = "text file") -> str:
+    """What is said of a file that is no text: what it is, if it is an image, as images and other files are mixed up."""
+    if kind := _image_kind(data):
+        return f"is {with_article(kind)} image; a {wanted} is read here"
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        return f"is no {wanted} in UTF-8: byte {data[error.start]:#04x} in line {line}"
+    return f"is no {wanted}: it has null bytes"
+
+
+def _image_kind(data: bytes) -> str | None:
+    return next((kind for start, kind in _IMAGES.items() if data.startswith(start)), None)
 
 
 def _not_regular(path: str | Path, what: str) -> InputError:

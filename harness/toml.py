@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.files import read_regular
+from harness.files import not_text, read_regular
 
 MOST_BYTES = 4 * 2**20
 """The largest file: about a hundred thousand lines."""
@@ -36,7 +36,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return parse_toml(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise InputError(f"cannot be read as a TOML text file ({error})", file=path) from error
+        raise InputError(not_text(data, "TOML file"), file=path) from error
     except ValueError as error:  # TOMLDecodeError, or a number of too many digits
         raise InputError(f"not valid TOML: {error}", file=path) from error
     except InputError as error:

@@ -302,9 +302,9 @@ def test_terms_that_our_models_lack_are_refused_unless_they_are_zero(tmp_path):
     ("data", "said"),
     [
         (b"", "is neither a sensor file nor a calibration in a known format; known are a sensor's TOML, CamOdoCal"),
-        (b"\xff\xd8\xff\xe0", "cannot be read as a text file"),
+        (b"\xff\xd8\xff\xe0", "file: is a JPEG image; a text file is read here"),
         (b"hello world\n", "is neither a sensor file nor a calibration"),
-        (b"a\0b", "it has null bytes"),
+        (b"a\0b", "file: is no text file: it has null bytes"),
         (b"{" * 100_000, "not valid JSON"),
         (b"[" * 100_000, "nested more than 64 deep"),
         (b"cam0: " + b"[" * 100_000, "nested more than 64 deep"),

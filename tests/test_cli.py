@@ -192,7 +192,7 @@ def test_an_unknown_experiment_is_answered_with_those_there_are(capsys: pytest.C
             "paper: no such scene; it is an experiment: `",
         ),
         (["rnu", "paper"], "unknown command 'rnu'; did you mean 'run'?"),
-        (["completion", "bsh"], "argument shell: unknown 'bsh'; did you mean 'bash'?"),
+        (["completion", "bsh"], "shell: unknown 'bsh'; did you mean 'bash'?"),
     ],
 )
 def test_what_was_meant_is_said(arguments: list[object], expected: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -192,11 +192,11 @@ def test_what_cannot_be_searched_for_is_named(asked, message):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        (["--at", "0"], "argument --at: must be a number above 0; found '0'"),
-        (["--verify", "-1"], "argument --verify: must be a whole number of at least 1; found '-1'"),
-        (["--accuracy", "0.03@4", "--most", "0"], "argument --most: must be a whole number of at least 1"),
-        (["--accuracy", "0.03@4", "--width", "0"], "argument --width: must be a whole number of at least 1"),
-        (["--accuracy", "0.03@4", "--cost", "nan", "0", "0"], "argument --cost: must be a number from 0; found 'nan'"),
+        (["--at", "0"], "--at: must be a number above 0; found '0'"),
+        (["--verify", "-1"], "--verify: must be a whole number of at least 1; found '-1'"),
+        (["--accuracy", "0.03@4", "--most", "0"], "--most: must be a whole number of at least 1"),
+        (["--accuracy", "0.03@4", "--width", "0"], "--width: must be a whole number of at least 1"),
+        (["--accuracy", "0.03@4", "--cost", "nan", "0", "0"], "--cost: must be a number from 0; found 'nan'"),
     ],
 )
 def test_options_that_make_no_sense_are_named(option, message, capsys):

@@ -74,3 +74,11 @@ def test_a_setting_that_is_one_of_an_axiss_values_is_that_of_the_base_trial():
         assert experiment.trial.seed == 2
         assert {each.trial.seed for each in experiment.planned} == {1, 2}
     assert load_experiment("smoke", sets=["scene=box"], axes=["scene=room,box"]).trial.scene.name == "box"
+
+
+@pytest.mark.parametrize("option", [("--out", "a", "--out=b"), ("--workers", "1", "--out", "a", "--workers", "2")])
+def test_an_option_that_is_given_twice(option, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["run", "smoke", *option])
+    said = f"omnirange: {option[0]}: is given twice; leave one out; see omnirange run --help\n"
+    assert capsys.readouterr().err == said

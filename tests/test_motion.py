@@ -198,7 +198,7 @@ def test_wrong_arguments_are_one_line(folder, capsys):
     for extra, said in (
         (["--baseline-length", "-1"], "--baseline-length: must be above 0; found -1"),
         (["--seed", "-1"], "--seed: must be 0 or more"),
-        (["--upright", "--planar"], "not allowed with"),
+        (["--upright", "--planar"], "--planar: excludes --upright; leave one of them out"),
     ):
         try:
             code = main(["motion", left, left, "--sensor", sensor, *extra])

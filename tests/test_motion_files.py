@@ -152,7 +152,10 @@ def test_options_of_range(tmp_path, capsys):
     for options, message in (
         (["--pose", file], "t.txt: --views: the trajectory has 3 poses"),
         (["--pose", file, "--views", "0", "1"], "t.txt: --frame: a trajectory does not say which frame it moves"),
-        (["--pose", file, "--views", "0", "1", "--frame", "sensor"], "must not be zero"),
+        (
+            ["--pose", file, "--views", "0", "1", "--frame", "sensor"],
+            "t.txt: both views are in one place, which determines",
+        ),
         (["--baseline", "1", "0", "0", "--frame", "lens"], "--frame: belongs to --pose"),
     ):
         assert main([*images, *options]) == 2
@@ -230,7 +233,8 @@ class TestPoseOfEachView:
             ("map", 3, (0,), "pose.toml: holds one pose; more than two images need a trajectory in TUM's"),
             ("map", 3, (0, 1), "v0/pose.toml: is a view's pose in the world"),
             ("map", 2, (0, 1, 2), "--pose: must be one trajectory or rig, or a pose for each of the 2 images; found 3"),
-            ("map", 3, (0, 1, 1), "--pose: views 1 and 2 are in one place, which determines no range"),
+            ("map", 3, (0, 1, 1), "v1/pose.toml is given for views 1 and 2; give the pose of each"),
+            ("range", 2, (0, 0), "v0/pose.toml is given for both views; give the pose of each"),
         ],
     )
     def test_what_is_refused(self, name, count, given, message, views, capsys):
@@ -241,6 +245,27 @@ class TestPoseOfEachView:
         said = capsys.readouterr().err
         assert message in said
         assert said.count("\n") == 1
+
+    def test_poses_in_one_place(self, views, tmp_path, capsys):
+        folders, _ = views
+        again = tmp_path / "again.toml"
+        again.write_bytes((folders[1] / "pose.toml").read_bytes())
+        poses = [each / "pose.toml" for each in folders[:2]]
+        for name, count, files, which in (
+            ("range", 2, [poses[1], again], "both views"),
+            ("map", 3, [*poses, again], "views 1 and 2"),
+        ):
+            options = [word for each in files for word in ("--pose", each)]
+            height = ["--height", 1.0] if name == "map" else []
+            assert self.command(name, folders[:count], *options, *height) == 2
+            said = f"omnirange: --pose: {which} are in one place, which determines no range\n"
+            assert capsys.readouterr().err == said
+
+    def test_an_image_for_a_pose(self, views, capsys):
+        folders, _ = views
+        image = folders[0] / "omni.png"
+        assert self.command("range", folders[:2], "--pose", image) == 2
+        assert capsys.readouterr().err == f"omnirange: {image}: is a PNG image; a text file is read here\n"
 
     @pytest.mark.parametrize("option", [("--rotation-deg", 1, 0, 0), ("--baseline-length", 1), ("--views", 0, 1)])
     def test_what_poses_do_not_need(self, option, views, capsys):

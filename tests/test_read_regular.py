@@ -6,6 +6,7 @@ import pytest
 
 from harness.errors import InputError
 from harness.files import read_regular
+from harness.io.calibrations.parsing import read_content
 
 
 def refusal(path, limit_bytes=100):
@@ -22,6 +23,17 @@ def test_contents_up_to_the_limit(tmp_path):
     assert f"{file}: is larger than the 9.44138e-05 MiB" in refusal(file, 99)
     (tmp_path / "link").symlink_to("a")
     assert read_regular(str(tmp_path / "link"), 100) == b"x" * 100
+
+
+def test_an_image_for_a_sensor_is_called_one_at_any_size(tmp_path):
+    file = tmp_path / "a.png"
+    for size in (10, 1000):
+        file.write_bytes(b"\x89PNG" + bytes(size))
+        with pytest.raises(InputError, match=r"a\.png: is a PNG image; a text file is read here$"):
+            read_content(file) if size == 10 else read_regular(file, 100, "sensor")
+    assert read_regular(file, 1004, "sensor") == file.read_bytes()
+    with pytest.raises(InputError, match="is larger than"):
+        read_regular(file, 100, "image")
 
 
 def test_only_regular_files(tmp_path):

@@ -216,7 +216,7 @@ def test_load_reads_a_file(tmp_path) -> None:
     [
         (None, "no such file"),
         (b"a = \n", "not valid TOML: Invalid value (at line 1, column 5)"),
-        (b"a = '\xff'\n", "cannot be read as a TOML text file"),
+        (b"a = '\xff'\n", "is no TOML file in UTF-8: byte 0xff in line 1"),
     ],
 )
 def test_unreadable_file_is_named(tmp_path, content, problem) -> None:

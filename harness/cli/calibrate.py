@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.cli import completers
-from harness.cli.options import Commands, Parser, add_out
+from harness.cli.command_line import Parser
+from harness.cli.options import Commands, add_out
 from harness.cli.sensor_options import add_mount_and_field
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from harness.cli.options import Parser
+from harness.cli.command_line import Parser
 
 
 def add_length(command: Parser, *, before: str = "") -> None:

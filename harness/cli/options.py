@@ -2,37 +2,11 @@
 
 import argparse
 import math
-import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
 
 from harness.cli import completers
-from harness.cli.exits import INPUT
-from harness.display import shortened
-from harness.errors import nearest
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser without abbreviations, whose errors are one line, as in the rest of the program."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options, allow_abbrev=False)
-        # argparse's pattern of values that begin with a dash. Its default does not recognise 1e-3 and inf.
-        self._negative_number_matcher = re.compile(r"-(?:\.?\d|inf|nan)", re.IGNORECASE)
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Check that a value is one of the choices; the error names the nearest one. Overrides argparse's."""
-        if action.choices is not None and value not in action.choices:
-            what = "command " if action.metavar == "COMMAND" else ""
-            hint = nearest(str(value), [str(each) for each in action.choices])
-            raise argparse.ArgumentError(None if what else action, f"unknown {what}'{value}'; {hint}")
-
-    def error(self, message: str) -> NoReturn:
-        """Print the error, and exit."""
-        print(f"omnirange: {shortened(message)}; see {self.prog} --help", file=sys.stderr)
-        raise SystemExit(INPUT)
+from harness.cli.command_line import Parser
 
 
 class Commands:

@@ -29,9 +29,10 @@ from harness.cli import (
 from harness.cli import list as list_command
 from harness.cli import map as map_command
 from harness.cli import range as range_command
+from harness.cli.command_line import Parser
 from harness.cli.exits import BUG, INPUT, INTERRUPTED, OK
 from harness.cli.heartbeat import heartbeat
-from harness.cli.options import Commands, Parser
+from harness.cli.options import Commands
 from harness.cli.output import patient_output
 from harness.errors import InputError, Notice, described, one_line
 from harness.version import __version__

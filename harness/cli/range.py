@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from harness.cli import completers
+from harness.cli.command_line import Parser
 from harness.cli.exits import FAILED, OK
 from harness.cli.motion_options import add_length, check_length, naming_options
-from harness.cli.options import Commands, Parser, add_images, add_out
+from harness.cli.options import Commands, add_images, add_out
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 from harness.display import counted, listed
 
@@ -183,9 +184,9 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
             print(line)
     else:
         motion = _given_motion(options, sensors)
-        if not motion.baseline_m > 0:
-            source = "--baseline" if options.pose is None else options.pose[-1]
-            raise InputError("must not be zero: two views from one point determine no range", file=source)
+        if not motion.baseline_m > 0 and options.pose is None:
+            raise InputError("must not be zero: two views from one point determine no range", file="--baseline")
+        _check_apart(options, [motion])
     if options.mask == Path("auto"):
         sensor = _without_body(options, sensors, motion, settings)
         sensors = sensor, sensor
@@ -349,11 +350,23 @@ def _along(options: Namespace, sensor: "Sensor", count: int) -> "list[Motion]":
             raise InputError(error.problem, file=error.file, key=key) from error
         if len(motions) != count - 1:
             raise InputError(f"has {len(motions) + 1} poses; there are {count} images", file=file)
-    standing = next((i for i, each in enumerate(motions) if not each.baseline_m > 0), None)
-    if standing is not None:
-        problem = f"views {standing} and {standing + 1} are in one place, which determines no range"
-        raise InputError(problem, file="--pose" if len(options.pose) > 1 else file)
+    _check_apart(options, motions)
     return motions
+
+
+def _check_apart(options: Namespace, motions: "Sequence[Motion]") -> None:
+    """Refuse motions of `--pose` that leave a view where it was."""
+    from harness.errors import InputError
+
+    poses: Sequence[Path] = options.pose or ()
+    standing = next((i for i, each in enumerate(motions) if not each.baseline_m > 0), None)
+    if standing is None:
+        return
+    which = "both views" if len(motions) == 1 else f"views {standing} and {standing + 1}"
+    problem = f"{which} are in one place, which determines no range"
+    if len(poses) > len(motions) and poses[standing] == poses[standing + 1]:
+        problem = f"{poses[standing]} is given for {which}; give the pose of each"
+    raise InputError(problem, file="--pose" if len(poses) > 1 else poses[0])
 
 
 def _estimated(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "MotionEstimate":

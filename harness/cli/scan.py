@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from harness.cli.command_line import Parser
 from harness.cli.exits import FAILED, OK
-from harness.cli.options import Commands, Parser, add_images, add_out, positive
+from harness.cli.options import Commands, add_images, add_out, positive
 from harness.cli.range import add_matching, estimate_of, tell_matching, warn_of
 from harness.errors import InputError
 

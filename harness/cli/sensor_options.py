@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.cli import completers
-from harness.cli.options import Parser
+from harness.cli.command_line import Parser
 
 if TYPE_CHECKING:
     from harness.camera.sensor import Sensor

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from harness.errors import InputError
-from harness.files import read_regular
+from harness.files import not_text, read_regular
 from harness.io.calibrations.record import Content
 from harness.toml import MOST_BYTES, MOST_LEVELS, parse_toml
 
@@ -42,9 +42,9 @@ def read_content(file: Path) -> Content:
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise InputError(f"cannot be read as a text file ({error})", file=file) from error
+        raise InputError(not_text(data), file=file) from error
     if "\0" in text:
-        raise InputError("cannot be read as a text file: it has null bytes", file=file)
+        raise InputError(not_text(data), file=file)
     try:
         return _parsed(file, text)
     except RecursionError as error:

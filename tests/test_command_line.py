@@ -1,0 +1,45 @@
+"""What the parser says: the option, what is wrong and what would be right, in the words of the rest of the program."""
+
+import pytest
+
+from harness.cli import main
+
+PAIR = ("range", "a.png", "b.png", "--sensor", "s.toml", "--out", "o")
+ONE_EACH = "--pose takes one value each time: --pose A --pose B; see omnirange range"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("range", "--pose", "a.toml", "b.toml"), f"RIGHT, --sensor, --out: missing; {ONE_EACH}"),
+        (("range", "a.png"), "RIGHT, --sensor, --out: missing; see omnirange range"),
+        ((*PAIR, "--pose", "a.toml", "b.toml"), f"'b.toml' is one argument too many; {ONE_EACH}"),
+        ((*PAIR, "c.png"), "'c.png' stands apart; write each IMAGE beside the others; see omnirange range"),
+        ((*PAIR, "--baseline", "1", "0"), "--baseline: must be followed by X Y Z; see omnirange range"),
+        ((*PAIR, "--baseline", "1", "0", "x"), "--baseline: must be a number; found 'x'; see omnirange range"),
+        (
+            (*PAIR, "--baseline", "1", "0", "0", "--pose", "p"),
+            "--pose: excludes --baseline; leave one of them out; see omnirange range",
+        ),
+        ((*PAIR, "--bits", "x"), "--bits: must be a whole number; found 'x'; see omnirange range"),
+        (
+            (*PAIR, "--basline", "1", "0", "0"),
+            "unknown option '--basline'; did you mean '--baseline'? See omnirange range",
+        ),
+        (("run", "paper", "smoke"), "'smoke' is one argument too many; see omnirange run"),
+        (("run",), "EXPERIMENT: missing; see omnirange run"),
+        (("run", "paper", "--out"), "--out: must be followed by DIR; see omnirange run"),
+        (("run", "paper", "--dry-run=1"), "--dry-run: takes no value; found '1'; see omnirange run"),
+        (
+            ("run", "--", "paper", "--dry-run"),
+            "'--dry-run' is behind --, after which nothing is an option; see omnirange run",
+        ),
+        (("run", "--", "paper", "-3"), "'-3' is one argument too many; see omnirange run"),
+        (("design", "--at"), "--at: must be followed by one M or more; see omnirange design"),
+        (("--foo",), "unknown option '--foo'; see omnirange"),
+    ],
+)
+def test_a_slip_of_the_command_line(arguments, said, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    assert capsys.readouterr() == ("", f"omnirange: {said} --help\n")
