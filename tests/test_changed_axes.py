@@ -3,6 +3,7 @@
 import pytest
 from sweeps import write_small
 
+import harness
 from harness.cli import main
 from harness.errors import InputError
 from harness.runs.load import load_experiment
@@ -76,3 +77,19 @@ def test_an_experiment_of_ones_own_is_not_written_over(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["run", str(own), "--out", str(out), "--no-report"]) == 0
     assert main(["run", str(out / "experiment.toml"), "--out", str(out), "--no-report"]) == 0
+
+
+@pytest.mark.parametrize("name", ["trials.csv", "experiment.toml", "report.html", "failures.csv"])
+def test_files_of_ones_own_are_not_written_over_or_removed(name, tmp_path, capsys):
+    own = tmp_path / "out" / name
+    own.parent.mkdir()
+    own.write_text("mine")
+    file = write_small(tmp_path / "e.toml")
+    assert main(["run", str(file), "--out", str(own.parent), "--no-report"]) == 2
+    said = f"{own}: is there already, and not from a run in this folder; give another folder"
+    assert capsys.readouterr().err == f"omnirange: {said}\n"
+    with pytest.raises(InputError) as caught:
+        harness.run(file, out=own.parent)
+    assert str(caught.value) == said
+    assert [each.name for each in own.parent.iterdir()] == [name]
+    assert own.read_text() == "mine"

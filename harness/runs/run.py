@@ -36,7 +36,7 @@ from harness.runs.recorded import record
 from harness.runs.scheduler import run_batches
 from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
-from harness.runs.written import is_written, remove_stale, set_reported, write_files
+from harness.runs.written import FAILURES, check_no_others, is_written, remove_stale, set_reported, write_files
 from harness.spec import as_table, dump_toml
 
 if TYPE_CHECKING:  # loading it takes long, and trials can be run without
@@ -128,9 +128,11 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
     Raises
     ------
     InputError
-        When the folder holds another experiment's run, or its file cannot be used.
+        When the folder holds another experiment's run, or somebody's files in the place of a run's, or its file
+        cannot be used.
     """
     make_folder(folder)
+    check_no_others(folder)
     with contextlib.ExitStack() as until_it_is_opened:
         store = until_it_is_opened.enter_context(Store(folder / DATABASE))
         name = store.fact("name")
@@ -306,7 +308,7 @@ def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: 
     }
     removed, left = remove_stale(_digest(experiment, store), store, folder)
     write_files(tables, folder, store)
-    failures = folder / "failures.csv"
+    failures = folder / FAILURES
     if any(row.state == "failed" for row in rows):
         write(failures, _failures(experiment, rows))
     else:

@@ -17,7 +17,10 @@ WRITTEN = (
     "summary.json",
     "report.html",
 )
-"""The files made from the rows; `failures.csv` too, when a trial failed."""
+"""The files made from the rows; `FAILURES` too, when a trial failed."""
+
+FAILURES = "failures.csv"
+"""Written, or removed, with the tables."""
 
 OF_ALL_ROWS = ("environment.json", "summary.json", "report.html")
 """Those that are written after the tables, and not at all without a report."""
@@ -26,6 +29,22 @@ _LIMIT_BYTES = 1 << 30
 """The most that is read of such a file: a hundred thousand trials have tables of some hundred megabytes."""
 
 _FACT, _FACT_OF_REPORT, _FACT_OF_TABLES = "written", "reported", "tables"
+
+
+def check_no_others(folder: Path) -> None:
+    """Refuse a folder that has no run yet, but files of the names that a run replaces or removes.
+
+    Raises
+    ------
+    InputError
+        Names one of them.
+    """
+    database = folder / DATABASE
+    if database.exists() or database.is_symlink():  # what it is, is said where it is opened
+        return
+    for path in (folder / name for name in (*WRITTEN, FAILURES)):
+        if path.exists() or path.is_symlink():
+            raise InputError("is there already, and not from a run in this folder; give another folder", file=path)
 
 
 def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
