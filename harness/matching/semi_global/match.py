@@ -122,7 +122,7 @@ class SemiGlobal(MatcherSettings):
 
     def match_seconds(self, image_mp: float, curve_mp: float) -> float:  # noqa: ARG002 - by the panorama alone
         """See `MatcherSettings.match_seconds`: paths through a volume of costs."""
-        return 0.4 * curve_mp
+        return 0.22 * curve_mp
 
     @property
     def step(self) -> str:

@@ -88,7 +88,9 @@ class WindowMatcher(MatcherSettings):
 
     def match_seconds(self, image_mp: float, curve_mp: float) -> float:  # noqa: ARG002 - by the panorama alone
         """See `MatcherSettings.match_seconds`: running sums, or windows that take the longer the wider they are."""
-        return curve_mp * (0.4 if self.kind == "column" else 0.45 + 0.022 * self.window_px)
+        if self.kind == "column":
+            return curve_mp * (0.27 if self.cost in ("zncc", "census") else 0.15)
+        return curve_mp * (0.45 + 0.022 * self.window_px)
 
     @property
     def window(self) -> int:
