@@ -228,7 +228,7 @@ class TestPoseOfEachView:
                 "range",
                 2,
                 (0,),
-                "pose.toml: is a view's pose in the world, as omnirange render writes it, and no motion",
+                "no motion between two views; give the pose of each view: --pose FIRST --pose SECOND\n",
             ),
             ("map", 3, (0,), "pose.toml: holds one pose; more than two images need a trajectory in TUM's"),
             ("map", 3, (0, 1), "v0/pose.toml: is a view's pose in the world"),
@@ -260,6 +260,11 @@ class TestPoseOfEachView:
             assert self.command(name, folders[:count], *options, *height) == 2
             said = f"omnirange: --pose: {which} are in one place, which determines no range\n"
             assert capsys.readouterr().err == said
+
+    def test_python_is_told_a_function_where_the_command_is_told_an_option(self, views):
+        folders, _ = views
+        with pytest.raises(InputError, match=r"give the pose of each view: relative_motion\(first, second\)$"):
+            harness.load_motion(folders[0] / "pose.toml")
 
     def test_an_image_for_a_pose(self, views, capsys):
         folders, _ = views

@@ -194,4 +194,4 @@ def load_motion(
     views = None if first is None or second is None else (first, second)
     first_lens = camera_from_sensor(looks, mirrored=mirrored) if sensor is None else lens_from_sensor(sensor)
     second_lens = first_lens if sensor_2 is None else lens_from_sensor(sensor_2)
-    return read_motion(Path(file), (first_lens, second_lens), views, frame)
+    return read_motion(Path(file), (first_lens, second_lens), views, frame, both="relative_motion(first, second)")

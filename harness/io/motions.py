@@ -29,8 +29,9 @@ _BESIDE_A_POSE = {"panorama", "R_world_from_view"}
 """What `omnirange render` writes beside the pose of a view in the world."""
 _IN_THE_WORLD = (
     "is a view's pose in the world, as omnirange render writes it, and no motion between two views; give the pose of "
-    "each view (--pose FIRST --pose SECOND; in Python, relative_motion(first, second))"
+    "each view: "
 )
+_BOTH = "--pose FIRST --pose SECOND"
 _ONE_POSE = (
     "holds one pose; more than two images need a trajectory in TUM's (8 numbers a line) or KITTI's format (12), or a "
     "pose for each image (--pose A --pose B --pose C)"
@@ -42,6 +43,7 @@ def read_motion(
     lens_from_sensor: tuple[Array, Array],
     views: tuple[int, int] | None = None,
     frame: Frame | None = None,
+    both: str = _BOTH,
 ) -> Motion:
     """Read the motion from view 1 to view 2, told by the content: view 2's pose, a calibrated rig or a trajectory.
 
@@ -55,6 +57,8 @@ def read_motion(
         trajectory must be all.
     frame
         Whose poses a trajectory holds, which it does not say itself.
+    both
+        How the poses of two views are given, for messages.
 
     Raises
     ------
@@ -77,7 +81,7 @@ def read_motion(
     if views is not None:
         raise InputError("are for rigs and trajectories; this file holds one pose", file=file, key="views")
     if _BESIDE_A_POSE & content.table.keys():
-        raise InputError(_IN_THE_WORLD, file=file)
+        raise InputError(_IN_THE_WORLD + both, file=file)
     return relative_motion(Pose(), load(Pose, file))
 
 
@@ -109,7 +113,7 @@ def _pose(file: Path, *, in_the_world: bool) -> Pose:
     if not _is_pose(content):
         raise InputError("holds no pose: TOML with position_m, yaw_deg, pitch_deg, roll_deg", file=file)
     if not in_the_world and _BESIDE_A_POSE & content.table.keys():
-        raise InputError(_IN_THE_WORLD, file=file)
+        raise InputError(_IN_THE_WORLD + _BOTH, file=file)
     return parse(Pose, {key: each for key, each in content.table.items() if key not in _BESIDE_A_POSE}, file=file)
 
 
