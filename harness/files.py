@@ -161,8 +161,15 @@ def check_replaces_none(written: Iterable[Path | None], read: Iterable[Path | No
     """
     there = [each for each in read if each is not None and each.exists()]
     for file in written:
-        if file is not None and file.exists() and any(file.samefile(each) for each in there):
+        if file is not None and any(is_same(file, each) for each in there):
             raise InputError("would be written over, and is read; give another name", file=file, key=option)
+
+
+def is_same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file, there or not."""
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return one.resolve() == other.resolve()
 
 
 def check_own(folder: Path, own: Collection[str]) -> None:

@@ -78,7 +78,9 @@ def test_what_latex_would_read_as_a_command_is_text():
 @pytest.mark.parametrize(
     ("option", "name", "said"),
     [
-        ("--latex", "trials.csv", "would be written over, and is read"),
+        ("--latex", "trials.csv", "is a file of the run; give another name"),
+        ("--latex", "report.html", "is a file of the run; give another name"),
+        ("--latex", "../out/failures.csv", "is a file of the run; give another name"),  # there or not
         ("--latex", "", "is a folder; give the name of a file"),
         ("--figures", "trials.csv", "cannot be used as the output folder (File exists)"),
     ],
@@ -98,5 +100,5 @@ def test_maps_of_the_run_are_not_written_over(exported, capsys):
     kept.parent.mkdir(exist_ok=True)
     kept.write_bytes(b"took long to make")
     assert main(["report", str(exported / "out"), "--latex", str(kept)]) == 2
-    assert "would be written over" in capsys.readouterr().err
+    assert "is a file of the run" in capsys.readouterr().err
     assert kept.read_bytes() == b"took long to make"

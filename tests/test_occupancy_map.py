@@ -311,6 +311,9 @@ def test_photographs_become_a_map(tmp_path, capsys):
     inside = (np.abs(x - 0.5)[None] < 2.7) & (np.abs(y)[:, None] < 2.7)
     assert (state[inside] == FREE).mean() > 0.85
     assert (state[~inside] == OCCUPIED).sum() > 0.3 * 4 * 60  # of the four walls' cells
+    assert main(["map", *images, *options, "--band", "5", "6"]) == 1  # the box is 3 m high
+    file = tmp_path / "map" / "map.yaml"
+    assert f"the map is empty: no bearing has an obstacle between 5 and 6 m; {file}\n" in capsys.readouterr().out
 
 
 def test_a_map_of_estimated_motions_counts_their_covariances(tmp_path, monkeypatch):

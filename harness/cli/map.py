@@ -87,6 +87,12 @@ def run(options: Namespace) -> int:
     grid = harness.range_map(scans, places, cell_m=options.cell)
     grid.write(options.out)
     write(options.out / "pairs.csv", _table(images, scans, places, verdicts))
+    if not any(each.profile.known.any() for each in scans):
+        low, high = options.band
+        print(
+            f"the map is empty: no bearing has an obstacle between {low:g} and {high:g} m; {options.out / 'map.yaml'}"
+        )
+        return FAILED
     free, occupied = (int((grid.state == each).sum()) * options.cell**2 for each in (Cell.FREE, Cell.OCCUPIED))
     print(f"{free:.2f} m2 free, {occupied:.2f} m2 occupied; {options.out / 'map.yaml'}")
     warn_of(*verdicts, pairs=[f"{left}, {right}" for left, right in pairwise(images)])

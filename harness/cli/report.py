@@ -72,19 +72,20 @@ def run(options: Namespace) -> int:
 
 def _check_files(options: Namespace) -> None:
     """Check before anything is rebuilt that the figures and tables can be written, and over nothing of the run."""
-    from harness.files import check_replaces_none, make_folder, make_folder_of
+    from harness.files import is_same, make_folder, make_folder_of
     from harness.pipeline import maps
     from harness.runs import path_maps
     from harness.runs.store import DATABASE
-    from harness.runs.written import WRITTEN
+    from harness.runs.written import FAILURES, WRITTEN
 
     if options.figures is not None:
         make_folder(options.figures, "--figures")
     make_folder_of(options.latex, "--latex")
-    own = [options.folder / name for name in (*WRITTEN, DATABASE)]
+    own = [options.folder / name for name in (*WRITTEN, FAILURES, DATABASE)]
     for name in (maps.FOLDER, path_maps.FOLDER):
         own += (options.folder / name).glob("*")
-    check_replaces_none([options.latex], own, "--latex")
+    if options.latex is not None and any(is_same(options.latex, each) for each in own):
+        raise InputError("is a file of the run; give another name", file=options.latex, key="--latex")
 
 
 def _export(experiment: "Experiment", store: "Store", options: Namespace) -> None:
