@@ -124,9 +124,11 @@ class TestCommand:
             (["a.png", "--board", "9x6"], "--square-m: give the side of a square: --square-m 0.04 for 40 mm"),
             (["--board", "9x6", "--square-m", "0.04"], "images: give images of a board, or corners"),
             (["a.png", "--board", "9x6", "--square-m", "0.04"], "a.png: no such file"),
-            (["a.png", "--board", "9x6", "--square-m", "-1"], "board: square_m: must be above 0; found -1"),
-            (["a.png", "--board", "1x6", "--square-m", "1"], "board: columns: must be at least 2; found 1"),
+            (["a.png", "--board", "9x6", "--square-m", "-1"], "omnirange: --square-m: must be above 0; found -1"),
+            (["a.png", "--board", "1x6", "--square-m", "1"], "omnirange: --board: must be at least 2; found 1"),
             (["--corners", "none.csv"], "none.csv: no such file"),
+            (["a.png", "--board", "9x6", "--square-m", "1", "--model", "fish"], "--model: there is no camera model"),
+            (["a.png", "--board", "9x6", "--square-m", "1", "--angle-max", "0"], "omnirange: --angle-max: must be"),
             (["--corners", "CSV", "--size", "800", "600"], "has images of 640 x 480 pixels; --size says 800 x 600"),
             (["--corners", "CSV", "--model", "fish"], "--model: there is no camera model 'fish'"),
             (
@@ -144,7 +146,7 @@ class TestCommand:
             (["--corners", "CSV", "--free", "a_m"], "--free: there is no one key 'a_m' to estimate"),
             (["--corners", "CSV", "--start", "none.toml"], "none.toml: no such file"),
             (["--corners", "CSV", "--model", "hyperboloid", "--elevation", "-70", "70"], "cannot have this field"),
-            (["b.png", "--corners", "CSV"], "corners: give images or corners, not both"),
+            (["b.png", "--corners", "CSV"], "--corners: give images or corners, not both"),
         ],
     )
     def test_what_is_wrong_is_said_in_one_line(self, arguments, message, csv, capsys, tmp_path, monkeypatch):

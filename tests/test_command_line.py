@@ -35,6 +35,9 @@ ONE_EACH = "--pose takes one value each time: --pose A --pose B; see omnirange r
             "'--dry-run' is behind --, after which nothing is an option; see omnirange run",
         ),
         (("run", "--", "paper", "-3"), "'-3' is one argument too many; see omnirange run"),
+        (("run", ""), "EXPERIMENT: must not be empty; see omnirange run"),
+        ((*PAIR[:-1], ""), "--out: must not be empty; see omnirange range"),
+        (("cache", "clear"), "'clear' is one argument too many; did you mean '--clear'? See omnirange cache"),
         (("design", "--at"), "--at: must be followed by one M or more; see omnirange design"),
         (("--foo",), "unknown option '--foo'; see omnirange"),
     ],
@@ -43,3 +46,18 @@ def test_a_slip_of_the_command_line(arguments, said, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert capsys.readouterr() == ("", f"omnirange: {said} --help\n")
+
+
+def test_a_sensors_file_is_blamed_for_its_own_keys(tmp_path, capsys):
+    file = tmp_path / "pose.toml"
+    file.write_text("position_m = [0.0, 0.0, 1.0]\n")
+    out = str(tmp_path / "out")
+    assert main(["render", "box", "--at", "0", "0", "1", "--sensor", str(file), "--out", out]) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {file}: position_m: unknown key 'position_m'; valid: camera")
+
+
+def test_a_folder_that_is_none_is_called_so(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    for name, said in (("none", "no such folder"), ("file", "is no folder")):
+        assert main(["report", str(tmp_path / name)]) == 2
+        assert capsys.readouterr().err == f"omnirange: {tmp_path / name}: {said}; give the output folder of a run\n"

@@ -15,6 +15,7 @@ from harness.calibration.corners import Board, Corners, corners_of
 from harness.calibration.corners_in_images import Search, find_corners
 from harness.calibration.result_table import record_of
 from harness.calibration.sensor_calibration import SensorCalibration, calibrate_sensor
+from harness.calibration.start import check_kind
 from harness.camera.intrinsics import FieldOfView
 from harness.camera.mount import Mount
 from harness.camera.sensor import Sensor
@@ -149,6 +150,7 @@ def calibrate(
     >>> round(found.sensor.camera.focal_px, 2), round(found.sensor.model.b_m, 5)
     (614.12, 0.0234)
     """
+    checked = _checked(model, mount, field)  # finding corners takes long
     search = _search(images, board, corners, size, tell)
     calibration = calibrate_sensor(
         search.corners,
@@ -157,12 +159,22 @@ def calibrate(
         free=free,
         fix=dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix),
         start=None if start is None else load_sensor(start),
-        mount=mount if mount is None or isinstance(mount, Mount) else parse(Mount, mount, file="mount"),
-        field=field if field is None or isinstance(field, FieldOfView) else parse(FieldOfView, field, file="field"),
+        **checked,
         circle=search.circle,
         tell=tell,
     )
     return CalibrationResult(**{each.name: getattr(calibration, each.name) for each in fields(calibration)})
+
+
+def _checked(
+    model: str, mount: Mount | Mapping[str, Any] | None, field: FieldOfView | Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """The mount and the field as specifications; refuses a kind of model that cannot be calibrated."""
+    check_kind(model)
+    return {
+        "mount": mount if mount is None or isinstance(mount, Mount) else parse(Mount, mount, file="mount"),
+        "field": field if field is None or isinstance(field, FieldOfView) else parse(FieldOfView, field, file="field"),
+    }
 
 
 def _search(

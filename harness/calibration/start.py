@@ -42,8 +42,8 @@ class Start:
     poses: BoardPoses
 
 
-def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
-    """A sensor of a kind of model, undistorted, with its principal point at the centre; its field is not checked.
+def check_kind(kind: str) -> None:
+    """Check that a kind of model can be calibrated.
 
     Raises
     ------
@@ -54,6 +54,17 @@ def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
         raise InputError(f"there is no camera model '{kind}'; {nearest(kind, list(_PLAIN))}", key="model")
     if kind not in _PLAIN:
         raise InputError(f"a model of kind '{kind}' cannot be calibrated; {nearest(kind, list(_PLAIN))}", key="model")
+
+
+def template_of(kind: str, width_px: int, height_px: int) -> Sensor:
+    """A sensor of a kind of model, undistorted, with its principal point at the centre; its field is not checked.
+
+    Raises
+    ------
+    InputError
+        When there is no such kind.
+    """
+    check_kind(kind)
     camera = Camera(width_px=width_px, height_px=height_px, cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2)
     model = MODELS[kind].model_validate(_PLAIN[kind])
     return Sensor.model_construct(model=model, camera=camera, lens=Lens(), field=FieldOfView())

@@ -14,8 +14,17 @@ from harness.cli.sensor_options import add_mount_and_field
 if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult
 
-_ARGUMENTS = ("fix", "free", "lens", "start", "model")
+_ARGUMENTS = ("corners", "fix", "free", "lens", "start", "model")
 """Arguments of `harness.calibrate` that are also options."""
+_IN_TABLES = {
+    ("board", "square_m"): "--square-m",
+    ("board", "columns"): "--board",
+    ("board", "rows"): "--board",
+    ("field", "angle_max_deg"): "--angle-max",
+    ("field", "elevation_min_deg"): "--elevation",
+    ("field", "elevation_max_deg"): "--elevation",
+}
+"""The options that are keys of its tables."""
 
 
 def add(commands: Commands) -> None:
@@ -122,6 +131,8 @@ def run(options: Namespace) -> None:
             tell=lambda line: print(line, flush=True),
         )
     except InputError as error:
+        if option := _IN_TABLES.get((error.file or "", error.key or "")):
+            raise InputError(error.problem, file=option) from error
         if error.file is not None or error.key not in _ARGUMENTS:
             raise
         file = options.start if error.key == "start" else None

@@ -38,6 +38,12 @@ class Parser(argparse.ArgumentParser):
             hint = nearest(str(value), [str(each) for each in action.choices])
             raise argparse.ArgumentError(None if what else action, f"unknown {what}'{value}'; {hint}")
 
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """Refuse an empty path or name, as an unset variable of a shell leaves it: it would mean the working folder."""
+        if "" in arg_strings and action.nargs != argparse.PARSER:  # a sub-command has words of its own
+            raise argparse.ArgumentError(action, "must not be empty")
+        return super()._get_values(action, arg_strings)
+
     def error(self, message: str) -> NoReturn:
         """Print the error, and exit."""
         text = shortened(self._reworded(message))
@@ -65,6 +71,8 @@ class Parser(argparse.ArgumentParser):
         problem = f"'{word}' is one argument too many"
         if hint := self._repeat_hint(word):
             return f"{problem}; {hint}"
+        if f"--{word}" in self._option_string_actions:
+            return f"{problem}; did you mean '--{word}'?"
         row = next((each for each in self._get_positional_actions() if each.nargs in ("*", "+")), None)
         return problem if row is None else f"'{word}' stands apart; write each {row.metavar} beside the others"
 

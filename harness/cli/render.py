@@ -58,7 +58,7 @@ def run(options: Namespace) -> None:
             colour=options.colour,
         )
     except InputError as error:
-        key = error.key or ""
+        key = "" if error.file is not None else error.key or ""
         option = "--at" if key.startswith("position_m") else f"--{key.replace('_', '-')}"
         raise (InputError(error.problem, file=option) if option in _OPTIONS else error) from error
     view.write(options.out, pov=options.pov)

@@ -53,6 +53,9 @@ def run(options: Namespace) -> int:
     from harness.runs.store import DATABASE, OTHER_CODE, Store
 
     database = options.folder / DATABASE
+    if not options.folder.is_dir():
+        problem = "is no folder" if options.folder.exists() else "no such folder"
+        raise InputError(f"{problem}; give the output folder of a run", file=options.folder)
     if not database.is_file():
         raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
     _check_files(options)
