@@ -193,6 +193,28 @@ def check_own(folder: Path, own: Collection[str]) -> None:
         )
 
 
+def check_no_others(folder: Path, names: Iterable[str], known_by: str) -> None:
+    """Refuse to write over files that have the names of ours, in a folder that we have not written before.
+
+    Parameters
+    ----------
+    names
+        Of the files that will be written.
+    known_by
+        The name of the file by which a folder of ours is known.
+
+    Raises
+    ------
+    InputError
+        Names one of the files.
+    """
+    if not (folder / known_by).is_file():
+        for path in (folder / name for name in names):
+            if path.exists():
+                problem = "is there already, and not from the same command; give another folder"
+                raise InputError(problem, file=path, key="--out")
+
+
 def write(path: Path, content: str | bytes) -> None:
     """Write a file as `replace_file` does. Text becomes UTF-8; invalid characters are written as escapes.
 

@@ -49,7 +49,7 @@ def run(options: Namespace) -> int:
     """Match each image with the next, gather, and write the map."""
     import harness
     from harness.api.mapping import level_poses
-    from harness.files import make_folder, write
+    from harness.files import check_no_others, make_folder, write
     from harness.geometry.pose import Motion, Pose
     from harness.mapping.occupancy import Cell
     from harness.mapping.settings import OccupancyMap
@@ -63,6 +63,7 @@ def run(options: Namespace) -> int:
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
     motions: Sequence[Motion | MotionEstimate] | None = motions_between(options, sensor, len(images))
+    check_no_others(options.out, ("map.png", "map.yaml", "pairs.csv"), "pairs.csv")
     make_folder(options.out)
     motions = motions or _estimated(options, sensor, images)
     if motions is None:
@@ -85,8 +86,8 @@ def run(options: Namespace) -> int:
         for line in estimate.geometry.lines():
             print(f"  {line}", flush=True)
     grid = harness.range_map(scans, places, cell_m=options.cell)
+    write(options.out / "pairs.csv", _table(images, scans, places, verdicts))  # first: the folder is known by it
     grid.write(options.out)
-    write(options.out / "pairs.csv", _table(images, scans, places, verdicts))
     if not any(each.profile.known.any() for each in scans):
         low, high = options.band
         print(

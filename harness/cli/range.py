@@ -142,8 +142,12 @@ def _add_motion(command: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Match, and write the folder."""
+    from harness.files import check_no_others
+    from harness.pipeline.photographs import OF_A_RANGE
+
     if options.more:
         return _sequence(options)
+    check_no_others(options.out, *OF_A_RANGE)  # before anything is matched
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED

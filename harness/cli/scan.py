@@ -93,8 +93,11 @@ def band_of(options: Namespace) -> dict[str, Any]:
 def run(options: Namespace) -> int:
     """Match, gather, and write the folder."""
     import harness
+    from harness.files import check_no_others
+    from harness.mapping.scan_files import WRITTEN
 
     settings = band_of(options)  # before anything is matched
+    check_no_others(options.out, WRITTEN, "scan.json")
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED

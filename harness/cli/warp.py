@@ -71,13 +71,15 @@ def add(commands: Commands) -> None:
 def run(options: Namespace) -> int:
     """Match, warp, and write the folder."""
     import harness
-    from harness.api.warping import check_perspective, viewpoint
+    from harness.api.warping import OF_A_VIEW, check_perspective, viewpoint
+    from harness.files import check_no_others
     from harness.warping.warp import shares_in_words
 
     angles = options.yaw_deg, options.pitch_deg, options.roll_deg
     with _naming_options():  # before anything is matched
         viewpoint(options.to, *angles)
         check_perspective(options.field_deg, *options.view_size)
+    check_no_others(options.out, *OF_A_VIEW)
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from harness.errors import InputError
-from harness.files import make_folder, write
+from harness.files import check_no_others, make_folder, write
 from harness.geometry.angles import Array
 from harness.mapping.range_profile import RangeProfile, bearings
 from harness.mapping.settings import MOST_BEARINGS
@@ -38,10 +38,11 @@ def write_scan(profile: RangeProfile, folder: Path, range_max_m: float, frame_id
     InputError
         When the folder cannot be written to.
     """
+    check_no_others(folder, WRITTEN, "scan.json")
     make_folder(folder)
     contents: dict[str, str | bytes] = {
-        "scan.csv": as_csv(profile),
         "scan.json": json.dumps(laser_scan(profile, range_max_m, frame_id), indent=1, allow_nan=False) + "\n",
+        "scan.csv": as_csv(profile),
         "scan.pcd": as_pcd(profile),
         "scan.ply": as_ply(profile),
     }

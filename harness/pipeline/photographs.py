@@ -17,7 +17,7 @@ from harness.camera.sensor import Sensor, forget_directions, project
 from harness.camera.visible_rows import with_rows
 from harness.display import OneLine
 from harness.errors import InputError
-from harness.files import make_folder, read_regular, write
+from harness.files import check_no_others, make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.motion_error import MotionError, range_sigma
@@ -48,6 +48,9 @@ WRITTEN = (
     "range.json",
     "across.csv",
 )
+OF_A_RANGE = ("range.html", *WRITTEN), "range.json"
+"""The files of a folder with the ranges of two images, and the one by which it is known: other commands have some of
+these names too."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -296,7 +299,10 @@ def write_estimate(result: Estimate, folder: Path) -> None:
     InputError
         When the folder cannot be written to.
     """
+    check_no_others(folder, *OF_A_RANGE)
     make_folder(folder)
+    # First, so that a folder that was left half-written is known as ours.
+    write(folder / "range.json", json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     for name, array in (
         ("range.npy", result.range_m),
         ("sigma_m.npy", result.sigma_m),
@@ -315,5 +321,4 @@ def write_estimate(result: Estimate, folder: Path) -> None:
     write(folder / "range_mm.png", stream.getvalue())
     cloud = trimesh.PointCloud(result.points_m, colors=result.colours)  # type: ignore[no-untyped-call]
     write(folder / "points.ply", cloud.export(file_type="ply"))  # type: ignore[no-untyped-call]
-    write(folder / "range.json", json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     write(folder / "across.csv", result.geometry.table().to_csv(index=False, float_format="%.6g", lineterminator="\n"))
