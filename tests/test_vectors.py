@@ -8,6 +8,9 @@ from harness.matching._vector_kernels import (
     absolute,
     bits_set,
     doubles,
+    from_1,
+    from_2,
+    from_4,
     load,
     load_four,
     numbers,
@@ -57,6 +60,14 @@ def _four(a, row, column, factor, out):
     store(out, (4,), four)
 
 
+@kernel
+def _across(a, row, column, out):
+    first, second = load(a, (row, column)), load(a, (row, column + LANES))
+    store(out, (0, 0), from_1(first, second))
+    store(out, (1, 0), from_2(first, second))
+    store(out, (2, 0), from_4(first, second))
+
+
 def _around(column: int) -> tuple[slice, list[int]]:
     """The numbers of a vector, and all beside it."""
     return slice(column, column + LANES), [i for i in range(SINGLES.shape[1]) if not column <= i < column + LANES]
@@ -101,3 +112,10 @@ def test_vectors_of_four_come_apart_in_order():
     _four(SINGLES, 1, SINGLES.shape[1] - 4, 0.1, out)
     expected = 0.1 * SINGLES[1, -4:].astype(float)
     np.testing.assert_array_equal(out, [*expected[::-1], *expected, -3, -3])
+
+
+def test_numbers_across_two_vectors():
+    out = np.empty((3, LANES), np.float32)
+    _across(SINGLES, 1, 3, out)
+    for row, begin in zip(out, (1, 2, 4), strict=True):
+        np.testing.assert_array_equal(row, SINGLES[1, 3 + begin : 3 + begin + LANES])

@@ -103,6 +103,22 @@ def numbers(_, vector):
     return types.UniTuple(vector.dtype, vector.lanes)(vector), code
 
 
+def _window(begin):
+    """A function that gives eight neighbouring numbers of two vectors that lie side by side, from one of them on."""
+
+    def window(_, first, second):
+        def code(_context, builder, _signature, values):
+            places = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [begin + k for k in range(LANES)])
+            return builder.shuffle_vector(*values, places)
+
+        return first(first, second), code
+
+    return _function(window)
+
+
+from_1, from_2, from_4 = _window(1), _window(2), _window(4)
+
+
 # -- Arithmetic --------------------------------------------------------------------------------------------------------
 
 

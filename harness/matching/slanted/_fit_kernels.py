@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from harness.compiled import kernel
-from harness.matching._vector_kernels import LANES, load, store
+from harness.matching._vector_kernels import LANES, from_1, from_2, from_4, load, store, zeros
 
 VALUE_NOISE = 0.87423
 SLOPE_NOISE = 2.47461
@@ -29,15 +29,7 @@ FACTORS = 9
 XX, XY, XZ, YY, YZ, ZZ, X, Y, Z, X_1, Y_1, Z_1, X_H, Y_H, Z_H = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14
 S_1, S_11, S_H, S_HH, S_1H, N, S_2, S_22, MOVED, X_2, Y_2, Z_2 = 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26
 SUMS = 27
-"""The sums that the normal equations of a window are made of, over products of the factors LEFT[k] and RIGHT[k]."""
-LEFT = (
-    *(GX, GX, GX, GY, GY, GZ, GX, GY, GZ, GX, GY, GZ, GX, GY, GZ),
-    *(I_1, I_1, H, H, I_1, ONE, I_2, I_2, MOTION, GX, GY, GZ),
-)
-RIGHT = (
-    *(GX, GY, GZ, GY, GZ, GZ, ONE, ONE, ONE, I_1, I_1, I_1, H, H, H),
-    *(ONE, I_1, ONE, H, H, ONE, ONE, I_2, ONE, I_2, I_2, I_2),
-)
+"""The sums that the normal equations of a window are made of, of products of two factors; see `_replace`."""
 
 
 @kernel
@@ -78,32 +70,81 @@ def _factors_of(i, known, x, w, first_image, value, slope, motion, factors):
         _times(x[i], axis, factors, GX + axis)
 
 
-@kernel
-def _replace(sums, k, half, new, old, left, right):
-    """Add the products of a row of pixels to the sums of their columns, and take those of another off."""
-    new_left, new_right, old_left, old_right = new[left], new[right], old[left], old[right]
-    to = sums[k, half:]
-    for j in range(new_left.shape[0]):
-        to[j] += new_left[j] * new_right[j] - old_left[j] * old_right[j]
+@kernel(inline=True)
+def _add(sums, k, at, change):
+    """Add eight numbers to the sums of as many columns."""
+    store(sums, (k, at), load(sums, (k, at)) + change)
 
 
 @kernel
-def _sum_over_columns(sums, begin, size, fours, tile):
+def _replace(sums, half, new, old):
+    """Add the products of a row of pixels to the sums of their columns, and take those of another off.
+
+    The factors of eight columns are loaded once, for all products.
+    """
+    for j in range(0, new.shape[1], LANES):
+        at = half + j
+        n_x, o_x = load(new, (GX, j)), load(old, (GX, j))
+        n_y, o_y = load(new, (GY, j)), load(old, (GY, j))
+        n_z, o_z = load(new, (GZ, j)), load(old, (GZ, j))
+        n_1, o_1 = load(new, (I_1, j)), load(old, (I_1, j))
+        n_2, o_2 = load(new, (I_2, j)), load(old, (I_2, j))
+        n_h, o_h = load(new, (H, j)), load(old, (H, j))
+        n_one, o_one = load(new, (ONE, j)), load(old, (ONE, j))
+        n_m, o_m = load(new, (MOTION, j)), load(old, (MOTION, j))
+        _add(sums, XX, at, n_x * n_x - o_x * o_x)
+        _add(sums, XY, at, n_x * n_y - o_x * o_y)
+        _add(sums, XZ, at, n_x * n_z - o_x * o_z)
+        _add(sums, YY, at, n_y * n_y - o_y * o_y)
+        _add(sums, YZ, at, n_y * n_z - o_y * o_z)
+        _add(sums, ZZ, at, n_z * n_z - o_z * o_z)
+        _add(sums, X, at, n_x - o_x)
+        _add(sums, Y, at, n_y - o_y)
+        _add(sums, Z, at, n_z - o_z)
+        _add(sums, X_1, at, n_x * n_1 - o_x * o_1)
+        _add(sums, Y_1, at, n_y * n_1 - o_y * o_1)
+        _add(sums, Z_1, at, n_z * n_1 - o_z * o_1)
+        _add(sums, X_H, at, n_x * n_h - o_x * o_h)
+        _add(sums, Y_H, at, n_y * n_h - o_y * o_h)
+        _add(sums, Z_H, at, n_z * n_h - o_z * o_h)
+        _add(sums, S_1, at, n_1 - o_1)
+        _add(sums, S_11, at, n_1 * n_1 - o_1 * o_1)
+        _add(sums, S_H, at, n_h - o_h)
+        _add(sums, S_HH, at, n_h * n_h - o_h * o_h)
+        _add(sums, S_1H, at, n_1 * n_h - o_1 * o_h)
+        _add(sums, N, at, n_one - o_one)
+        _add(sums, S_2, at, n_2 - o_2)
+        _add(sums, S_22, at, n_2 * n_2 - o_2 * o_2)
+        _add(sums, MOVED, at, n_m - o_m)
+        _add(sums, X_2, at, n_x * n_2 - o_x * o_2)
+        _add(sums, Y_2, at, n_y * n_2 - o_y * o_2)
+        _add(sums, Z_2, at, n_z * n_2 - o_z * o_2)
+
+
+@kernel
+def _sum_over_columns(sums, begin, size, eights, tile):
     """Write the sums over `size` neighbouring columns, from each of a tile's columns on.
 
-    sums : `[SUMS, columns]`. size : 4 at least. fours : `[TILE + size + LANES]`, scratch: sums over four columns, which
-    those over more are made of. tile : `[ROWS * TILE]`, its first rows are written.
+    sums : `[SUMS, columns]`. eights : `[TILE + size]`, scratch: sums over eight columns, which those over more are made
+    of. They are made of sums over four, and these over two, without a look at memory between.
+    tile : `[ROWS * TILE]`, its first rows are written.
     """
-    last, left = begin + size // 4 * 4, size % 4
+    last, left = begin + size // LANES * LANES, size % LANES
     for k in range(SUMS):
-        for j in range(0, TILE + size // 4 * 4 - 4, LANES):
-            at = begin + j
-            two = load(sums, (k, at)) + load(sums, (k, at + 1))
-            store(fours, (j,), two + (load(sums, (k, at + 2)) + load(sums, (k, at + 3))))
+        one, after = load(sums, (k, begin + LANES)), load(sums, (k, begin + 2 * LANES))
+        two, two_after = load(sums, (k, begin)), one + from_1(one, after)
+        two += from_1(two, one)
+        four = two + from_2(two, two_after)
+        for j in range(0, TILE + size - 2 * LANES + 1, LANES):
+            one, two, after = after, two_after, load(sums, (k, begin + j + 3 * LANES))
+            two_after = one + from_1(one, after)
+            four_after = two + from_2(two, two_after)
+            store(eights, (j,), four + from_4(four, four_after))
+            four = four_after
         for j in range(0, TILE, LANES):
-            total = load(fours, (j,))
-            for shift in range(4, size - 3, 4):
-                total += load(fours, (j + shift,))
+            total = zeros(np.float64)
+            for shift in range(0, size - LANES + 1, LANES):
+                total += load(eights, (j + shift,))
             for column in range(last + j, last + j + left):
                 total += load(sums, (k, column))
             store(tile, (k * TILE + j,), total)
@@ -139,30 +180,32 @@ def _fit(tile, least, slope_weight, far):
         sum_1, sum_h, sum_2 = tile[S_1 * TILE + j], tile[S_H * TILE + j], tile[S_2 * TILE + j]
         gx_1, gy_1, gz_1 = tile[X_1 * TILE + j], tile[Y_1 * TILE + j], tile[Z_1 * TILE + j]
         n = tile[N * TILE + j]
-        variance_1 = tile[S_11 * TILE + j] - sum_1 * sum_1 / n
-        variance_2 = tile[S_22 * TILE + j] - sum_2 * sum_2 / n
+        per_n = 1.0 / n
+        variance_1 = tile[S_11 * TILE + j] - sum_1 * sum_1 * per_n
+        variance_2 = tile[S_22 * TILE + j] - sum_2 * sum_2 * per_n
         a = math.sqrt(variance_1 / variance_2)
         mean = sum_1 - a * sum_h
-        xx, xy = tile[XX * TILE + j] - gx * gx / n, tile[XY * TILE + j] - gx * gy / n
-        xz, yy = tile[XZ * TILE + j] - gx * gz / n, tile[YY * TILE + j] - gy * gy / n
-        yz, zz = tile[YZ * TILE + j] - gy * gz / n, tile[ZZ * TILE + j] - gz * gz / n
-        right_x = a * (gx_1 - a * tile[X_H * TILE + j] - gx * mean / n)
-        right_y = a * (gy_1 - a * tile[Y_H * TILE + j] - gy * mean / n)
-        right_z = a * (gz_1 - a * tile[Z_H * TILE + j] - gz * mean / n)
+        xx, xy = tile[XX * TILE + j] - gx * gx * per_n, tile[XY * TILE + j] - gx * gy * per_n
+        xz, yy = tile[XZ * TILE + j] - gx * gz * per_n, tile[YY * TILE + j] - gy * gy * per_n
+        yz, zz = tile[YZ * TILE + j] - gy * gz * per_n, tile[ZZ * TILE + j] - gz * gz * per_n
+        right_x = a * (gx_1 - a * tile[X_H * TILE + j] - gx * mean * per_n)
+        right_y = a * (gy_1 - a * tile[Y_H * TILE + j] - gy * mean * per_n)
+        right_z = a * (gz_1 - a * tile[Z_H * TILE + j] - gz * mean * per_n)
         total = tile[S_11 * TILE + j] - 2.0 * a * tile[S_1H * TILE + j] + a * a * tile[S_HH * TILE + j]
-        total -= mean * mean / n
+        total -= mean * mean * per_n
 
         # Tangents at x: along the parallel, e = (-sin phi, cos phi, 0), and along the meridian, f = x × e.
         cosine = math.sqrt(x * x + y * y)
         off_axis = cosine > 1e-9
-        e_x, e_y = -y / cosine if off_axis else 0.0, x / cosine if off_axis else 1.0
+        per_cosine = 1.0 / cosine
+        e_x, e_y = -y * per_cosine if off_axis else 0.0, x * per_cosine if off_axis else 1.0
         f_x, f_y, f_z = -z * e_y, z * e_x, x * e_y - y * e_x
         # Rows of the normal matrix times each of the three vectors.
         px, py, pz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
         ex, ey, ez = xx * e_x + xy * e_y, xy * e_x + yy * e_y, xz * e_x + yz * e_y
         fx, fy, fz = xx * f_x + xy * f_y + xz * f_z, xy * f_x + yy * f_y + yz * f_z, xz * f_x + yz * f_y + zz * f_z
         scale = a * a
-        ridge = slope_weight * variance_1 / n
+        ridge = slope_weight * variance_1 * per_n
         m00 = scale * (px * x + py * y + pz * z)
         m01, m02 = scale * (px * e_x + py * e_y), scale * (px * f_x + py * f_y + pz * f_z)
         m11, m12 = scale * (ex * e_x + ey * e_y) + ridge, scale * (ex * f_x + ey * f_y + ez * f_z)
@@ -173,11 +216,12 @@ def _fit(tile, least, slope_weight, far):
         ok = (n >= least) & (variance_1 > 1e-3 * n) & (variance_2 > 1e-3 * n)
         ok &= determinant > 1e-12 * m00 * m11 * m22
 
+        inverse = 1.0 / determinant
         y0 = right_x * x + right_y * y + right_z * z
         y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
-        p0 = (c00 * y0 + c01 * y1 + c02 * y2) / determinant
-        p1 = (c01 * y0 + c11 * y1 + c12 * y2) / determinant
-        p2 = (c02 * y0 + c12 * y1 + c22 * y2) / determinant
+        p0 = (c00 * y0 + c01 * y1 + c02 * y2) * inverse
+        p1 = (c01 * y0 + c11 * y1 + c12 * y2) * inverse
+        p2 = (c02 * y0 + c12 * y1 + c22 * y2) * inverse
         squares = total - (p0 * y0 + p1 * y1 + p2 * y2)
         residual = max(0.0, squares) / (n - 5.0)
         noise = residual / (1.0 + scale * VALUE_NOISE * VALUE_NOISE)
@@ -189,27 +233,27 @@ def _fit(tile, least, slope_weight, far):
         share = noise if in_common & (noise < 1.0) else 1.0
         if far:
             # The step from the field is least squares of I_1 - a I_2 - b alone.
-            left = (sum_1 - a * sum_2) / n
+            left = (sum_1 - a * sum_2) * per_n
             more = share * a if in_common else 0.0
             right_x = more * (gx_1 - a * tile[X_2 * TILE + j] - gx * left)
             right_y = more * (gy_1 - a * tile[Y_2 * TILE + j] - gy * left)
             right_z = more * (gz_1 - a * tile[Z_2 * TILE + j] - gz * left)
             y0 = right_x * x + right_y * y + right_z * z
             y1, y2 = right_x * e_x + right_y * e_y, right_x * f_x + right_y * f_y + right_z * f_z
-            p0 += (c00 * y0 + c01 * y1 + c02 * y2) / determinant
-            p1 += (c01 * y0 + c11 * y1 + c12 * y2) / determinant
-            p2 += (c02 * y0 + c12 * y1 + c22 * y2) / determinant
+            p0 += (c00 * y0 + c01 * y1 + c02 * y2) * inverse
+            p1 += (c01 * y0 + c11 * y1 + c12 * y2) * inverse
+            p2 += (c02 * y0 + c12 * y1 + c22 * y2) * inverse
         m_x, m_y, m_z = p0 * x + p1 * e_x + p2 * f_x, p0 * y + p1 * e_y + p2 * f_y, p0 * z + p2 * f_z
-        b = (mean - a * (gx * m_x + gy * m_y + gz * m_z)) / n
+        b = (mean - a * (gx * m_x + gy * m_y + gz * m_z)) * per_n
         tile[PLANE * TILE + j] = m_x if ok else 0.0
         tile[(PLANE + 1) * TILE + j] = m_y if ok else 0.0
         tile[(PLANE + 2) * TILE + j] = m_z if ok else 0.0
-        tile[COVARIANCE * TILE + j] = c00 / determinant if ok else 0.0
-        tile[(COVARIANCE + 1) * TILE + j] = c01 / determinant if ok else 0.0
-        tile[(COVARIANCE + 2) * TILE + j] = c02 / determinant if ok else 0.0
-        tile[(COVARIANCE + 3) * TILE + j] = c11 / determinant if ok else 0.0
-        tile[(COVARIANCE + 4) * TILE + j] = c12 / determinant if ok else 0.0
-        tile[(COVARIANCE + 5) * TILE + j] = c22 / determinant if ok else 0.0
+        tile[COVARIANCE * TILE + j] = c00 * inverse if ok else 0.0
+        tile[(COVARIANCE + 1) * TILE + j] = c01 * inverse if ok else 0.0
+        tile[(COVARIANCE + 2) * TILE + j] = c02 * inverse if ok else 0.0
+        tile[(COVARIANCE + 3) * TILE + j] = c11 * inverse if ok else 0.0
+        tile[(COVARIANCE + 4) * TILE + j] = c12 * inverse if ok else 0.0
+        tile[(COVARIANCE + 5) * TILE + j] = c22 * inverse if ok else 0.0
         tile[RESIDUAL * TILE + j] = residual if ok else math.inf
         tile[GAIN * TILE + j] = a if ok else 1.0
         tile[OFFSET * TILE + j] = b if ok else 0.0
@@ -232,9 +276,9 @@ def fit_rows(
     height, width = valid.shape
     tiles, size = (width + TILE - 1) // TILE, 2 * half + 1
     # Column j is `sums[:, half + j]`; a border of windows is 0. Vectors may begin at any column of a window.
-    sums = np.zeros((SUMS, tiles * TILE + 2 * half + LANES))
-    new, old = np.zeros((FACTORS, width)), np.zeros((FACTORS, width))
-    tile, fours = np.zeros(ROWS * TILE), np.empty(TILE + size + LANES)
+    sums = np.zeros((SUMS, tiles * TILE + 2 * half + 3 * LANES))
+    new, old = np.zeros((FACTORS, tiles * TILE)), np.zeros((FACTORS, tiles * TILE))
+    tile, eights = np.zeros(ROWS * TILE), np.empty(TILE + size)
     for i in range(first - 2 * half, end):
         incoming, outgoing = i + half, i - half - 1
         if 0 <= incoming < height:
@@ -243,8 +287,7 @@ def fit_rows(
             new[:] = 0.0
         if outgoing >= max(0, first - half):
             _factors_of(outgoing, known, x, w, first_image, value, slope, motion, old)
-        for k in range(SUMS):
-            _replace(sums, k, half, new, old, LEFT[k], RIGHT[k])
+        _replace(sums, half, new, old)
         if i < first:
             continue
         for begin in range(0, width, TILE):
@@ -252,7 +295,7 @@ def fit_rows(
             if not valid[i, begin : begin + n].any():
                 residual[i, begin : begin + n] = math.inf
                 continue
-            _sum_over_columns(sums, begin, size, fours, tile)
+            _sum_over_columns(sums, begin, size, eights, tile)
             for j in range(n):
                 for axis in range(3):
                     tile[(DIRECTION + axis) * TILE + j] = x[i, begin + j, axis]
@@ -264,6 +307,7 @@ def fit_rows(
                 residual[i, column] = tile[RESIDUAL * TILE + j] if valid[i, column] else math.inf
                 gain[i, column], offset[i, column] = tile[GAIN * TILE + j], tile[OFFSET * TILE + j]
                 share[i, column] = tile[SHARE * TILE + j]
-                if covariance.shape[0] > 0:
-                    for k in range(6):
-                        covariance[i, column, k] = tile[(COVARIANCE + k) * TILE + j]
+            if covariance.shape[0] > 0:
+                for k in range(6):
+                    for j in range(n):
+                        covariance[i, begin + j, k] = tile[(COVARIANCE + k) * TILE + j]
