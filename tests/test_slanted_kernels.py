@@ -1,7 +1,10 @@
 """The compiled loops of slanted windows, each against another way to the same numbers."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
+from numpy.polynomial.polynomial import polyval
 from scipy import ndimage
 from slanted_floor import SENSOR, motion
 
@@ -11,6 +14,7 @@ from harness.geometry.angles import angle_between
 from harness.matching.slanted import _agreement_kernels, _fit_kernels, _median_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Part, warp_between
+from harness.matching.slanted.means import means
 
 
 def warped(sensor, there, image, w):
@@ -146,6 +150,31 @@ def test_a_window_is_the_least_squares_solution(far):
     assert checked > 30
 
 
+@pytest.mark.parametrize("size", [5, 7, 9, 11, 17, 31, 99])
+def test_sums_over_columns(size):
+    tile, kinds = _fit_kernels.TILE, _fit_kernels.SUMS
+    sums = np.random.default_rng(size).normal(size=(kinds, 2 * tile + size + 3 * _fit_kernels.LANES))
+    out = np.full(_fit_kernels.ROWS * tile, np.nan)
+    for begin in (0, tile):
+        _fit_kernels._sum_over_columns(sums, begin, size, np.empty(tile + size), out)
+        expected = np.lib.stride_tricks.sliding_window_view(sums, size, axis=1)[:, begin : begin + tile].sum(axis=-1)
+        # Up to a hundred numbers of some ones are added up in another order.
+        np.testing.assert_allclose(out[: kinds * tile].reshape(kinds, tile), expected, atol=1e-13)
+    assert np.isnan(out[kinds * tile :]).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("side", [3, 17, 99])
+def test_means_are_scipys_to_the_last_bit(side, kind):
+    """Over more than one block of lines, and squares that are larger than the image."""
+    values = np.random.default_rng(side).normal(size=(70, 150)).astype(kind)
+    expected = ndimage.uniform_filter(values.astype(np.float64), side, mode="constant")
+    with ThreadPoolExecutor(2) as pool:
+        np.testing.assert_array_equal(means(values, side, pool, np.empty(values.shape)), expected)
+        if kind is np.float64:
+            np.testing.assert_array_equal(means(values, side, pool, values), expected)
+
+
 @pytest.mark.parametrize("begin", [0, 64])
 @pytest.mark.parametrize("half", [2, 5])
 def test_planes_of_nine_windows(half, begin):
@@ -198,3 +227,26 @@ def test_variances_are_those_of_the_tangents_of_windows():
         tangents = np.stack([c, e, np.cross(c, e)]) @ x[k]
         # Single precision of the inverse normal matrix, whose terms are up to 20.
         assert found[k] == pytest.approx(tangents @ inverse[there] @ tangents, rel=1e-5, abs=1e-5)
+
+
+def test_standard_deviations_are_of_the_windows_and_of_a_polynomial():
+    draws = np.random.default_rng(1)
+    residual, share, inflation = draws.uniform(0.5, 2, (3, 90)).astype(np.float32)
+    window, smoothed, variance = draws.integers(0, 90, 150), draws.random(5), draws.random(150)
+    found = variance.copy()
+    _reading_kernels.spread(window, residual, share, inflation, smoothed, found)
+    f, rest = share.astype(np.float64)[window], (residual.astype(np.float64) * inflation)[window]
+    # The rounding of images adds 1e-10 to residuals of 0.5 and more.
+    np.testing.assert_allclose(found**2, variance * rest * polyval(f, smoothed), rtol=1e-9)
+
+
+def test_what_viewpoint_2_sees():
+    draws, there = np.random.default_rng(2), motion()
+    x, w = draws.normal(size=(40, 3)), draws.uniform(0, 1, 40)
+    seen, (length, across, along) = np.empty((40, 3)), np.empty((3, 40))
+    _reading_kernels.seen_from_2(x, w, there.t_v1, there.R_v2_from_v1, seen, length, across, along)
+    points = there.apply(x / w[:, None])  # in view 2; rounding is 1e-16 of numbers of some ones, divided by up to 0.01
+    np.testing.assert_allclose(seen, points / np.linalg.norm(points, axis=-1, keepdims=True), rtol=1e-12)
+    np.testing.assert_allclose(length, w * np.linalg.norm(points, axis=-1), rtol=1e-12)
+    angles = angle_between(seen, there.R_v2_from_v1 @ there.t_v1)
+    np.testing.assert_allclose(np.arctan2(across, along), angles, rtol=1e-12)

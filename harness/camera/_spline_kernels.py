@@ -12,7 +12,7 @@ QUINTIC_TAPS = 6
 def cubic_weights(f):
     """Weights of the cubic B-spline's four coefficients, at a fraction f after the second one."""
     g = 1.0 - f
-    return g * g * g / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f / 6
+    return g * g * g * (1 / 6), 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f * f * f * (1 / 6)
 
 
 @kernel(inline=True)

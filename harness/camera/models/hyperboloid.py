@@ -202,9 +202,10 @@ def _move(x, y, z, dx, dy, dz, camera):
     xi = camera.xi
     norm = math.sqrt(x * x + y * y + z * z)
     below = xi * norm - z
-    m, n = x / below, y / below
+    scale = 1.0 / below
+    m, n = scale * x, scale * y
     below_d = xi * (x * dx + y * dy + z * dz) / norm - dz
-    m_d, n_d = (dx - m * below_d) / below, (dy - n * below_d) / below
+    m_d, n_d = scale * (dx - m * below_d), scale * (dy - n * below_d)
     m, n, m_d, n_d = move_bent(
         m, n, m_d, n_d,
         camera.k1_unified, camera.k2_unified, camera.p1_unified, camera.p2_unified, camera.k3_unified,

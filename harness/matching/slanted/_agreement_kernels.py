@@ -53,22 +53,25 @@ def _gather(row, begin, plane, residual, planes):
     none.
     """
     first, end = max(0, -begin), min(planes.shape[1], residual.shape[1] - begin)
-    planes[:, :first] = math.nan
-    planes[:, end:] = math.nan
-    for j in range(first, end):
-        m = plane[row, begin + j]
-        planes[0, j] = m[0] if residual[row, begin + j] < math.inf else math.nan
-        planes[1, j], planes[2, j] = m[1], m[2]
+    for k in range(3):
+        planes[k, :first] = math.nan
+        planes[k, end:] = math.nan
+    m, there = plane[row, begin + first : begin + end], residual[row, begin + first : begin + end]
+    m_x, m_y, m_z = planes[0, first:], planes[1, first:], planes[2, first:]
+    for j in range(there.shape[0]):
+        x, y, z = m[j, 0], m[j, 1], m[j, 2]
+        m_x[j] = x if there[j] < math.inf else math.nan
+        m_y[j], m_z[j] = y, z
 
 
 @kernel
 def _extend(planes, shift, w_far, w_near, tile, to):
     """Write the inverse ranges of the planes from a column on to a row of the tile; extend the pixels' own by them."""
-    m_x, m_y, m_z = planes[0, shift:], planes[1, shift:], planes[2, shift:]
+    m_x, m_y, m_z, out = planes[0, shift:], planes[1, shift:], planes[2, shift:], tile[to:]
     for j in range(TILE):
         value = m_x[j] * tile[TILE_X + j] + m_y[j] * tile[TILE_Y + j] + m_z[j] * tile[TILE_Z + j]
         is_plane = (w_far <= value) & (value <= w_near)
         lowest, highest = tile[LOWEST + j], tile[HIGHEST + j]
         tile[LOWEST + j] = value if is_plane & (value < lowest) else lowest
         tile[HIGHEST + j] = value if is_plane & (value > highest) else highest
-        tile[to + j] = value if is_plane else math.nan
+        out[j] = value if is_plane else math.nan

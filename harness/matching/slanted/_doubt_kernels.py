@@ -8,6 +8,8 @@ from harness.compiled import kernel
 
 AGREEING = 3
 """So many of eight planes around a pixel have to agree with its own: those on the far side of a border need not."""
+TILE = 64
+"""Columns side by side."""
 
 
 @kernel
@@ -22,24 +24,100 @@ def surroundings_rows(
     where fewer than three are there.
     """
     height, width = w.shape
-    apart = np.empty(AGREEING)
+    planes, apart = np.empty((3, TILE + 2 * reach)), np.empty((AGREEING, TILE))
+    here, own = np.empty((3, TILE)), np.empty(TILE)
     for i in range(first, end):
-        for j in range(width):
-            square[i, j], disagreement[i, j] = 0.0, math.inf
-            if chosen[i, j] < 0:
-                continue
-            if known[i, j]:
-                row, column = chosen[i, j] // width, chosen[i, j] % width
-                difference = first_image[i, j] - gain[row, column] * value[i, j] - offset[row, column]
-                square[i, j] = difference * difference
+        for begin in range(0, width, TILE):
+            n = min(TILE, width - begin)
+            for j in range(n):
+                here[0, j], here[1, j], here[2, j] = x[i, begin + j, 0], x[i, begin + j, 1], x[i, begin + j, 2]
+                own[j] = w[i, begin + j]
             apart[:] = math.inf
-            for k in range(9):
-                row, column = i + (k // 3 - 1) * reach, j + (k % 3 - 1) * reach
-                if k == 4 or not (0 <= row < height and 0 <= column < width) or chosen[row, column] < 0:
-                    continue
-                m = plane[chosen[row, column] // width, chosen[row, column] % width]
-                there = abs(m[0] * x[i, j, 0] + m[1] * x[i, j, 1] + m[2] * x[i, j, 2] - w[i, j])
-                for n in range(AGREEING):
-                    if there < apart[n]:
-                        there, apart[n] = apart[n], there
-            disagreement[i, j] = apart[AGREEING - 1]
+            for down in range(-1, 2):
+                row = i + down * reach
+                if 0 <= row < height:
+                    _gather(row, begin - reach, plane, chosen, planes)
+                    for right in range(3):
+                        if down != 0 or right != 1:
+                            _compare(planes, right * reach, here, own, apart)
+            for j in range(n):
+                at = begin + j
+                taken = chosen[i, at]
+                square[i, at], disagreement[i, at] = 0.0, math.inf if taken < 0 else apart[AGREEING - 1, j]
+                if taken >= 0 and known[i, at]:
+                    row, column = taken // width, taken % width
+                    difference = first_image[i, at] - gain[row, column] * value[i, at] - offset[row, column]
+                    square[i, at] = difference * difference
+
+
+@kernel
+def _gather(row, begin, plane, chosen, planes):
+    """Write the planes that some pixels of a row take, from `begin` on; NaN where there is none."""
+    width = chosen.shape[1]
+    for j in range(planes.shape[1]):
+        taken = chosen[row, begin + j] if 0 <= begin + j < width else -1
+        if taken < 0:
+            planes[0, j] = math.nan
+        else:
+            m = plane[taken // width, taken % width]
+            planes[0, j], planes[1, j], planes[2, j] = m[0], m[1], m[2]
+
+
+@kernel
+def _compare(planes, shift, here, own, apart):
+    """Keep the least differences from pixels' own inverse ranges, in ascending order; NaN is none."""
+    m_x, m_y, m_z = planes[0, shift:], planes[1, shift:], planes[2, shift:]
+    x, y, z = here[0], here[1], here[2]
+    least, second, third = apart[0], apart[1], apart[2]
+    for j in range(TILE):
+        there = abs(m_x[j] * x[j] + m_y[j] * y[j] + m_z[j] * z[j] - own[j])
+        there = min(math.inf, there)
+        a, b, c = least[j], second[j], third[j]
+        least[j] = min(a, there)
+        there = max(a, there)
+        second[j] = min(b, there)
+        third[j] = min(c, max(b, there))
+
+
+# -- Before and after means over squares -------------------------------------------------------------------------------
+
+
+@kernel
+def texture_rows(first, end, known, slope, motion, texture, moved):
+    """Write g² and (du/dw)² + (dv/dw)², 0 where they are not known."""
+    for i in range(first, end):
+        for j in range(known.shape[1]):
+            g = float(slope[i, j])
+            texture[i, j] = g * g if known[i, j] else 0.0
+            moved[i, j] = motion[i, j] if known[i, j] else 0.0
+
+
+@kernel
+def divide_rows(first, end, divisor, values):
+    """Divide values in place."""
+    for i in range(first, end):
+        for j in range(values.shape[1]):
+            values[i, j] /= divisor[i, j]
+
+
+@kernel
+def variance_rows(first, end, level, count, variance):
+    """Turn means of squares into variances, in place, plus the variance of rounding.
+
+    level, count : means of what was squared, and of how many there are.
+    """
+    for i in range(first, end):
+        for j in range(variance.shape[1]):
+            variance[i, j] = max(variance[i, j] - level[i, j] * level[i, j] / count[i, j], 0.0) + count[i, j]
+
+
+@kernel
+def unexplained_rows(first, end, count, variance, square, residual, unexplained):
+    """Write the mean square of what remains, and its share of the variance.
+
+    square : mean of the squares over all pixels, there or not.
+    """
+    for i in range(first, end):
+        for j in range(count.shape[1]):
+            unexplained[i, j] = square[i, j] / variance[i, j]
+            residual[i, j] = square[i, j] / count[i, j]

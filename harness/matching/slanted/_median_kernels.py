@@ -25,6 +25,9 @@ def median_rows(first, end, reach, valid, w, smooth):
     for i in range(first, end):
         for begin in range(0, width, AT_ONCE):
             n = min(AT_ONCE, width - begin)
+            if not valid[i, begin : begin + n].any():
+                smooth[i, begin : begin + n] = math.nan
+                continue
             for k in range(size):
                 _shift(w, i + k // side - reach, begin + k % side - reach, values, k)
             _fill(values, known)

@@ -47,6 +47,17 @@ def turn_samples(table, n, R, s):
         table[QZ + k] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
 
 
+@kernel
+def see_samples(table, n, R, s, model):
+    """Write where view 2 sees the first n points, in its field or not, counted from the image's own first column."""
+    for k in range(n):
+        x, y, z, w = table[X + k], table[Y + k], table[Z + k], table[W + k]
+        qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + w * s[0]
+        qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + w * s[1]
+        qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + w * s[2]
+        table[U + k], table[V + k], _, _ = move(qx, qy, qz, s[0], s[1], s[2], model)
+
+
 @kernel(inline=True)
 def _put_place(table, k, u, v, field, coefficients):
     """Write a point's pixel, and whether it is in the field, and all taps of the spline there are in the image."""
@@ -121,12 +132,15 @@ def sample_with_slopes(table, n, coefficients):
             table[GREY + k] = math.nan
             continue
         i, j = int(table[V + k]), int(table[U + k])
-        c0, c1, c2, c3 = column_sums(coefficients, i, j, table[B0 + k], table[B1 + k], table[B2 + k], table[B3 + k])
+        b0, b1, b2, b3 = table[B0 + k], table[B1 + k], table[B2 + k], table[B3 + k]
+        e0, e1, e2, e3 = table[E0 + k], table[E1 + k], table[E2 + k], table[E3 + k]
+        c0, c1, c2, c3 = column_sums(coefficients, i, j, b0, b1, b2, b3)
+        f0, f1, f2, f3 = column_sums(coefficients, i, j, e0, e1, e2, e3)
         a0, a1, a2, a3 = table[A0 + k], table[A1 + k], table[A2 + k], table[A3 + k]
+        d0, d1, d2, d3 = table[D0 + k], table[D1 + k], table[D2 + k], table[D3 + k]
         table[GREY + k] = c0 * a0 + c1 * a1 + c2 * a2 + c3 * a3
-        table[ALONG_U + k] = c0 * table[D0 + k] + c1 * table[D1 + k] + c2 * table[D2 + k] + c3 * table[D3 + k]
-        c0, c1, c2, c3 = column_sums(coefficients, i, j, table[E0 + k], table[E1 + k], table[E2 + k], table[E3 + k])
-        table[ALONG_V + k] = c0 * a0 + c1 * a1 + c2 * a2 + c3 * a3
+        table[ALONG_U + k] = c0 * d0 + c1 * d1 + c2 * d2 + c3 * d3
+        table[ALONG_V + k] = f0 * a0 + f1 * a1 + f2 * a2 + f3 * a3
     for k in range(n):
         u_w, v_w = table[U_W + k], table[V_W + k]
         table[SLOPE + k] = table[ALONG_U + k] * u_w + table[ALONG_V + k] * v_w

@@ -26,6 +26,8 @@ from harness.matching.slanted._sample_kernels import (
     MOTION,
     SIZE,
     SLOPE,
+    U,
+    V,
     W,
     X,
     Y,
@@ -34,6 +36,7 @@ from harness.matching.slanted._sample_kernels import (
     misfit,
     move_samples,
     sample_with_slopes,
+    see_samples,
     turn_samples,
 )
 
@@ -110,7 +113,7 @@ def choose_rows(
     planes, tile = np.empty((3, TILE + 2 * half)), np.empty(TILE_ROWS * TILE)
     for i in range(first, end):
         for j in range(width):
-            if j % TILE == 0:
+            if j % TILE == 0 and valid[i, j : j + TILE].any():
                 compare_planes(i, j, half, apart, w_far, w_near, x, t, plane, residual, planes, tile)
             w[i, j], chosen[i, j] = math.nan, -1
             if not valid[i, j]:
@@ -173,33 +176,49 @@ def judge_rows(
     area : written; the area of a pixel of view 2 in pixels of view 1, on the pixel's plane; 1 where it is not known.
     """
     height, width = valid.shape
+    table, column = np.empty(SIZE), np.empty(AT_ONCE, np.int64)
     for i in range(first, end):
-        for j in range(width):
-            score[i, j], area[i, j] = 0.0, 1.0
-            if not (known[i, j] and chosen[i, j] >= 0):
-                continue
-            row, column = chosen[i, j] // width, chosen[i, j] % width
-            difference = first_image[i, j] - gain[row, column] * value[i, j] - offset[row, column]
-            score[i, j] = slope[i, j] * difference
-            if i + 1 < height and j + 1 < width:
-                m = plane[row, column]
-                u_0, v_0 = _on_plane(x[i, j], m, R, s, camera)
-                u_1, v_1 = _on_plane(x[i, j + 1], m, R, s, camera)
-                u_2, v_2 = _on_plane(x[i + 1, j], m, R, s, camera)
-                right, below = u_1 - u_0, u_2 - u_0
-                turn = camera[3]
-                if turn > 0.0:
-                    right -= turn * math.floor(right / turn + 0.5)
-                    below -= turn * math.floor(below / turn + 0.5)
-                area[i, j] = 1.0 / abs(right * (v_2 - v_0) - below * (v_1 - v_0))
+        for begin in range(0, width, AT_ONCE):
+            n = 0
+            for j in range(begin, min(begin + AT_ONCE, width)):
+                score[i, j], area[i, j] = 0.0, 1.0
+                if not (known[i, j] and chosen[i, j] >= 0):
+                    continue
+                row, taken = chosen[i, j] // width, chosen[i, j] % width
+                difference = first_image[i, j] - gain[row, taken] * value[i, j] - offset[row, taken]
+                score[i, j] = slope[i, j] * difference
+                if i + 1 < height and j + 1 < width:
+                    m = plane[row, taken, 0], plane[row, taken, 1], plane[row, taken, 2]
+                    _put_on_plane(table, n, x, i, j, m)
+                    _put_on_plane(table, n + AT_ONCE, x, i, j + 1, m)
+                    _put_on_plane(table, n + 2 * AT_ONCE, x, i + 1, j, m)
+                    column[n] = j
+                    n += 1
+            for part in range(0, 3 * AT_ONCE if n > 0 else 0, AT_ONCE):
+                see_samples(table[part:], n, R, s, camera[0])
+            _put_areas(table, n, camera[3])
+            for k in range(n):
+                area[i, column[k]] = table[GREY + k]
 
 
-@kernel(inline=True)
-def _on_plane(x, m, R, s, camera):
-    """Pixel (u, v) of view 2 at which the point of plane m in direction x is seen."""
-    w = m[0] * x[0] + m[1] * x[1] + m[2] * x[2]
-    u, v, _, _, _ = _in_view_2(x[0], x[1], x[2], w, R, s, camera)
-    return u, v
+@kernel
+def _put_on_plane(table, k, x, i, j, m):
+    """Write the point of plane m in the direction of pixel (i, j)."""
+    table[X + k], table[Y + k], table[Z + k] = x[i, j, 0], x[i, j, 1], x[i, j, 2]
+    table[W + k] = m[0] * x[i, j, 0] + m[1] * x[i, j, 1] + m[2] * x[i, j, 2]
+
+
+@kernel
+def _put_areas(table, n, turn):
+    """Write areas of a pixel of view 2 in those of view 1, from where it sees a pixel, the next and the one below."""
+    for k in range(n):
+        u, v = table[U + k], table[V + k]
+        right, below = table[U + AT_ONCE + k] - u, table[U + 2 * AT_ONCE + k] - u
+        if turn > 0.0:
+            right -= turn * math.floor(right / turn + 0.5)
+            below -= turn * math.floor(below / turn + 0.5)
+        down, along = table[V + 2 * AT_ONCE + k] - v, table[V + AT_ONCE + k] - v
+        table[GREY + k] = 1.0 / abs(right * down - below * along)
 
 
 # -- Into the other view -----------------------------------------------------------------------------------------------

@@ -6,18 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.camera.fill import last_known
-from harness.geometry.angles import Array, lengths
+from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
 from harness.matching.interface import Reason
+from harness.matching.slanted import _reading_kernels as _kernels
 from harness.matching.slanted.field import Field, Mask, Part, read_planes
 
 _MISSING_SQUARE_PX, _MISSING_SHARE = 7, 0.05
 """A hidden pixel has this share of the pixels of such a square without a start (three of them)."""
-
-_LINES = 64
-"""Rows, or columns, that are searched at a time: what is worked out for each pixel on the way takes 100 bytes."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +32,16 @@ def seen_back(x: Array, w: Array, reverse: Reverse) -> tuple[Array, Array]:
     """Angles alpha_2 of the points in directions x of view 1 at inverse ranges w, radians; and by how much view 2's own
     surface there is nearer, radians of alpha_2, NaN where it has none.
     """
-    t, R = reverse.motion.t_v1, reverse.motion.R_v2_from_v1
-    # From viewpoint 2, in view 1's orientation and in units of the range from viewpoint 1.
-    q = x - w[..., None] * t
-    length, across = lengths(q), lengths(np.cross(q, t))
+    there, (length, across, along) = np.empty(x.shape), np.empty((3, *w.shape))
+    t, R = (np.ascontiguousarray(a, np.float64) for a in (reverse.motion.t_v1, reverse.motion.R_v2_from_v1))
+    _kernels.seen_from_2(
+        np.ascontiguousarray(x).reshape(-1, 3), w.ravel(), t, R, there.reshape(-1, 3), length.ravel(), across.ravel(),
+        along.ravel(),
+    )  # fmt: skip
     # The same point in view 2, at inverse range w/|q| in direction R q/|q|, and view 2's own there. With
     # d alpha_2/dw = |t × q|/|q|² and w_2 = w/|q|, alpha_2 changes by |t × q| |q| for a unit of w_2.
-    _, _, w_2 = read_planes(reverse.field, q @ R.T / length[..., None], reverse.part)
-    return np.arctan2(across, q @ t), (w_2 - w / length) * across * length
+    _, _, w_2 = read_planes(reverse.field, there, reverse.part)
+    return np.arctan2(across, along), (w_2 - w / length) * across * length
 
 
 def tell_occluded(
@@ -82,14 +81,6 @@ def farthest_beside(w: Array) -> Array:
 
     Rows go round.
     """
-    (height, width), least = w.shape, np.empty(w.shape)
-    for first in range(0, height, _LINES):
-        rows = slice(first, first + _LINES)
-        around = np.tile(w[rows], 3)
-        left, right = last_known(around, 1), last_known(around[:, ::-1], 1)[:, ::-1]
-        least[rows] = np.fmin(left, right)[:, width : 2 * width]
-    for first in range(0, width, _LINES):
-        columns = (slice(None), slice(first, first + _LINES))
-        above, below = last_known(w[columns], 0), last_known(w[columns][::-1], 0)[::-1]
-        least[columns] = np.fmin(least[columns], np.fmin(above, below))
+    least = np.empty(w.shape)
+    _kernels.farthest_beside(w, least)
     return least

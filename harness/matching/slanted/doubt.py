@@ -68,12 +68,12 @@ def surroundings_of(
     residual, unexplained = _residuals(first, samples, square, side, pool)
 
     def density(over: int) -> Array:
-        texture, moved = (
-            np.where(samples.known, a, 0.0) for a in (np.square(samples.slope, dtype=float), samples.motion)
-        )
+        texture, moved = np.empty(shape), np.empty(shape)
+        in_rows(pool, len(texture), _kernels.texture_rows, samples.known, samples.slope, samples.motion, texture, moved)
         means(texture, over, pool, texture)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.divide(texture, means(moved, over, pool, moved), out=texture)
+        means(moved, over, pool, moved)
+        in_rows(pool, len(texture), _kernels.divide_rows, moved, texture)
+        return texture
 
     return Surroundings(disagreement, residual, unexplained, density(near(window_px)), density(window_px))
 
@@ -81,8 +81,8 @@ def surroundings_of(
 def _residuals(
     first: View, samples: Samples, square: Image, side: int, pool: ThreadPoolExecutor
 ) -> tuple[Image, Image]:
-    """`residual` and `unexplained` of `Surroundings`, from the residual's squares; as few arrays at a time as possible,
-    which are as large as the image.
+    """`residual` and `unexplained` of `Surroundings`, from the residual's squares, which the former overwrites; as few
+    arrays at a time as possible, which are as large as the image.
     """
 
     def mean(values: NDArray[np.floating]) -> Array:
@@ -92,17 +92,12 @@ def _residuals(
     count = mean(samples.known.astype(np.float32))
     image = np.where(samples.known, first.image, np.float32(0))
     variance, level = mean(np.square(image, dtype=np.float64)), mean(image)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        level *= level
-        level /= count
-        variance -= level
-        del level
-        np.maximum(variance, 0.0, out=variance)
-        variance += count
-        residual = mean(square)
-        unexplained = np.divide(residual, variance, out=variance).astype(np.float32)
-        residual /= count
-    return residual.astype(np.float32), unexplained
+    in_rows(pool, len(level), _kernels.variance_rows, level, count, variance)
+    del image, level
+    residual = mean(square)
+    unexplained = np.empty(square.shape, np.float32)
+    in_rows(pool, len(residual), _kernels.unexplained_rows, count, variance, residual, square, unexplained)
+    return square, unexplained
 
 
 def unlike(field: Field, around: Surroundings) -> NDArray[np.bool_]:

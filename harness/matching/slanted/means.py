@@ -1,12 +1,13 @@
 """Means over squares of pixels, on all threads and in no more memory than the result takes."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from harness.geometry.angles import Array
+from harness.matching.slanted import _means_kernels as _kernels
 
 _LINES = 64
 """Rows, or columns, that are worked on at a time."""
@@ -15,7 +16,7 @@ _LINES = 64
 def means(values: NDArray[np.floating], side: int, pool: ThreadPoolExecutor, output: Array) -> Array:
     """Means over squares around every pixel, `[height, width]`; beyond the border lie zeros.
 
-    The bits are those of `ndimage.uniform_filter`: along an axis it filters every line by itself.
+    The bits are those of `ndimage.uniform_filter` in double precision.
 
     Parameters
     ----------
@@ -25,13 +26,13 @@ def means(values: NDArray[np.floating], side: int, pool: ThreadPoolExecutor, out
         What is written and returned; may be `values` itself.
     """
 
-    def along(axis: int, source: NDArray[np.floating]) -> None:
-        def lines(first: int) -> None:
-            some = (slice(first, first + _LINES), slice(None))[:: 1 if axis else -1]
-            ndimage.uniform_filter1d(source[some], side, axis, output[some], mode="constant")
+    def in_lines(work: Callable[..., None], count: int, source: NDArray[np.floating]) -> None:
+        list(
+            pool.map(
+                lambda first: work(first, min(first + _LINES, count), side, source, output), range(0, count, _LINES)
+            )
+        )
 
-        list(pool.map(lines, range(0, values.shape[1 - axis], _LINES)))
-
-    along(0, values)
-    along(1, output)
+    in_lines(_kernels.along_columns, values.shape[1], values)
+    in_lines(_kernels.along_rows, values.shape[0], output)
     return output

@@ -32,11 +32,12 @@ import numpy as np
 
 from harness.camera.fill import across_seam, closed_image
 from harness.camera.sensor import Sensor, forget_directions, seam_px
-from harness.geometry.angles import Array, angle_between, lengths
+from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, directions, pixel_that_holds, row_bands
 from harness.geometry.pose import Motion
 from harness.machine import available_cpus
 from harness.matching.interface import Matches, Reason
+from harness.matching.slanted import _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.back import Reverse, seen_back, tell_occluded
 from harness.matching.slanted.doubt import Surroundings, factor, factor_by_start, surroundings_of, unlike
@@ -115,10 +116,11 @@ def refine_slanted(
     seams = seam_px(sensors[0], reach), seam_px(sensors[1], reach)
     closed = [closed_image(*each)[:2] for each in zip(images, sensors, seams, strict=True)]
     part_1, part_2 = (part_of(sensors[i], seams[i], closed[i][1]) for i in (0, 1))
-    forth_warp = warp_between(part_1, part_2, motion, closed[0][1])
-    forget_directions(sensors[0])
     with ThreadPoolExecutor(threads or available_cpus()) as pool:
-        first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2))
+        views = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2))
+        forth_warp = warp_between(part_1, part_2, motion, closed[0][1])
+        forget_directions(sensors[0])
+        first, second = views
         start, steps = _start(start_alpha_2, forth_warp, grid, pool), steps_forth(settings)
         forth = fit(first, second, forth_warp, start, settings, steps, grid.phi_pitch, pool)
         del start  # arrays as large as the image go as soon as they can: they are what memory a large one takes
@@ -129,9 +131,9 @@ def refine_slanted(
         del samples
         read = _on_panorama(forth, inflation, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
         del inflation, around
-        start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
-        del forth, forth_warp  # a field takes 76 bytes a pixel: one at a time
-        back_warp = warp_between(part_2, part_1, _reversed(motion), closed[1][1])
+        way_back = pool.submit(warp_between, part_2, part_1, _reversed(motion), closed[1][1])
+        start, back_warp = _transferred(forth, forth_warp, part_2, closed[1][1].shape), way_back.result()
+        del forth, forth_warp, way_back  # a field takes 76 bytes a pixel: one at a time
         forget_directions(sensors[1])
         steps = steps_back(settings)
         reverse = fit(second, first, back_warp, start, settings, steps, grid.phi_pitch, pool, covariance=False)
@@ -149,14 +151,19 @@ def _start(alpha_2: Array, warp: Warp, grid: Grid, pool: ThreadPoolExecutor) -> 
 
     From d_1 = |t| sin(alpha_2)/sin(alpha_2 - alpha_1).
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        w = np.sin(alpha_2 - angle_between(directions(grid), warp.t)) / (np.linalg.norm(warp.t) * np.sin(alpha_2))
-    field = np.full(warp.valid.shape, np.nan)
+    w, field = np.empty(grid.shape), np.empty(warp.valid.shape)
+    baseline, panorama = np.linalg.norm(warp.t), directions(grid)
+
+    def reach(rows: slice) -> None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            alpha_1 = np.arctan2(*_across_and_along(warp.t, panorama[rows]))
+            w[rows] = np.sin(alpha_2[rows] - alpha_1) / (baseline * np.sin(alpha_2[rows]))
+
+    list(pool.map(reach, row_bands(grid)))
 
     def cover(first: int, end: int) -> None:
         row, column, inside = pixel_that_holds(grid, np.nan_to_num(warp.x[first:end]))
-        covered = warp.valid[first:end] & inside
-        field[first:end][covered] = w[row[covered].astype(np.intp), column[covered]]
+        _reading_kernels.cover(warp.valid[first:end], row, column, inside, w, field[first:end])
 
     in_rows(pool, len(field), cover)
     return field
@@ -209,8 +216,8 @@ def _on_panorama(
         x = panorama[rows]
         index, window, w = read_planes(forth, x, part)
         # q = x - w t is the point from viewpoint 2; q × t = x × t.
-        across = _across(warp.t, x)
-        ahead = x @ warp.t - w * (warp.t @ warp.t)
+        across, along = _across_and_along(warp.t, x)
+        ahead = along - w * (warp.t @ warp.t)
         from_start = np.abs(np.arctan2(across, ahead) - start_alpha_2[rows]) / grid.phi_pitch
         sigma_w = sigma_of(forth, inflation, x, window, warp, settings)
         # d alpha_2/dw = |t × x|/|q|²
@@ -226,9 +233,12 @@ def _on_panorama(
     return result
 
 
-def _across(t: Array, x: Array) -> Array:
-    """|t × x|, `[...]`, of directions `[..., 3]`."""
-    return lengths(np.cross(x, t))
+def _across_and_along(t: Array, x: Array) -> tuple[Array, Array]:
+    """|t × x| and t·x, `[...]`, of directions `[..., 3]`."""
+    across, along = np.empty((2, *x.shape[:-1]))
+    t, x = (np.ascontiguousarray(a, np.float64) for a in (t, x))
+    _reading_kernels.across_and_along(x.reshape(-1, 3), t, across.ravel(), along.ravel())
+    return across, along
 
 
 def _matches(
@@ -248,7 +258,7 @@ def _matches(
             reason = np.where(missed <= apart, np.uint8(Reason.MATCHED), np.uint8(Reason.INCONSISTENT))
             reason[~(read.doubt[rows] * read.sigma[rows] <= limit)] = Reason.NO_MATCH
             reason[(reason == Reason.MATCHED) & ~(read.doubt[rows] * sigma <= limit)] = Reason.NO_MATCH
-        reason[_across(t, x) <= 1e-9 * np.linalg.norm(t)] = Reason.NO_EPIPOLAR_PLANE
+        reason[_across_and_along(t, x)[0] <= 1e-9 * np.linalg.norm(t)] = Reason.NO_EPIPOLAR_PLANE
         matched = reason == Reason.MATCHED
         alpha_2[rows], reasons[rows] = np.where(matched, alpha, np.nan), reason
         sigma_2[rows] = np.where(matched, doubted(sigma, read.doubt[rows]), np.nan)

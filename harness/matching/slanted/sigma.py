@@ -8,7 +8,6 @@ from itertools import product
 from math import comb, factorial, prod
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
@@ -48,11 +47,11 @@ def sigma_of(
         window.ravel(), np.ascontiguousarray(x).reshape(-1, 3), warp.x.reshape(-1, 3), field.covariance.reshape(-1, 6),
         variance.ravel(),
     )  # fmt: skip
-    smoothed = polyval(field.share.ravel()[window], smoothed_noise(steps_forth(settings)))
-    # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
-    residual = field.residual.ravel()[window] + 1e-10
-    with np.errstate(invalid="ignore"):  # infinite or not a number where there is no window
-        return np.sqrt(variance * residual * smoothed * inflation.ravel()[window])
+    _reading_kernels.spread(
+        window.ravel(), field.residual.ravel(), field.share.ravel(), inflation.ravel(),
+        smoothed_noise(steps_forth(settings)), variance.ravel(),
+    )  # fmt: skip
+    return variance
 
 
 def at_least(sigma_w: Array, disagreement: Array) -> Array:
@@ -119,14 +118,24 @@ def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: 
         samples.known, samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
     )  # fmt: skip
     visible = _fit_kernels.VALUE_NOISE**2
-    shared = np.maximum(area, visible, out=area)  # in place: these are as large as the image
-    shared += 1
-    shared /= 1 + visible
     measured = means(score, 3, pool, np.empty(shape))
-    measured *= 9
-    measured *= score
+
+    # In place, as these are as large as the image.
+    def neighbours(first: int, end: int) -> None:
+        measured[first:end] *= 9
+        measured[first:end] *= score[first:end]
+        score[first:end] *= score[first:end]
+
+    def larger(first: int, end: int) -> None:
+        shared, of_all = np.maximum(area[first:end], visible, out=area[first:end]), measured[first:end]
+        shared += 1
+        shared /= 1 + visible
+        with np.errstate(invalid="ignore", divide="ignore"):
+            of_all /= score[first:end]
+        np.clip(np.fmax(shared, of_all, out=of_all), 1.0, 9.0, out=of_all)
+
+    in_rows(pool, len(score), neighbours)
     means(measured, _CORRELATED_PX, pool, measured)
-    score *= score
-    with np.errstate(invalid="ignore", divide="ignore"):
-        measured /= means(score, _CORRELATED_PX, pool, score)
-    return np.clip(np.fmax(shared, measured, out=measured), 1.0, 9.0, out=measured)
+    means(score, _CORRELATED_PX, pool, score)
+    in_rows(pool, len(score), larger)
+    return measured
