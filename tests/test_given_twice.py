@@ -29,6 +29,22 @@ def test_a_setting_of_photographs_that_is_given_twice():
         own_settings("window", ["window_px=7", "matching.window_px=9"])
 
 
+@pytest.mark.parametrize(
+    ("kind", "setting", "said"),
+    [
+        ("sgmm", [], r"^--matcher: 'sgmm' is neither a matcher nor"),
+        ("", ["kind=sgmm"], r"^--set: kind: 'sgmm' is neither a matcher nor"),
+        ("sgm", ["foo=1"], r"^--set: foo: unknown key 'foo'; valid: "),
+        ("sgm", ["panorama=1"], r"^--set: panorama: is a table; write panorama\.KEY=VALUE$"),
+        ("sgm", ["panorama.width_px=1"], r"^--set: panorama\.width_px: must be at least 16; found 1$"),
+        ("window", ["window_px=8"], r"^--matcher, --set: matching: window_px must be odd"),
+    ],
+)
+def test_a_setting_of_photographs_names_its_option(kind, setting, said):
+    with pytest.raises(InputError, match=said):
+        own_settings(kind, setting)
+
+
 def test_a_matcher_that_two_options_name():
     with pytest.raises(InputError, match=r"^--set: kind: is given as --matcher too; leave one out$"):
         own_settings("sgm", ["kind=slanted"])

@@ -55,3 +55,11 @@ def test_a_rendered_views_ranges_are_no_estimates(pair):
     with pytest.raises(InputError, match=r"range\.npy: --out: is there already"):
         view.write(pair / "range")
     np.testing.assert_array_equal(np.load(pair / "range" / "range.npy"), estimate.range_m)
+
+
+def test_one_image_for_two_views(pair, tmp_path, capsys):
+    words = arguments(pair, "range", tmp_path / "out")
+    words[2] = words[1]
+    assert main(words) == 2
+    said = f"omnirange: {words[1]}: is given for two views in a row; give the image of each\n"
+    assert capsys.readouterr().err == said

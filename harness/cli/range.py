@@ -5,6 +5,7 @@ import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -155,13 +156,15 @@ def run(options: Namespace) -> int:
     tell_matching(estimate)
     unit = "" if estimate.has_metres else ", in units of the baseline"
     print(f"{estimate.valid.mean():.1%} of the panorama has a range{unit}; {options.out / 'range.html'}")
-    return OK
+    return OK if estimate.valid.any() else FAILED
 
 
 def _settings(options: Namespace) -> "tuple[tuple[Sensor, Sensor], OwnSettings]":
     """The sensors with their masks, and the settings of matcher and panorama; prints the cost of large images."""
     from harness.runs.photograph_settings import own_settings
 
+    if options.pose is not None or options.baseline is not None:  # else the estimate says that nothing moves
+        _check_images([options.left, options.right, *getattr(options, "more", ())])
     sensor = first_sensor(options, central=True)
     assert sensor is not None
     sensor = _masked(sensor, None if options.mask == Path("auto") else options.mask, "--mask")
@@ -170,6 +173,15 @@ def _settings(options: Namespace) -> "tuple[tuple[Sensor, Sensor], OwnSettings]"
     _check_scale(options, (sensor, sensor_2))
     _tell_size(options, sensor, settings)
     return (sensor, sensor_2), settings
+
+
+def _check_images(images: list[Path]) -> None:
+    """Refuse the same image for two views in a row."""
+    from harness.errors import InputError
+
+    for one, other in pairwise(images):
+        if one.exists() and other.exists() and one.samefile(other):
+            raise InputError("is given for two views in a row; give the image of each", file=other)
 
 
 def estimate_of(options: Namespace) -> "RangeEstimate | None":

@@ -34,7 +34,9 @@ def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
     given = {("matching", "kind"): "--matcher"} if kind else {}
     for key, value in read_values("--set", sets).items():
         room, _, name = key.partition(".")
-        if room not in OwnSettings.model_fields or not name:
+        if room in OwnSettings.model_fields and not name:
+            raise InputError(f"is a table; write {room}.KEY=VALUE", file="--set", key=key)
+        if room not in OwnSettings.model_fields:
             room, name = "matching", key
         if (room, name) in given:
             raise InputError(f"is given as {given[room, name]} too; leave one out", file="--set", key=key)
@@ -47,4 +49,13 @@ def own_settings(kind: str, sets: Sequence[str]) -> OwnSettings:
                 raise InputError(f"there is no key '{last}' in a plain value", file="--set", key=key)
             target = inside
         target[last] = value
-    return parse(OwnSettings, table, file="--matcher, --set")
+    try:
+        return parse(OwnSettings, table)
+    except InputError as error:
+        room, _, name = (error.key or "").partition(".")
+        option = given.get((room, name), "")
+        if option == "--matcher":
+            raise InputError(error.problem, file=option) from error
+        raise InputError(
+            error.problem, file="--set" if option else "--matcher, --set", key=option or error.key
+        ) from error
