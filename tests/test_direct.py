@@ -19,7 +19,7 @@ from harness.motion.direct import (
     _signal_share,
     _State,
     fit_direct,
-    noise_through_spline,
+    noise_after_blur,
 )
 from harness.motion.residuals import Turn
 from harness.motion.sparse import Fit, fit, moved, tangents
@@ -143,13 +143,13 @@ def test_normal_equations_are_those_of_differences():
 
 
 @pytest.mark.parametrize("blur_px", [0.0, 0.7])
-def test_noise_through_the_spline(blur_px):
+def test_noise_after_a_blur(blur_px):
     """Noise sampled between its pixels at random places; the slope by differences."""
     noise = np.random.default_rng(1).normal(size=(400, 400))
     noise = ndimage.gaussian_filter(noise, blur_px) if blur_px else noise
     noise /= noise.std()
     v, u = np.random.default_rng(2).uniform(10, 390, (2, 200_000))
-    value, slope = noise_through_spline(blur_px)
+    value, slope = noise_after_blur(blur_px)
 
     def at(v, u):
         return ndimage.map_coordinates(noise, [v, u], order=3)
@@ -157,13 +157,6 @@ def test_noise_through_the_spline(blur_px):
     # The variance of 160,000 pixels of noise is known to 0.4 % of itself, and samples to as much.
     assert np.mean(at(v, u) ** 2) == pytest.approx(value**2, rel=0.015)
     assert np.mean(((at(v, u + 1e-4) - at(v, u - 1e-4)) / 2e-4) ** 2) == pytest.approx(value * slope, rel=0.02)
-
-
-def test_noise_of_white_is_that_of_the_slanted_windows():
-    from harness.matching.slanted import _fit_kernels as theirs
-
-    # They are written with six digits.
-    assert noise_through_spline(0.0) == pytest.approx((theirs.VALUE_NOISE, theirs.SLOPE_NOISE), abs=1e-5)
 
 
 # --- Tiles ----------------------------------------------------------------------------------------------------------

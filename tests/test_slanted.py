@@ -22,7 +22,6 @@ from harness.camera.sensor import pixel_directions, project
 from harness.geometry.panorama import directions
 from harness.geometry.pose import Motion
 from harness.matching.interface import Reason, as_matches
-from harness.matching.slanted import _fit_kernels
 from harness.matching.slanted.field import Step, steps_back, steps_forth
 from harness.matching.slanted.refine import Slanted, refine_slanted
 from harness.matching.slanted.sigma import density_at_0, smoothed_noise
@@ -231,7 +230,7 @@ def test_noise_that_steps_leave(f, narrow):
     steps = steps_forth(Slanted(narrow_iterations=narrow, sharp_iterations=2))
     field = np.zeros_like(impulse)
     for step in steps:
-        part = f if step.sharp else f * f
+        part = f if step.sharp else f**3
         plane, before = (ndimage.uniform_filter(each, step.window_px) for each in (impulse, field))
         field = (1 - part) / (1 - f) * plane + part * before
     # Windows of 11 and 17 samples for a continuum: 1/11², a few times over.
@@ -245,20 +244,6 @@ def test_the_last_steps_are_sharp_and_wide_whatever_their_number():
     assert steps_forth(Slanted(iterations=4)) == (narrow, *[sharp] * 3)
     assert steps_forth(Slanted(iterations=1)) == (sharp,)
     assert steps_back(Slanted(window_px=5)) == (Step(5, sharp=False), Step(5, sharp=True))
-
-
-def test_noise_of_interpolation():
-    """The constants against white noise itself, interpolated by scipy."""
-    noise = np.random.default_rng(6).standard_normal(200_000)
-    spline = ndimage.spline_filter1d(noise, 3, mode="mirror")
-    at = np.random.default_rng(7).uniform(10, len(noise) - 11, 200_000)
-    h = 1e-4
-    value, ahead, behind = (
-        ndimage.map_coordinates(spline, [at + d], order=3, prefilter=False, mode="mirror") for d in (0, h, -h)
-    )
-    # Variances from 2e5 samples of correlated noise: 0.5 %.
-    assert np.var(value) == pytest.approx(_fit_kernels.VALUE_NOISE, rel=0.02)
-    assert np.var((ahead - behind) / (2 * h)) == pytest.approx(_fit_kernels.SLOPE_NOISE, rel=0.02)
 
 
 @pytest.mark.parametrize("key", ["window_px", "patch_px"])

@@ -10,6 +10,7 @@ from slanted_floor import SENSOR, motion
 
 from harness.camera.lens import Lens
 from harness.camera.sensor import pixel_directions, project
+from harness.camera.spline_noise import noise_through_spline
 from harness.geometry.angles import angle_between
 from harness.matching.slanted import _agreement_kernels, _fit_kernels, _median_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
@@ -121,7 +122,7 @@ def test_a_window_is_the_least_squares_solution(far):
     plane, covariance = np.zeros((*shape, 3)), np.zeros((*shape, 6))
     residual, gain, offset, share = np.zeros((4, *shape))
     _fit_kernels.fit_rows(
-        30, 190, half, 20.0, 0.0, far, warp.valid, warp.x, w, first, known, value, slope, moved,
+        30, 190, half, 20.0, 0.0, far, noise_through_spline(), warp.valid, warp.x, w, first, known, value, slope, moved,
         plane, covariance, residual, gain, offset, share,
     )  # fmt: skip
     checked = 0
@@ -137,7 +138,7 @@ def test_a_window_is_the_least_squares_solution(far):
         solution, squares, _, _ = np.linalg.lstsq(columns, right, rcond=None)
         if far:
             assert 0.05 < share[i, j] < 0.95
-            solution += share[i, j] * np.linalg.lstsq(columns, I_1 - a * I_2, rcond=None)[0]
+            solution += (share[i, j] + share[i, j] ** 2) * np.linalg.lstsq(columns, I_1 - a * I_2, rcond=None)[0]
             solution[3] = np.mean(right - columns[:, :3] @ solution[:3])
         # Running sums and normal equations: the square of the solver's condition, some 1e4, times 1e-16, with room.
         np.testing.assert_allclose(plane[i, j], solution[:3], rtol=1e-5, atol=1e-5)

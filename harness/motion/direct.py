@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from harness.camera.sensor import Sensor
+from harness.camera.spline_noise import noise_through_spline
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.motion import _direct_kernels as _kernels
@@ -171,7 +172,7 @@ def _equations(given: Views, tiles: NDArray[np.int64], state: _State) -> _Equati
     H, N = (a + np.triu(a, 1).transpose(0, 2, 1) for a in (H, N))
     n, square = np.maximum(sums[:, 0], 6.0), sums[:, 3] - sums[:, 2] ** 2 / np.maximum(sums[:, 0], 1.0)
     noise = np.zeros_like(H)
-    value, slope = noise_through_spline(given.blur_px)
+    value, slope = noise_after_blur(given.blur_px)
     noise[:, :9, :9] = state.gain[:, None, None] ** 2 * slope * value * N
     noise[:, 9, 9] = value**2 * sums[:, 0]
     residual = sums[:, 1] / (n - 5)
@@ -180,25 +181,17 @@ def _equations(given: Views, tiles: NDArray[np.int64], state: _State) -> _Equati
 
 
 @lru_cache(maxsize=4)
-def noise_through_spline(blur_px: float) -> tuple[float, float]:
-    """Variance, along one axis, of unit-variance noise after cubic B-spline interpolation, and of its slope; means.
-
-    The integrals over w of G² H² and of (w G H)², divided by that of G² from -pi to pi: H = 3 sinc(w/2)^4/(2 + cos w)
-    is the frequency response of the spline, G that of the smoothing of noise that was white before.
-    """
-    kernel = np.zeros(33)
-    kernel[16] = 1.0
-    kernel = ndimage.gaussian_filter1d(kernel, blur_px) if blur_px else kernel
-    w = (np.arange(200_000) + 0.5) * (8 * np.pi / 200_000)  # beyond, H² is below 1e-8
-    G = kernel[16] + 2 * sum(kernel[16 + j] * np.cos(j * w) for j in range(1, 17))
-    H = 3 * np.sinc(w / (2 * np.pi)) ** 4 / (2 + np.cos(w))
-    whole = np.sum(G[w < np.pi] ** 2)
-    return float(np.sum((G * H) ** 2) / whole), float(np.sum((w * G * H) ** 2) / whole)
+def noise_after_blur(blur_px: float) -> tuple[float, float]:
+    """`noise_through_spline` of noise that was smoothed by a Gaussian."""
+    one = np.zeros(33)
+    one[16] = 1.0
+    kernel = ndimage.gaussian_filter1d(one, blur_px) if blur_px else one
+    return noise_through_spline(tuple(kernel[16:].tolist()))
 
 
 def _noise_variance(equations: _Equations, gain: Array, blur_px: float) -> Array:
     """Variance of pixel noise, assumed equal in both views: a residual contains that of I_1 and of a I_2."""
-    return equations.residual / (1 + gain**2 * noise_through_spline(blur_px)[0] ** 2)
+    return equations.residual / (1 + gain**2 * noise_after_blur(blur_px)[0] ** 2)
 
 
 def _ridge(given: Views, tiles: NDArray[np.int64], H: Array) -> Array:

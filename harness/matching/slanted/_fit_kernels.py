@@ -11,11 +11,6 @@ import numpy as np
 from harness.compiled import kernel
 from harness.matching._vector_kernels import LANES, from_1, from_2, from_4, load, store, zeros
 
-VALUE_NOISE = 0.87423
-SLOPE_NOISE = 2.47461
-"""Mean variance along one axis of white noise of variance 1 after interpolation by the cubic B-spline, and of its
-derivative: the integrals over w of H² and of (w H)², over 2 pi, with H = 3 sinc(w/2)^4/(2 + cos w)."""
-
 TILE = 64
 """Columns whose planes are fitted side by side."""
 
@@ -162,18 +157,22 @@ ROWS = RESIDUAL + 4
 
 
 @kernel
-def _fit(tile, least, slope_weight, far):
+def _fit(tile, least, slope_weight, far, noise_of):
     """The planes of a tile's windows, by least squares in the value at x and the slopes along two tangents.
 
     I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
     deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
 
-    With `far` the plane lies 1 + f times as far from the field as the solution does, f being the noise's share.
+    With `far` the plane lies 1 + f + f² times as far from the field as the solution, f being the noise's share: it goes
+    1 - f of the way.
+
+    noise_of : variance of noise of variance 1 along an axis after interpolation, and that of its slope.
 
     tile : `[ROWS * TILE]`, row after row; distances known when this is compiled show that columns do not depend on one
     another. Written: m; the inverse normal matrix in x's tangent coordinates, upper triangle by rows; the variance of
     the residual, infinite where there is no plane; a; b; and the noise's share in the sum of g².
     """
+    of_value, of_slope = noise_of
     for j in range(TILE):
         x, y, z = tile[DIRECTION * TILE + j], tile[(DIRECTION + 1) * TILE + j], tile[(DIRECTION + 2) * TILE + j]
         gx, gy, gz = tile[X * TILE + j], tile[Y * TILE + j], tile[Z * TILE + j]
@@ -224,8 +223,8 @@ def _fit(tile, least, slope_weight, far):
         p2 = (c02 * y0 + c12 * y1 + c22 * y2) * inverse
         squares = total - (p0 * y0 + p1 * y1 + p2 * y2)
         residual = max(0.0, squares) / (n - 5.0)
-        noise = residual / (1.0 + scale * VALUE_NOISE * VALUE_NOISE)
-        noise *= VALUE_NOISE * SLOPE_NOISE * tile[MOVED * TILE + j]
+        noise = residual / (1.0 + scale * of_value * of_value)
+        noise *= of_value * of_slope * tile[MOVED * TILE + j]
         noise /= tile[XX * TILE + j] + tile[YY * TILE + j] + tile[ZZ * TILE + j]
         correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
         # Where it is this low the two may well have nothing in common.
@@ -234,7 +233,7 @@ def _fit(tile, least, slope_weight, far):
         if far:
             # The step from the field is least squares of I_1 - a I_2 - b alone.
             left = (sum_1 - a * sum_2) * per_n
-            more = share * a if in_common else 0.0
+            more = (share + share * share) * a if in_common else 0.0
             right_x = more * (gx_1 - a * tile[X_2 * TILE + j] - gx * left)
             right_y = more * (gy_1 - a * tile[Y_2 * TILE + j] - gy * left)
             right_z = more * (gz_1 - a * tile[Z_2 * TILE + j] - gz * left)
@@ -262,14 +261,14 @@ def _fit(tile, least, slope_weight, far):
 
 @kernel
 def fit_rows(
-    first, end, half, least, slope_weight, far, valid, x, w, first_image, known, value, slope, motion,
+    first, end, half, least, slope_weight, far, noise_of, valid, x, w, first_image, known, value, slope, motion,
     plane, covariance, residual, gain, offset, share,
 ):  # fmt: skip
     """Fit a plane to the window of (2 half + 1)² mirror pixels about every pixel.
 
     least : samples that a window needs.
     slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
-    far : whether to go beyond the solution; see `_fit`.
+    far, noise_of : whether to go beyond the solution, and what is known of noise; see `_fit`.
     plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` (nothing where it has
     no pixels) and `[...]`: see `_fit`.
     """
@@ -299,7 +298,7 @@ def fit_rows(
             for j in range(n):
                 for axis in range(3):
                     tile[(DIRECTION + axis) * TILE + j] = x[i, begin + j, axis]
-            _fit(tile, least, slope_weight, far)
+            _fit(tile, least, slope_weight, far, noise_of)
             for j in range(n):
                 column = begin + j
                 for axis in range(3):

@@ -16,11 +16,13 @@ from scipy import ndimage
 from harness.camera._field_kernels import FieldLimits
 from harness.camera.fill import across_seam, nearest_known
 from harness.camera.sensor import Sensor, field_of, parameters_of, pixel_directions, project
+from harness.camera.spline_noise import noise_through_spline
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
 from harness.matching.slanted import _fit_kernels, _median_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.settings import Slanted
+from harness.matching.slanted.smoothing import smoothed
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -69,6 +71,12 @@ class Part:
     def at(self) -> tuple[slice, slice]:
         """The index of the part."""
         return self.rows, self.columns
+
+    @property
+    def once(self) -> slice:
+        """Those of its columns that are no continuation, counted in the part."""
+        begin = self.seam - self.columns.start
+        return slice(max(begin, 0), begin + self.sensor.camera.width_px)
 
 
 def part_of(sensor: Sensor, seam: int, known: Mask) -> Part:
@@ -119,12 +127,25 @@ class View:
     """Its part."""
     coefficients: Image
     """Coefficients of the whole image's interpolating cubic B-spline; NaN where the sensor sees nothing."""
+    blur: float
+    """How far both were smoothed; see `smoothing`."""
+    noise: tuple[float, float]
+    """Variances, along an axis, of its noise once it is interpolated, and of the slope's, for a variance of 1."""
 
 
-def view_of(image: Image, valid: Mask, part: Part) -> View:
-    """The view of an image without gaps."""
-    spline = ndimage.spline_filter(image[nearest_known(valid)], 3, output=np.float32, mode="mirror")
-    return View(np.ascontiguousarray(image[part.at], dtype=np.float32), np.where(valid, spline, np.float32(np.nan)))
+def view_of(image: Image, valid: Mask, part: Part, blur: float = 0.0) -> View:
+    """The view of an image without gaps, smoothed if it is noisy."""
+    whole = image[nearest_known(valid)]
+    if blur:
+        whole = smoothed(whole, blur)
+        image = np.where(valid, whole, image)
+    spline = ndimage.spline_filter(whole, 3, output=np.float32, mode="mirror")
+    return View(
+        np.ascontiguousarray(image[part.at], dtype=np.float32),
+        np.where(valid, spline, np.float32(np.nan)),
+        blur,
+        noise_through_spline((1 - 2 * blur, blur)),
+    )
 
 
 # -- Gauss-Newton ------------------------------------------------------------------------------------------------------
@@ -212,35 +233,18 @@ def narrow_px(settings: Slanted) -> int:
     return max(2 * (settings.window_px // 3) + 1, 5)
 
 
-def fit(
-    first: View,
-    second: View,
-    warp: Warp,
-    start: Array,
-    settings: Slanted,
-    steps: tuple[Step, ...],
-    pixel: float,
-    pool: ThreadPoolExecutor,
-    *,
-    covariance: bool = True,
-) -> Field:
-    """The planes after some steps from a start.
+def field_from(start: Array, warp: Warp, pool: ThreadPoolExecutor, *, covariance: bool = True) -> Field:
+    """A field without planes, at a start: `[rows, columns]`, 1/m, NaN where there is none.
 
     Parameters
     ----------
-    start
-        `[rows, columns]`, 1/m; NaN where there is none.
-    pixel
-        Angle of a pixel of the panorama, radians.
     covariance
         Whether it is wanted.
     """
     shape = start.shape
-    samples = no_samples(shape)
-    covariances, none = (np.zeros((*size, 6), np.float32) for size in (shape if covariance else (0, 0), (0, 0)))
     field = Field(
         plane=np.zeros((*shape, 3)),
-        covariance=covariances,
+        covariance=np.zeros((*(shape if covariance else (0, 0)), 6), np.float32),
         residual=np.full(shape, np.inf, np.float32),
         gain=np.ones(shape, np.float32),
         offset=np.zeros(shape, np.float32),
@@ -249,23 +253,43 @@ def fit(
         chosen=np.full(shape, -1, np.int32),
     )
     in_rows(pool, len(start), _median_kernels.median_rows, _MEDIAN_REACH, warp.valid, start, field.w)
-    del start  # as large as the image
+    return field
+
+
+def advance(
+    field: Field,
+    first: View,
+    second: View,
+    warp: Warp,
+    settings: Slanted,
+    steps: tuple[Step, ...],
+    pixel: float,
+    pool: ThreadPoolExecutor,
+) -> None:
+    """Take some steps from where the field is.
+
+    Parameters
+    ----------
+    pixel
+        Angle of a pixel of the panorama, radians.
+    """
+    rows = len(field.w)
+    samples, none = no_samples(field.w.shape), np.zeros((0, 0, 6), np.float32)
     for number, step in enumerate(steps, 1):
         sample(field.w, second, warp, samples, pool)
         half, reach = step.window_px // 2, settings.patch_px // 2 if step.sharp else -1
         in_rows(
-            pool, shape[0], _fit_kernels.fit_rows, half, _LEAST_SHARE * step.window_px**2, _SLOPE_WEIGHT,
-            not step.sharp, warp.valid, warp.x, field.w, first.image, samples.known, samples.value, samples.slope,
-            samples.motion, field.plane, field.covariance if number == len(steps) else none, field.residual,
-            field.gain, field.offset, field.share,
+            pool, rows, _fit_kernels.fit_rows, half, _LEAST_SHARE * step.window_px**2, _SLOPE_WEIGHT,
+            not step.sharp, second.noise, warp.valid, warp.x, field.w, first.image, samples.known, samples.value,
+            samples.slope, samples.motion, field.plane, field.covariance if number == len(steps) else none,
+            field.residual, field.gain, field.offset, field.share,
         )  # fmt: skip
         in_rows(
-            pool, shape[0], _kernels.choose_rows, half, reach, _APART_PX * pixel, _CENTRE_BONUS,
+            pool, rows, _kernels.choose_rows, half, reach, _APART_PX * pixel, _CENTRE_BONUS,
             _RESIDUAL_WEIGHT, 1 / settings.d_max_m, _BEYOND / settings.d_min_m, warp.valid, warp.x, warp.t, warp.R,
             warp.s, warp.camera, first.image, second.coefficients, field.plane, field.residual, field.gain,
             field.offset, field.w, field.chosen,
         )  # fmt: skip
-    return field
 
 
 def read_planes(field: Field, x: Array, part: Part) -> tuple[NDArray[np.intp], NDArray[np.int32], Array]:

@@ -21,6 +21,8 @@ The standard deviation is that of least squares, from the window's own residual,
 is no less than two thirds of what the planes around differ by, and two fifths of what the match back misses the pixel
 by, and grows with doubt; see `doubt`.
 
+After the first step it is known how noisy the images are, and they are smoothed accordingly; see `smoothing`.
+
 The first steps fit narrow windows: what lies between two borders and is narrower than a window would be lost to what is
 beside it, and with it the planes that later steps choose from. Wide windows end it, as noise asks for.
 """
@@ -47,7 +49,8 @@ from harness.matching.slanted.field import (
     Mask,
     Part,
     Warp,
-    fit,
+    advance,
+    field_from,
     in_rows,
     no_samples,
     part_of,
@@ -60,6 +63,7 @@ from harness.matching.slanted.field import (
 )
 from harness.matching.slanted.settings import Slanted
 from harness.matching.slanted.sigma import CONFIRMED, at_least, doubted, inflation_of, sigma_of
+from harness.matching.slanted.smoothing import blur_for
 
 _ACROSS_SEAM = 6
 """How many windows a periodic image is continued by on both sides."""
@@ -121,12 +125,16 @@ def refine_slanted(
         forth_warp = warp_between(part_1, part_2, motion, closed[0][1])
         forget_directions(sensors[0])
         first, second = views
-        start, steps = _start(start_alpha_2, forth_warp, grid, pool), steps_forth(settings)
-        forth = fit(first, second, forth_warp, start, settings, steps, grid.phi_pitch, pool)
-        del start  # arrays as large as the image go as soon as they can: they are what memory a large one takes
+        forth = field_from(_start(start_alpha_2, forth_warp, grid, pool), forth_warp, pool)
+        steps = steps_forth(settings)
+        advance(forth, first, second, forth_warp, settings, steps[:1], grid.phi_pitch, pool)
+        if blur := blur_for(forth.share[:, part_1.once], forth.residual[:, part_1.once]):
+            first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2), (blur, blur))
+        advance(forth, first, second, forth_warp, settings, steps[1:], grid.phi_pitch, pool)
+        # Arrays as large as the image go as soon as they can: they are what memory a large one takes.
         samples = no_samples(forth.w.shape)
         sample(forth.w, second, forth_warp, samples, pool)
-        inflation = inflation_of(forth, first, samples, forth_warp, pool)
+        inflation = inflation_of(forth, first, second, samples, forth_warp, pool)
         around = surroundings_of(forth, first, samples, forth_warp, settings.window_px, pool)
         del samples
         read = _on_panorama(forth, inflation, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
@@ -135,9 +143,10 @@ def refine_slanted(
         start, back_warp = _transferred(forth, forth_warp, part_2, closed[1][1].shape), way_back.result()
         del forth, forth_warp, way_back  # a field takes 76 bytes a pixel: one at a time
         forget_directions(sensors[1])
-        steps = steps_back(settings)
-        reverse = fit(second, first, back_warp, start, settings, steps, grid.phi_pitch, pool, covariance=False)
-        del first, second, back_warp, start
+        reverse = field_from(start, back_warp, pool, covariance=False)
+        del start
+        advance(reverse, second, first, back_warp, settings, steps_back(settings), grid.phi_pitch, pool)
+        del first, second, back_warp
         return _matches(read, start_alpha_2, Reverse(reverse, part_2, motion), grid, settings, pool)
 
 

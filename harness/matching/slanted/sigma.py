@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
-from harness.matching.slanted import _fit_kernels, _reading_kernels
+from harness.matching.slanted import _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Field, Samples, Step, View, Warp, in_rows, steps_forth
 from harness.matching.slanted.means import means
 from harness.matching.slanted.settings import Slanted
+from harness.matching.slanted.smoothing import noise_left, smoothed
 
 _CORRELATED_PX = 33
 """Width of the square over which correlation is measured: four windows, as one is too few to measure it by."""
@@ -38,8 +39,8 @@ def sigma_of(
 
     - What adds up in a window is not white; see `inflation_of`.
     - The gradient g holds noise too. It adds to the normal matrix, not to what the normal equations say, so a step goes
-      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f² when taken 1 + f times as
-      far. What is left of the field before, f or f² of it, is smoothed over a window. So the field is the sum of the
+      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f³ when taken 1 + f + f² times
+      as far. What is left of the field before, f or f³ of it, is smoothed over a window. So the field is the sum of the
       planes that noise alone would give, smoothed n times and less and less of each; see `smoothed_noise`.
     """
     variance = np.empty(window.shape)
@@ -74,8 +75,8 @@ def smoothed_noise(steps: tuple[Step, ...]) -> Array:
     0, once for rows and once for columns, in units of the last window's side, whose C it is.
     """
     sides = [step.window_px / steps[-1].window_px for step in reversed(steps)]
-    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f), p = 0 for the last.
-    powers = [1 if step.sharp else 2 for step in reversed(steps)]
+    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f + f²), p = 0 for the last.
+    powers = [1 if step.sharp else 3 for step in reversed(steps)]
     weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(len(steps))]
     total = np.zeros(2 * sum(powers) - 1)
     for k, one in enumerate(weights):
@@ -103,21 +104,24 @@ def density_at_0(sides: Mapping[float, int]) -> float:
     return total / (factorial(n - 1) * prod(side**m for side, m in sides.items()))
 
 
-def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: ThreadPoolExecutor) -> Array:
+def inflation_of(
+    field: Field, first: View, second: View, samples: Samples, warp: Warp, pool: ThreadPoolExecutor
+) -> Array:
     """How much larger the variance is of a window's sums than if residuals were white, `[height, width]`.
 
     The larger of two. Where pixels of view 2 are larger than those of view 1, by the factor A in area, neighbouring
-    samples share their noise: per sample it counts as A, where the residual shows only the spline's VALUE_NOISE². And
-    what the model leaves out, the finest texture above all, is measured: the sum of g_i r_i g_j r_j over neighbours
-    i, j against that over i = j (Newey and West 1987).
+    samples share their noise: per sample it counts as A, where the residual shows only what the spline leaves. Pixels
+    of smoothed images share theirs too, in both views. And what the model leaves out, the finest texture above all, is
+    measured: the sum of g_i r_i g_j r_j over neighbours i, j against that over i = j (Newey and West 1987).
     """
     shape = field.w.shape
+    smooth = _through_smoothing(samples, second.blur, pool) if second.blur else None
     score, area = np.zeros(shape), np.ones(shape)
     in_rows(
         pool, len(score), _kernels.judge_rows, warp.valid, warp.x, warp.R, warp.s, warp.camera, first.image,
         samples.known, samples.value, samples.slope, field.plane, field.chosen, field.gain, field.offset, score, area,
     )  # fmt: skip
-    visible = _fit_kernels.VALUE_NOISE**2
+    visible = second.noise[0] ** 2
     measured = means(score, 3, pool, np.empty(shape))
 
     # In place, as these are as large as the image.
@@ -127,8 +131,11 @@ def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: 
         score[first:end] *= score[first:end]
 
     def larger(first: int, end: int) -> None:
-        shared, of_all = np.maximum(area[first:end], visible, out=area[first:end]), measured[first:end]
-        shared += 1
+        alike = smooth[first:end] if smooth is not None else 1.0
+        shared, of_all = area[first:end], measured[first:end]
+        shared *= alike
+        np.maximum(shared, visible, out=shared)
+        shared += alike
         shared /= 1 + visible
         with np.errstate(invalid="ignore", divide="ignore"):
             of_all /= score[first:end]
@@ -139,3 +146,20 @@ def inflation_of(field: Field, first: View, samples: Samples, warp: Warp, pool: 
     means(score, _CORRELATED_PX, pool, score)
     in_rows(pool, len(score), larger)
     return measured
+
+
+def _through_smoothing(samples: Samples, blur: float, pool: ThreadPoolExecutor) -> Array:
+    """How much larger the variance of a sum of g n is than if the pixels' smoothed noise n were white.
+
+    With noise N that was white, of variance s² before it was smoothed by K, the sum is that of g (K N), or of (K g) N:
+    its variance is s² times the sum of (K g)², where that of white noise as large would be s² |K|² times the sum of g².
+    """
+    slope = np.where(samples.known, samples.slope, np.float32(0))
+    left = np.square(smoothed(slope, blur), dtype=np.float64)
+    means(left, _CORRELATED_PX, pool, left)
+    all_of_it = np.square(slope, dtype=np.float64)
+    del slope
+    with np.errstate(invalid="ignore", divide="ignore"):
+        left /= means(all_of_it, _CORRELATED_PX, pool, all_of_it)
+    left /= noise_left(blur)
+    return np.nan_to_num(left, copy=False, nan=1.0, posinf=1.0)

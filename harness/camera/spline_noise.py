@@ -1,0 +1,24 @@
+"""What interpolation leaves of an image's noise."""
+
+from functools import lru_cache
+
+import numpy as np
+
+
+@lru_cache(maxsize=64)
+def noise_through_spline(kernel: tuple[float, ...] = (1.0,)) -> tuple[float, float]:
+    """Variance, along one axis, of unit-variance noise after cubic B-spline interpolation, and of its slope; means.
+
+    The integrals over w of G² H² and of (w G H)², divided by that of G² from -pi to pi: H = 3 sinc(w/2)^4/(2 + cos w)
+    is the frequency response of the spline, G that of the smoothing of noise that was white before.
+
+    Parameters
+    ----------
+    kernel
+        Weights of that smoothing along the axis, which is symmetric: of the pixel itself, of the next, and so on.
+    """
+    w = (np.arange(200_000) + 0.5) * (8 * np.pi / 200_000)  # beyond, H² is below 1e-8
+    G = kernel[0] + 2 * sum((weight * np.cos(j * w) for j, weight in enumerate(kernel[1:], 1)), np.zeros(w.shape))
+    H = 3 * np.sinc(w / (2 * np.pi)) ** 4 / (2 + np.cos(w))
+    whole = np.sum(G[w < np.pi] ** 2)
+    return float(np.sum((G * H) ** 2) / whole), float(np.sum((w * G * H) ** 2) / whole)
