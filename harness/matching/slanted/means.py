@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from harness.geometry.angles import Array
 from harness.matching.slanted import _means_kernels as _kernels
+from harness.matching.slanted.field import in_turn
 
 _LINES = 64
 """Rows, or columns, that are worked on at a time."""
@@ -27,10 +28,8 @@ def means(values: NDArray[np.floating], side: int, pool: ThreadPoolExecutor, out
     """
 
     def in_lines(work: Callable[..., None], count: int, source: NDArray[np.floating]) -> None:
-        list(
-            pool.map(
-                lambda first: work(first, min(first + _LINES, count), side, source, output), range(0, count, _LINES)
-            )
+        in_turn(
+            pool, range(0, count, _LINES), lambda first: work(first, min(first + _LINES, count), side, source, output)
         )
 
     in_lines(_kernels.along_columns, values.shape[1], values)

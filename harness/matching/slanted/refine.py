@@ -52,6 +52,7 @@ from harness.matching.slanted.field import (
     advance,
     field_from,
     in_rows,
+    in_turn,
     no_samples,
     part_of,
     read_planes,
@@ -168,7 +169,7 @@ def _start(alpha_2: Array, warp: Warp, grid: Grid, pool: ThreadPoolExecutor) -> 
             alpha_1 = np.arctan2(*_across_and_along(warp.t, panorama[rows]))
             w[rows] = np.sin(alpha_2[rows] - alpha_1) / (baseline * np.sin(alpha_2[rows]))
 
-    list(pool.map(reach, row_bands(grid)))
+    in_turn(pool, row_bands(grid), reach)
 
     def cover(first: int, end: int) -> None:
         row, column, inside = pixel_that_holds(grid, np.nan_to_num(warp.x[first:end]))
@@ -238,7 +239,7 @@ def _on_panorama(
         doubt = factor(around, index, window) * factor_by_start(from_start, forth.share.ravel()[window] < 1)
         result.doubt[rows] = np.where(within, doubt, np.inf)
 
-    list(pool.map(read, row_bands(grid)))
+    in_turn(pool, row_bands(grid), read)
     return result
 
 
@@ -272,6 +273,6 @@ def _matches(
         alpha_2[rows], reasons[rows] = np.where(matched, alpha, np.nan), reason
         sigma_2[rows] = np.where(matched, doubted(sigma, read.doubt[rows]), np.nan)
 
-    list(pool.map(confirm, row_bands(grid)))
+    in_turn(pool, row_bands(grid), confirm)
     tell_occluded(reasons, read.w, read.unlike, start_alpha_2, reverse, grid, apart)
     return Matches(alpha_2=alpha_2, confidence=1 / sigma_2, sigma_alpha_2=sigma_2, reason=reasons)
