@@ -26,11 +26,11 @@ class Shape(OneLine):
     range_m: Array
     domain: Mask
     directions: Array
-    """`[height, width, 3]`, unit vectors; normals are in the same frame."""
+    """`[3, height, width]`, unit vectors; normals are in the same frame."""
     edge: Array
     """The length of Sobel's gradient of the true range, metres; NaN where a neighbour has no range."""
     normal: Array
-    """`[height, width, 3]`, by the true points of the four neighbours: smeared at an edge as an estimate's are."""
+    """`[3, height, width]`, by the true points of the four neighbours: smeared at an edge as an estimate's are."""
     smooth: Mask
     """Pixels of the domain that are not next to a jump in range."""
     around: bool
@@ -40,8 +40,9 @@ class Shape(OneLine):
 def shape_of(range_m: Array, domain: Mask, directions: Array, discontinuity: Mask) -> Shape:
     """The true shape of any map, `[height, width]`, with unit directions `[height, width, 3]`."""
     around = goes_around(directions)
-    edge, normal = edges_and_normals(range_m, directions, around=around)
-    return Shape(range_m, domain, directions, edge, normal, domain & ~discontinuity, around)
+    components = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
+    edge, normal = _edges_and_normals(range_m, components, around=around)
+    return Shape(range_m, domain, components, edge, normal, domain & ~discontinuity, around)
 
 
 def goes_around(directions: Array) -> bool:
@@ -55,12 +56,27 @@ def goes_around(directions: Array) -> bool:
 
 
 def edges_and_normals(range_m: Array, directions: Array, *, around: bool) -> tuple[Array, Array]:
-    """The length of Sobel's gradient, metres, and unit normals towards the viewpoint, of a map of ranges."""
-    edge, normal = np.empty(range_m.shape), np.empty(directions.shape)
-    range_m = np.ascontiguousarray(range_m, dtype=np.float64)
-    _kernels.sobel(range_m, around, edge)
-    _kernels.normals(range_m, np.ascontiguousarray(directions), around, normal)
+    """The length of Sobel's gradient, metres, and unit normals towards the viewpoint, of a map of ranges.
+
+    Both NaN where a neighbour has no range, and at the map's border.
+    """
+    edge, normal = _edges_and_normals(range_m, np.ascontiguousarray(np.moveaxis(directions, -1, 0)), around=around)
+    return edge, np.moveaxis(normal, 0, -1)
+
+
+def _edges_and_normals(range_m: Array, components: Array, *, around: bool) -> tuple[Array, Array]:
+    """The same of directions `[3, height, width]`, with normals `[3, height, width]`."""
+    edge, normal = np.empty(range_m.shape), np.empty(components.shape)
+    _kernels.edges_and_normals(_bordered(range_m, around=around), components, edge, normal)
     return edge, normal
+
+
+def _bordered(range_m: Array, *, around: bool) -> Array:
+    """A map with its neighbours around it: the other side's columns where it goes around, else NaN."""
+    bordered = np.pad(range_m.astype(np.float64, copy=False), 1, constant_values=np.nan)
+    if around:
+        bordered[:, 0], bordered[:, -1] = bordered[:, -2], bordered[:, 1]
+    return bordered
 
 
 @dataclass(frozen=True)
@@ -95,16 +111,18 @@ def shape_scores(shape: Shape, range_error_m: Array, disparity_error_px: Array, 
         Pixels with an estimate.
     """
     error = np.where(valid, range_error_m, np.nan)
-    edge, normal = edges_and_normals(shape.range_m + error, shape.directions, around=shape.around)
-    boundaries, angles, within = np.zeros((len(EDGES_M), 3)), np.zeros(3), np.zeros(len(NORMALS_DEG))
+    angles, turned = np.zeros(3), np.zeros(len(NORMALS_DEG) + 1, dtype=np.int64)
+    edges = np.zeros((len(EDGES_M) + 1, len(EDGES_M) + 1), dtype=np.int64)
     _kernels.compare(
-        edge, normal, shape.edge, shape.normal, shape.domain, shape.smooth, np.array(EDGES_M), np.array(NORMALS_DEG),
-        boundaries, angles, within,
+        _bordered(shape.range_m + error, around=shape.around), shape.directions, shape.edge, shape.normal,
+        shape.domain, shape.smooth, np.array(EDGES_M), np.array(NORMALS_DEG), edges, angles, turned,
     )  # fmt: skip
+    in_both = [edges[i:, i:].sum() for i in range(1, len(edges))]
+    in_truth, in_estimate = (np.cumsum(edges.sum(axis=axis)[:0:-1])[::-1] for axis in (1, 0))
     with np.errstate(invalid="ignore"):
-        recall, precision = (boundaries[:, 2] / boundaries[:, which] for which in (0, 1))
+        recall, precision = in_both / in_truth, in_both / in_estimate
         mean, mean_square = angles[1:] / angles[0]
-        shares = within / angles[0]
+        shares = np.cumsum(turned[:-1]) / angles[0]
     return ShapeScores(
         seam_m=_seam(error, shape.domain) if shape.around else np.nan,
         seam_px=_seam(disparity_error_px, shape.domain & valid) if shape.around else np.nan,
