@@ -12,7 +12,7 @@ COUNT, NEGATIVE, SQUARE_PX, GROSS, OFF_M, SQUARE_M, BIAS_M = range(7)
 """Columns of the sums of a class; there is one more, so that a row is a power of two."""
 KINDS = 8
 
-BLOCK = 2048
+BLOCK = 1024
 """Entries of an order that are counted together before testing whether a middle lies among them."""
 
 
@@ -224,13 +224,15 @@ def find_ranks(order, strata, labels, layer_of_group, ranks, index):
     groups = ranks.shape[0]
     passed, here = np.zeros((groups, 2), dtype=np.int64), np.zeros((groups, 2), dtype=np.int64)
     counts = np.zeros((labels.shape[0], 2), dtype=np.int32)
+    block = np.empty(BLOCK, dtype=np.int32)  # strata lie anywhere, and are searched once for each of the block's ranks
     low = np.uint64(0xFFFFFFFF)
     for start in range(0, order.size, BLOCK):
-        stop = min(start + BLOCK, order.size)
+        size = min(BLOCK, order.size - start)
         counts[:] = 0
         here[:] = 0
-        for j in range(start, stop):
-            stratum = strata[order[j] & low]
+        for j in range(size):
+            stratum = strata[order[start + j] & low]
+            block[j] = stratum
             counts[stratum >> 1, stratum & 1] += 1
         for class_number in range(labels.shape[0]):
             if counts[class_number, 0] + counts[class_number, 1] > 0:
@@ -250,12 +252,11 @@ def find_ranks(order, strata, labels, layer_of_group, ranks, index):
                 wanted |= before <= ranks[group, query] < before + number
             if wanted:
                 zeros, ones, layer = passed[group, 0], passed[group, 1], layer_of_group[group]
-                for j in range(start, stop):
-                    i = order[j] & low
-                    stratum = strata[i]
+                for j in range(size):
+                    stratum = block[j]
                     if labels[stratum >> 1, layer] != group:
                         continue
-                    sign = stratum & 1
+                    i, sign = order[start + j] & low, stratum & 1
                     among = ones if sign else zeros
                     for query in range(2):
                         if ranks[group, query] == zeros + ones:

@@ -95,12 +95,12 @@ def _cosines(normal, true_normal, row, out):
 
 
 @kernel
-def _above(value, limits):
-    """How many of the limits a value is above; a NaN is above none."""
-    number = 0
+def _levels(values, limits, out):
+    """Write how many of the limits each value is above; a NaN is above none."""
+    out[:] = 0
     for limit in limits:
-        number += value > limit
-    return number
+        for j in range(np.uint64(out.size)):
+            out[j] += values[j] > limit
 
 
 @kernel
@@ -116,22 +116,27 @@ def compare(bordered, directions, true_edge, true_normal, domain, smooth, limits
     height, width = domain.shape
     points, normal = np.empty((3, 3, width + 2)), np.empty((3, width))
     edge, cosines = np.empty((2, width))
+    true_level, level = np.empty((2, width), dtype=np.int32)
+    number, total, squares = 0, 0.0, 0.0
     for i in range(height):
         _gradients(bordered, i, edge)
         _normals(bordered, directions, i, points, normal)
         _cosines(normal, true_normal, i, cosines)
-        for j in range(width):
+        _levels(true_edge[i], limits_m, true_level)
+        _levels(edge, limits_m, level)
+        for j in range(np.uint64(width)):
             if not domain[i, j]:
                 continue
             if not math.isnan(true_edge[i, j]):
-                edges[_above(true_edge[i, j], limits_m), _above(edge[j], limits_m)] += 1
+                edges[true_level[j], level[j]] += 1
             if not smooth[i, j] or math.isnan(cosines[j]):
                 continue
             angle = math.degrees(math.acos(min(max(cosines[j], -1.0), 1.0)))
-            angles[0] += 1.0
-            angles[1] += angle
-            angles[2] += angle * angle
+            number += 1
+            total += angle
+            squares += angle * angle
             reached = 0
             for limit in limits_deg:
                 reached += angle >= limit
             turned[reached] += 1
+    angles[0], angles[1], angles[2] = number, total, squares

@@ -147,6 +147,7 @@ def _directions(grid: Grid, rotation: bytes) -> Array:
     return cylinder(grid) if rotation == _IDENTITY else cylinder(grid) @ np.frombuffer(rotation).reshape(3, 3).T
 
 
+@lru_cache(maxsize=8)
 def _share_in_field(sensor: Sensor, grid: Grid, rotation: bytes = _IDENTITY) -> float:
     """The share of the panorama's pixels in the cone that the sensor would see on an image without borders."""
     return float(in_field(sensor, _directions(grid, rotation)).mean())

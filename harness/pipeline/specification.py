@@ -13,7 +13,7 @@ from harness.camera.sensor import Sensor
 from harness.camera.unwrap import Interpolation
 from harness.camera.visible_rows import is_open, with_rows
 from harness.errors import InputError, with_article
-from harness.evaluation.rig_uncertainty import Odometry
+from harness.evaluation.rig_uncertainty import Odometry, Uncertainty
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion, Pose, relative_motion, translated
 from harness.localisation.settings import Localisation
@@ -295,7 +295,8 @@ class Trial(Spec):
     @property
     def belief_draws(self) -> dict[str, float]:
         """The errors of the believed rig that the seed draws, by parameter."""
-        return draws_of(self.sensor, self.believed.sigma, self.true_motion, self.seed)
+        sigma = self.believed.sigma
+        return {} if sigma == Uncertainty() else draws_of(self.sensor, sigma, self.true_motion, self.seed)
 
     @property
     def lenses(self) -> tuple[Optics, Optics]:

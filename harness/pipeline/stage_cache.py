@@ -6,9 +6,13 @@ from typing import Any, Protocol, TypeVar, cast
 
 T = TypeVar("T")
 
-SIZES = dict.fromkeys(("render", "exposure", "noise", "colour", "unwrap", "filter", "project"), 4)
-"""Number of results kept for each stage, two views per trial; `OTHERS` for all other stages, as they may be large."""
+SIZES = dict.fromkeys(("render", "exposure", "colour", "project"), 4) | dict.fromkeys(("noise", "unwrap", "filter"), 8)
+"""Number of results kept for each stage, two views per trial; `OTHERS` for all other stages, as they may be large.
+
+With eight, what view 1 shows at each of three levels of noise is still there when the next baseline comes.
+"""
 OTHERS = 2
+_MISSING: Any = object()
 
 
 class Source(Protocol):
@@ -37,10 +41,11 @@ class StageCache:
     def get(self, stage: str, key: Hashable, make: Callable[..., T]) -> T:
         """The result of a stage with this key, made if it is missing."""
         results = self._results.setdefault(stage, OrderedDict())
-        if key not in results:
+        result = results.pop(key, _MISSING)  # one look-up: keys are deep, and compared anew at each
+        if result is _MISSING:
             if len(results) >= self._sizes.get(stage, OTHERS):
                 results.popitem(last=False)  # before the new one is made: two cost volumes need not fit
             source = self._backing.get(stage)
-            results[key] = make() if source is None else source.get(key, make)
-        results.move_to_end(key)
-        return cast("T", results[key])
+            result = make() if source is None else source.get(key, make)
+        results[key] = result
+        return cast("T", result)

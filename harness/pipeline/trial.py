@@ -35,7 +35,7 @@ from harness.simulation.noise import generator, with_noise, words_of
 from harness.simulation.optics import with_optics
 from harness.simulation.render import render
 from harness.simulation.scene_geometry import check_viewpoint, geometry_near
-from harness.simulation.truth import Truth, truth
+from harness.simulation.truth import Surfaces, Truth, surfaces, truth
 
 Image = NDArray[np.float32]
 """`[sensor height, sensor width]`, grey levels of 0 .. 255."""
@@ -210,26 +210,36 @@ COLOUR = Stage("colour", _colour, _colour_settings, per_view=True)
 """Red, green and blue of a view, rendered, exposed and with noise of their own; for matchers that ask for them."""
 
 
-def _truth(work: Work, _view: int) -> Truth:
-    trial, setup = work.trial, work.setup
+def _surfaces(work: Work, _view: int) -> Surfaces:
+    trial = work.trial
     looking = directions(trial.panorama)
-    first, second = trial.assumed_sensors
-    result = truth(
-        trial.scene,
-        setup.poses[0],
-        looking,
-        in_use(first, looking),
-        pose_2=setup.poses[1],
-        sensor_2=second,
-        threads=work.threads,
-    )
+    inside = in_use(trial.assumed_sensors[0], looking)
+    result = surfaces(trial.scene, work.setup.poses[0], looking, inside, threads=work.threads)
     _refuse_changed_scene(work)
     return result
 
 
-TRUTH = Stage(
-    "truth", _truth, lambda setup, _view: (setup.scene, setup.trial.assumed_sensors, setup.poses, setup.trial.panorama)
+SURFACES = Stage(
+    "surfaces",
+    _surfaces,
+    lambda setup, _view: (setup.scene, setup.trial.assumed_sensors[0], setup.poses[0], setup.trial.panorama),
 )
+"""What view 1 sees along every direction of its panorama, the same wherever view 2 is."""
+
+
+def _truth(work: Work, _view: int) -> Truth:
+    trial, (pose_1, pose_2) = work.trial, work.setup.poses
+    first, second = trial.assumed_sensors
+    looking = directions(trial.panorama)
+    result = truth(
+        trial.scene, pose_1, looking, in_use(first, looking),
+        pose_2=pose_2, sensor_2=second, threads=work.threads, seen=work(SURFACES),
+    )  # fmt: skip
+    _refuse_changed_scene(work)
+    return result
+
+
+TRUTH = Stage("truth", _truth, lambda setup, _view: (setup.trial.assumed_sensors[1], setup.poses[1]), after=(SURFACES,))
 """The ground truth along every direction of view 1's panorama: what the instrument should say, whatever a misaligned
 sensor has seen there."""
 
@@ -375,7 +385,7 @@ BOUND = Stage("bound", _bound, _bound_settings, after=(EXPOSURE, TRUTH))
 """The Cramér-Rao bound of the matcher's own window."""
 
 STAGES: tuple[Stage[Any], ...] = (
-    RENDER, EXPOSURE, NOISE, COLOUR, TRUTH, MOTION, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND
+    RENDER, EXPOSURE, NOISE, COLOUR, SURFACES, TRUTH, MOTION, PAIR, MATCH, RANGE, REFERENCE, SCORE, BOUND
 )  # fmt: skip
 """All stages, in the order of the pipeline."""
 

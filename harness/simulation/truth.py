@@ -4,6 +4,7 @@ Ground truth is traced along one ray through the centre of each pixel, without a
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,8 @@ from harness.simulation._rendering_kernels import describe_surfaces, in_view, lo
 from harness.simulation.cast import cast, rotated
 from harness.simulation.scene import Scene
 from harness.simulation.scene_geometry import Geometry, Ints, check_viewpoint, geometry_near
+
+T = TypeVar("T")
 
 Mask = NDArray[np.bool_]
 
@@ -53,41 +56,41 @@ class Truth(OneLine):
     """The texture of the surface is a uniform grey."""
 
 
-def truth(
+@dataclass(frozen=True, repr=False)
+class Surfaces(OneLine):
+    """What one view sees in an array of directions `[rows, columns]`, whatever a second one does; read-only.
+
+    Arrays `[n]` are of the rays that hit something.
+    """
+
+    range_m: Array
+    normal: Array
+    face: Ints
+    discontinuity: Mask
+    textureless: Mask
+    """As in `Truth`."""
+    pixel: NDArray[np.intp]
+    """`[n]`: the flat index of each ray's direction."""
+    rays: Array
+    """`[n, 3]`: unit vectors in the world."""
+
+
+def surfaces(
     scene: Scene,
-    pose_1: Pose,
-    directions_v1: ArrayLike,
+    pose: Pose,
+    directions: ArrayLike,
     valid: ArrayLike,
     *,
-    pose_2: Pose | None = None,
-    sensor_2: Sensor | None = None,
     wrap_columns: bool = True,
     threads: int | None = None,
-) -> Truth:
-    """Ground truth of directions seen from one view, and whether a second view sees the same points.
-
-    Parameters
-    ----------
-    directions_v1
-        `[rows, columns, 3]`, unit length, in view 1's frame; may be NaN where not valid.
-    valid
-        `[rows, columns]`, bool.
-    pose_2, sensor_2
-        The second view. With a pose alone its field is ignored.
-    wrap_columns
-        Whether the first and last columns are neighbours, as in a panorama of 360 degrees.
-
-    Raises
-    ------
-    InputError
-        When a view is outside the scene or inside an object, or a ray escapes from a closed scene.
-    """
+) -> Surfaces:
+    """The surfaces seen from one view; see `truth` for the arguments."""
     valid = np.asarray(valid, dtype=bool)
-    directions = np.asarray(directions_v1, dtype=np.float64)
-    geometry = geometry_near(scene, pose_1.position_m)
+    directions = np.asarray(directions, dtype=np.float64)
+    geometry = geometry_near(scene, pose.position_m)
     pixel = np.flatnonzero(valid)
-    rays = rotated(directions.reshape(-1, 3)[pixel], pose_1.R_world_from_view)
-    range_hit, face_hit = _first_hits(geometry, pose_1, rays, threads)
+    rays = rotated(directions.reshape(-1, 3)[pixel], pose.R_world_from_view)
+    range_hit, face_hit = _first_hits(geometry, pose, rays, threads)
 
     range_m = np.full(valid.shape, np.nan)
     face = np.full(valid.shape, -1, dtype=np.int32)
@@ -106,30 +109,76 @@ def truth(
         world.reshape(-1, 3),
         textureless.reshape(-1),
     )
-    has_range = face >= 0
+    met = face_hit >= 0
+    if not met.all():
+        pixel, rays = pixel[met], rays[met]
+    jumps = discontinuities(range_m, normal, world, wrap_columns=wrap_columns)
+    return _locked(Surfaces(range_m, normal, face, jumps, textureless, pixel, rays))
+
+
+def truth(
+    scene: Scene,
+    pose_1: Pose,
+    directions_v1: ArrayLike,
+    valid: ArrayLike,
+    *,
+    pose_2: Pose | None = None,
+    sensor_2: Sensor | None = None,
+    wrap_columns: bool = True,
+    threads: int | None = None,
+    seen: Surfaces | None = None,
+) -> Truth:
+    """Ground truth of directions seen from one view, and whether a second view sees the same points.
+
+    Parameters
+    ----------
+    directions_v1
+        `[rows, columns, 3]`, unit length, in view 1's frame; may be NaN where not valid.
+    valid
+        `[rows, columns]`, bool.
+    pose_2, sensor_2
+        The second view. With a pose alone its field is ignored.
+    wrap_columns
+        Whether the first and last columns are neighbours, as in a panorama of 360 degrees.
+    seen
+        What `surfaces` gives for view 1, if that is known.
+
+    Raises
+    ------
+    InputError
+        When a view is outside the scene or inside an object, or a ray escapes from a closed scene.
+    """
+    if seen is None:
+        seen = surfaces(scene, pose_1, directions_v1, valid, wrap_columns=wrap_columns, threads=threads)
+    has_range = seen.face >= 0
     unoccluded, in_field_2 = has_range.copy(), has_range.copy()
     if pose_2 is not None:
-        met = face_hit >= 0
-        if not met.all():
-            pixel, rays, range_hit, face_hit = pixel[met], rays[met], range_hit[met], face_hit[met]
+        geometry, pixel = geometry_near(scene, pose_1.position_m), seen.pixel
+        range_m, face = seen.range_m.reshape(-1)[pixel], seen.face.reshape(-1)[pixel]
         towards, distance = np.empty((pixel.size, 3)), np.empty(pixel.size)
-        look_from(_from_centre(geometry, pose_1), _from_centre(geometry, pose_2), rays, range_hit, towards, distance)
-        unoccluded.reshape(-1)[pixel] = _unoccluded(geometry, pose_2, towards, distance, face_hit, threads)
+        look_from(_from_centre(geometry, pose_1), _from_centre(geometry, pose_2), seen.rays, range_m, towards, distance)
+        unoccluded.reshape(-1)[pixel] = _unoccluded(geometry, pose_2, towards, distance, face, threads)
         if sensor_2 is not None:
             in_field_2.reshape(-1)[pixel] = on_sensor(sensor_2, pose_2, towards)
-    result = Truth(
-        range_m=range_m,
-        normal=normal,
-        face=face,
-        unoccluded=unoccluded,
-        in_field_2=in_field_2,
-        visible=unoccluded & in_field_2,
-        discontinuity=discontinuities(range_m, normal, world, wrap_columns=wrap_columns),
-        textureless=textureless,
+    return _locked(
+        Truth(
+            range_m=seen.range_m,
+            normal=seen.normal,
+            face=seen.face,
+            unoccluded=unoccluded,
+            in_field_2=in_field_2,
+            visible=unoccluded & in_field_2,
+            discontinuity=seen.discontinuity,
+            textureless=seen.textureless,
+        )
     )
-    for array in vars(result).values():
+
+
+def _locked(made: T) -> T:
+    """The same arrays, read-only."""
+    for array in vars(made).values():
         array.flags.writeable = False
-    return result
+    return made
 
 
 def on_sensor(sensor: Sensor, pose: Pose, directions: Array) -> Mask:
