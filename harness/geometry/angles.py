@@ -8,11 +8,12 @@ Array = NDArray[np.float64]
 
 def wrap_angle(angle: ArrayLike) -> Array:
     """The same angle in [-pi, pi), in radians; an angle that already lies there is returned bit for bit."""
-    angle = np.asarray(angle, dtype=np.float64)
-    wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
+    angle = np.array(angle, dtype=np.float64)
+    outside = ~((angle >= -np.pi) & (angle < np.pi))
+    wrapped = np.mod(angle[outside] + np.pi, 2 * np.pi) - np.pi
     # Just below -pi the remainder rounds up to 2 pi itself.
-    wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
-    return np.where((angle >= -np.pi) & (angle < np.pi), angle, wrapped)
+    angle[outside] = np.where(wrapped >= np.pi, -np.pi, wrapped)
+    return angle
 
 
 def lengths(vectors: ArrayLike) -> Array:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from harness.display import OneLine
-from harness.geometry.angles import Array, angle_between, normalise, wrap_angle
-from harness.geometry.panorama import Grid, cylinder
+from harness.geometry.angles import Array, angle_between, lengths, wrap_angle
+from harness.geometry.panorama import Grid, cylinder, directions
 
 Sampling = Literal["phi", "alpha"]
 
@@ -83,11 +83,11 @@ def _curves(grid: Grid, t_bytes: bytes, d_min_m: float, d_max_m: float, sampling
     baseline = float(np.linalg.norm(t))
     if not baseline > 0:
         raise ValueError("the baseline |t| must be above zero")
-    x = normalise(cylinder(grid))
+    x = directions(grid)
     t_hat = t / baseline
     along = x @ t_hat
     across = x - along[..., None] * t_hat
-    sine = np.linalg.norm(across, axis=-1)
+    sine = lengths(across)
     defined = sine > _ON_AXIS
     with np.errstate(divide="ignore", invalid="ignore"):
         m = across / sine[..., None]
@@ -194,5 +194,5 @@ def _phi_2(grid: Grid, x: Array, t: Array, d_1: float) -> Array:
     """phi_2 - phi_1 of a point at range d_1 along the unit directions x, in [-pi, pi)."""
     if np.isinf(d_1):
         return np.zeros(grid.shape)
-    p = d_1 * x - t
-    return wrap_angle(np.arctan2(p[..., 1], p[..., 0]) - grid.phi[None, :])
+    p_x, p_y = (d_1 * x[..., i] - t[i] for i in (0, 1))
+    return wrap_angle(np.arctan2(p_y, p_x) - grid.phi[None, :])

@@ -40,8 +40,9 @@ def rows_of_samples(k_first, k_last, k_0, margin, first, end):
         for row in range(height):
             if k_last[column, row] < k_first[column, row]:
                 continue
-            for k in range(k_first[column, row] - margin - k_0, k_last[column, row] + margin + 1 - k_0):
-                first[column, k] = min(first[column, k], row)
+            begin, stop = k_first[column, row] - margin - k_0, k_last[column, row] + margin + 1 - k_0
+            for k in range(np.uint64(begin), np.uint64(stop)):
+                first[column, k] = min(first[column, k], np.int32(row))
                 end[column, k] = row + 1
 
 

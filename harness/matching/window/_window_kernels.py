@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from harness.compiled import kernel
 from harness.matching._matching_kernels import ALPHA, census_code
 
@@ -126,6 +128,8 @@ def matches(
     """
     height, width, samples = costs.shape
     middle = samples // 2
+    # Of the latest angle in each column: whole samples often are those of the row above.
+    known, cosine, sine = np.full((3, width), math.nan)
     for row in range(height):
         for column in range(width):
             if reason[row, column] != MATCHED:
@@ -145,7 +149,9 @@ def matches(
                 a += position * step[row, column]
             elif position != 0:  # sample 0 is infinity, and exactly there
                 angle = phi[column] + position * step[row, column]
-                c, s = math.cos(angle), math.sin(angle)
+                if angle != known[column]:
+                    known[column], cosine[column], sine[column] = angle, math.cos(angle), math.sin(angle)
+                c, s = cosine[column], sine[column]
                 y = t_hat[0] * s - t_hat[1] * c
                 x = m[row, column, 1] * c - m[row, column, 0] * s
                 a = math.atan2(y, x) if n[row, column, 2] > 0 else math.atan2(-y, -x)
