@@ -57,6 +57,31 @@ def test_a_view_that_does_not_move_is_rendered_once_for_all_baselines():
     assert keys(one, PAIR) != keys(other, PAIR)
 
 
+def test_what_view_1_sees_is_found_once_for_all_baselines():
+    cache, begun = StageCache(), []
+    outcomes = {
+        baseline: run_trial(trial(view_2={"baseline_m": baseline}), cache, begun.append, threads=1)
+        for baseline in (0.2, 0.3)
+    }
+    assert begun.count("surfaces") == 2  # asked for by both
+    assert outcomes[0.2].truth.normal is outcomes[0.3].truth.normal
+    for baseline, outcome in outcomes.items():
+        alone = run_trial(trial(view_2={"baseline_m": baseline}), threads=1)
+        for name, values in vars(alone.truth).items():
+            np.testing.assert_array_equal(getattr(outcome.truth, name), values)
+
+
+def test_three_levels_of_noise_find_view_1_as_the_baseline_before_left_it():
+    """Of three noisy images of view 1 and three of view 2 a baseline, in the order of a sweep, view 1's stay."""
+    cache, made = StageCache(), []
+    for baseline in (0.2, 0.3):
+        for sigma in (0.0, 4.0, 8.0):
+            for view in (1, 2):
+                key = (view, sigma, baseline if view == 2 else None)
+                cache.get("noise", key, lambda key=key: made.append(key))
+    assert len(made) == 3 + 6
+
+
 def test_trials_that_differ_in_the_sub_pixel_step_share_the_search():
     one, other = (trial(matching={"subpixel": step}) for step in ("none", "parabola"))
     assert sharing_keys(one) == sharing_keys(other)

@@ -73,7 +73,9 @@ def _edges_and_normals(range_m: Array, components: Array, *, around: bool) -> tu
 
 def _bordered(range_m: Array, *, around: bool) -> Array:
     """A map with its neighbours around it: the other side's columns where it goes around, else NaN."""
-    bordered = np.pad(range_m.astype(np.float64, copy=False), 1, constant_values=np.nan)
+    height, width = range_m.shape
+    bordered = np.full((height + 2, width + 2), np.nan)
+    bordered[1:-1, 1:-1] = range_m
     if around:
         bordered[:, 0], bordered[:, -1] = bordered[:, -2], bordered[:, 1]
     return bordered

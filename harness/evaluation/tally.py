@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.evaluation import _grouping_kernels as _kernels
-from harness.evaluation.groups import ascending, mean_of_middles, medians
+from harness.evaluation.groups import Groups, Indices, ascending, mean_of_middles, medians
 from harness.evaluation.pixel_errors import Errors
 from harness.evaluation.regions import SURFACES, Layout
 from harness.evaluation.shape_scores import ShapeScores, shape_scores
@@ -77,6 +77,11 @@ class Tally:
         return self.logarithm.size
 
 
+def _pixels_of(middles: Indices, groups: Groups) -> Indices:
+    """The pixels of the picture that middles are at; -1 for an empty group."""
+    return np.where(middles < 0, -1, groups.pixels[middles]) if groups.pixels.size else middles
+
+
 def tally(layout: Layout, valid: Mask, errors: Errors) -> Tally:
     """Add up and sort a trial's errors.
 
@@ -118,7 +123,7 @@ def tally(layout: Layout, valid: Mask, errors: Errors) -> Tally:
         sums=sums,
         median_abs_px=mean_of_middles(middles_px, absolute_px),
         median_abs_m=mean_of_middles(middles_m, off_m),
-        median_px=mean_of_middles(middles_signed, disparity[groups.pixels]),
+        median_px=mean_of_middles(_pixels_of(middles_signed, groups), disparity),
         mean_abs_px=float(mean_abs_px),
         abs_rel=float(abs_rel),
         logarithm=logarithm[:number],

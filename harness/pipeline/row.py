@@ -108,8 +108,9 @@ def _rounding(outcome: Outcome) -> dict[str, float | None]:
 
 def _reasons(outcome: Outcome) -> dict[str, int]:
     """The number of pixels of the domain with each reason; without reasons that do not occur."""
-    counts = np.bincount(outcome.reason[outcome.reference.domain], minlength=len(Reason))
-    return {reason.name: int(counts[reason]) for reason in Reason if counts[reason]}
+    domain = outcome.reference.domain
+    counts = {reason.name: int(np.count_nonzero(domain & (outcome.reason == reason))) for reason in Reason}
+    return {name: count for name, count in counts.items() if count}
 
 
 def _of_confidence(optional: dict[str, Any]) -> dict[str, float | None]:
