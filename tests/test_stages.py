@@ -72,7 +72,7 @@ def test_what_view_1_sees_is_found_once_for_all_baselines():
 
 
 def test_three_levels_of_noise_find_view_1_as_the_baseline_before_left_it():
-    """Of three noisy images of view 1 and three of view 2 a baseline, in the order of a sweep, view 1's stay."""
+    """A sweep has three noisy images of each view a baseline; those of view 1 are not made again."""
     cache, made = StageCache(), []
     for baseline in (0.2, 0.3):
         for sigma in (0.0, 4.0, 8.0):

@@ -108,8 +108,8 @@ def _rounding(outcome: Outcome) -> dict[str, float | None]:
 
 def _reasons(outcome: Outcome) -> dict[str, int]:
     """The number of pixels of the domain with each reason; without reasons that do not occur."""
-    domain = outcome.reference.domain
-    counts = {reason.name: int(np.count_nonzero(domain & (outcome.reason == reason))) for reason in Reason}
+    domain, found = outcome.reference.domain, outcome.reason
+    counts = {reason.name: int(np.count_nonzero(domain & (found == np.uint8(reason)))) for reason in Reason}
     return {name: count for name, count in counts.items() if count}
 
 
