@@ -211,7 +211,10 @@ def test_the_command_with_something_broken(candidate: Write, capsys: pytest.Capt
             "matching.kind: 'windw' is neither a matcher nor written package.module:function; did you mean 'win",
         ),
         (["absent.toml"], "absent.toml: no such file"),
-        (["window", "--set", "matching.windw=1"], "matching.windw: unknown key 'windw'; did you mean 'window_px'?"),
+        (
+            ["window", "--set", "matching.windw=1"],
+            "--set: matching.windw: unknown key 'windw'; did you mean 'window_px'?",
+        ),
         (["window", "--set", "matching.window_px"], "--set: must be written key=value; found 'matching.window_px'"),
     ],
 )

@@ -130,6 +130,7 @@ def refine_slanted(
         steps = steps_forth(settings)
         advance(forth, first, second, forth_warp, settings, steps[:1], grid.phi_pitch, pool)
         if blur := blur_for(forth.share[:, part_1.once], forth.residual[:, part_1.once]):
+            del first, second, views
             first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2), (blur, blur))
         advance(forth, first, second, forth_warp, settings, steps[1:], grid.phi_pitch, pool)
         # Arrays as large as the image go as soon as they can: they are what memory a large one takes.
@@ -140,9 +141,9 @@ def refine_slanted(
         del samples
         read = _on_panorama(forth, inflation, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
         del inflation, around
-        way_back = pool.submit(warp_between, part_2, part_1, _reversed(motion), closed[1][1])
-        start, back_warp = _transferred(forth, forth_warp, part_2, closed[1][1].shape), way_back.result()
-        del forth, forth_warp, way_back  # a field takes 76 bytes a pixel: one at a time
+        start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
+        del forth, forth_warp  # a field takes 76 bytes a pixel, and a warp 25: one at a time
+        back_warp = warp_between(part_2, part_1, _reversed(motion), closed[1][1])
         forget_directions(sensors[1])
         reverse = field_from(start, back_warp, pool, covariance=False)
         del start
