@@ -230,7 +230,7 @@ def test_noise_that_steps_leave(f, narrow):
     steps = steps_forth(Slanted(narrow_iterations=narrow, sharp_iterations=2))
     field = np.zeros_like(impulse)
     for step in steps:
-        part = f if step.sharp else f**3
+        part = f if step.sharp else f * f
         plane, before = (ndimage.uniform_filter(each, step.window_px) for each in (impulse, field))
         field = (1 - part) / (1 - f) * plane + part * before
     # Windows of 11 and 17 samples for a continuum: 1/11², a few times over.

@@ -138,7 +138,7 @@ def test_a_window_is_the_least_squares_solution(far):
         solution, squares, _, _ = np.linalg.lstsq(columns, right, rcond=None)
         if far:
             assert 0.05 < share[i, j] < 0.95
-            solution += (share[i, j] + share[i, j] ** 2) * np.linalg.lstsq(columns, I_1 - a * I_2, rcond=None)[0]
+            solution += share[i, j] * np.linalg.lstsq(columns, I_1 - a * I_2, rcond=None)[0]
             solution[3] = np.mean(right - columns[:, :3] @ solution[:3])
         # Running sums and normal equations: the square of the solver's condition, some 1e4, times 1e-16, with room.
         np.testing.assert_allclose(plane[i, j], solution[:3], rtol=1e-5, atol=1e-5)

@@ -73,7 +73,6 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
         if each["matching.kind"] == "slanted"
     }
     clean = {scene: slanted[scene, 0] for scene in ("box", "corridor", "room")}
-    noisy = {scene: slanted[scene, 10] for scene in ("corridor", "room")}
     draws = [each for each in matchers["limit"] if each["matcher"] == "slanted" and each["sigma_grey"]]
     quietest = min(draws, key=lambda each: each["sigma_grey"])
     unbiased = quietest["within_sigma_without_bias"][0]
@@ -101,10 +100,23 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
             the spread, and each pixel has a bias. With the bias removed, {100 * unbiased:.0f} % lie within one.
         """),
         _one_line(f"""
-            At noise 10 the share within one is {100 * noisy["corridor"]["within_1_sigma"]:.0f} % in the
-            corridor and {100 * noisy["room"]["within_1_sigma"]:.0f} % in the room.
+            At noise 10, over {_draws(matchers, "corridor")["seeds"]} draws, {_within(matchers, "corridor")} in the
+            corridor and {_within(matchers, "room")} in the room; with the bias of each pixel removed,
+            {_within(matchers, "corridor", "_without_bias")} and {_within(matchers, "room", "_without_bias")}.
         """),
     ]
+
+
+def _draws(matchers: dict[str, Any], scene: str) -> dict[str, Any]:
+    """What many draws of noise make of slanted windows in a scene other than the box."""
+    (one,) = (each for each in matchers["limit_elsewhere"][scene] if each["matcher"] == "slanted")
+    return one
+
+
+def _within(matchers: dict[str, Any], scene: str, kind: str = "") -> str:
+    """The shares of errors within one and two of the predicted standard deviations."""
+    one, two = _draws(matchers, scene)[f"within_sigma{kind}"][:2]
+    return f"{100 * one:.0f} and {100 * two:.0f} %"
 
 
 def _budget(budget: list[dict[str, Any]]) -> list[str]:

@@ -163,8 +163,7 @@ def _fit(tile, least, slope_weight, far, noise_of):
     I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
     deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
 
-    With `far` the plane lies 1 + f + f² times as far from the field as the solution, f being the noise's share: it goes
-    1 - f of the way.
+    With `far` the plane lies 1 + f times as far from the field as the solution does, f being the noise's share.
 
     noise_of : variance of noise of variance 1 along an axis after interpolation, and that of its slope.
 
@@ -233,7 +232,7 @@ def _fit(tile, least, slope_weight, far, noise_of):
         if far:
             # The step from the field is least squares of I_1 - a I_2 - b alone.
             left = (sum_1 - a * sum_2) * per_n
-            more = (share + share * share) * a if in_common else 0.0
+            more = share * a if in_common else 0.0
             right_x = more * (gx_1 - a * tile[X_2 * TILE + j] - gx * left)
             right_y = more * (gy_1 - a * tile[Y_2 * TILE + j] - gy * left)
             right_z = more * (gz_1 - a * tile[Z_2 * TILE + j] - gz * left)

@@ -39,8 +39,8 @@ def sigma_of(
 
     - What adds up in a window is not white; see `inflation_of`.
     - The gradient g holds noise too. It adds to the normal matrix, not to what the normal equations say, so a step goes
-      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f³ when taken 1 + f + f² times
-      as far. What is left of the field before, f or f³ of it, is smoothed over a window. So the field is the sum of the
+      only the part 1 - f of the way, f being the noise's share in the sum of g², or 1 - f² when taken 1 + f times as
+      far. What is left of the field before, f or f² of it, is smoothed over a window. So the field is the sum of the
       planes that noise alone would give, smoothed n times and less and less of each; see `smoothed_noise`.
     """
     variance = np.empty(window.shape)
@@ -75,8 +75,8 @@ def smoothed_noise(steps: tuple[Step, ...]) -> Array:
     0, once for rows and once for columns, in units of the last window's side, whose C it is.
     """
     sides = [step.window_px / steps[-1].window_px for step in reversed(steps)]
-    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f + f²), p = 0 for the last.
-    powers = [1 if step.sharp else 3 for step in reversed(steps)]
+    # From the last step back: a sharp one adds f^p, one that goes farther f^p (1 + f), p = 0 for the last.
+    powers = [1 if step.sharp else 2 for step in reversed(steps)]
     weights = [np.repeat([0.0, 1.0], [sum(powers[:k]), powers[k]]) for k in range(len(steps))]
     total = np.zeros(2 * sum(powers) - 1)
     for k, one in enumerate(weights):
