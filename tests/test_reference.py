@@ -100,11 +100,11 @@ def test_the_reference_of_the_cameras_is_of_all_trials_and_none_is_always_best()
     assert {each["seeds"] for each in result} == {len(experiment.axes["seed"])}
     by = {(each["scene"], each["matcher"], each["surface"], each["sensor"]): each for each in result}
     assert len(by) == len(result) == 2 * 2 * 3 * 3
-    # What the README says: better over all pixels, and in the box worse on walls, each with its interval.
+    # What the pages say: better over all pixels, though not on the box's walls, each with its interval.
     for scene in ("box", "room"):
         assert by[scene, "slanted", "all", "fisheye"]["ratio_to_mirror_ci95"][1] < 1
         assert by[scene, "slanted", "wall", "equirectangular"]["ratio_to_mirror_ci95"][0] > 1
-    assert by["box", "slanted", "wall", "fisheye"]["ratio_to_mirror_ci95"][0] > 1
+    assert by["box", "slanted", "wall", "fisheye"]["ratio_to_mirror_ci95"][1] > 1
 
 
 def test_the_table_of_the_budget_says_what_its_reference_says():

@@ -100,8 +100,8 @@ def _matchers(matchers: dict[str, Any]) -> list[str]:
             the spread, and each pixel has a bias. With the bias removed, {100 * unbiased:.0f} % lie within one.
         """),
         _one_line(f"""
-            At noise 10, over {_draws(matchers, "corridor")["seeds"]} draws, {_within(matchers, "corridor")} in the
-            corridor and {_within(matchers, "room")} in the room; with the bias of each pixel removed,
+            At noise 10, over {_draws(matchers, "corridor")["seeds"]} draws, {_within(matchers, "corridor")} of them lie
+            within one and two in the corridor and {_within(matchers, "room")} in the room; with the bias removed,
             {_within(matchers, "corridor", "_without_bias")} and {_within(matchers, "room", "_without_bias")}.
         """),
     ]
