@@ -126,9 +126,11 @@ class TestCommand:
             (["a.png", "--board", "9x6", "--square-m", "0.04"], "a.png: no such file"),
             (["a.png", "--board", "9x6", "--square-m", "-1"], "omnirange: --square-m: must be above 0; found -1"),
             (["a.png", "--board", "1x6", "--square-m", "1"], "omnirange: --board: must be at least 2; found 1"),
+            (["a.png", "--board", "2x6", "--square-m", "1"], "omnirange: --board: must be at least 3 to be found"),
+            (["a.png", "--board", "9x2", "--square-m", "1"], "omnirange: --board: must be at least 3 to be found"),
+            (["a.png", "--board", "9x6", "--square-m", "1", "--elevation", "20", "-60"], "omnirange: --elevation: the"),
             (["--corners", "none.csv"], "none.csv: no such file"),
             (["a.png", "--board", "9x6", "--square-m", "1", "--model", "fish"], "--model: there is no camera model"),
-            (["a.png", "--board", "9x6", "--square-m", "1", "--angle-max", "0"], "omnirange: --angle-max: must be"),
             (["--corners", "CSV", "--size", "800", "600"], "has images of 640 x 480 pixels; --size says 800 x 600"),
             (["--corners", "CSV", "--model", "fish"], "--model: there is no camera model 'fish'"),
             (
@@ -156,6 +158,12 @@ class TestCommand:
         assert code == 2
         assert message in said.err
         assert said.err.count("\n") == 1
+
+    def test_the_field_has_an_angle(self, capsys):
+        with pytest.raises(SystemExit) as caught:
+            main(["calibrate", "a.png", "--board", "9x6", "--square-m", "1", "--angle-max", "0"])
+        assert caught.value.code == 2
+        assert "omnirange: --angle-max: must be a number above 0; found '0'" in capsys.readouterr().err
 
     def test_board_is_two_numbers(self, capsys):
         with pytest.raises(SystemExit) as caught:

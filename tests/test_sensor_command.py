@@ -278,8 +278,8 @@ def test_the_file_goes_to_standard_output_and_words_beside_it(mirror, capsys):
         (["--to", "toml", "--model", "fish"], "--model: toml has no model 'fish'; it has "),
         (["--camera", 3], "--camera: has one camera, number 0"),
         (["--size", 10, 20], "--size: leave it out: the sensor file says its size"),
-        (["--elevation", 30, 20], "elevation_min_deg must be below elevation_max_deg"),
-        (["--angle-max", -3], "field.angle_max_deg: must be above 0; found -3"),
+        (["--elevation", 30, 20], "omnirange: --elevation: the first must be below the second"),
+        (["--elevation", -91, 20], "both within -90 .. 90; found -91 and 20"),
     ],
 )
 def test_what_cannot_be_is_answered_in_one_line(arguments, problem, mirror, capsys):

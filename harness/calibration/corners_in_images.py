@@ -19,6 +19,8 @@ from harness.opencv import opencv, threads
 
 _ENOUGH = 3
 """Least number of boards from which a sensor is calibrated for the second pass."""
+_LEAST_CORNERS = 3
+"""Inner corners each way of the smallest board that OpenCV detects."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,10 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
     Raises
     ------
     InputError
-        When an image cannot be read or differs in size from the first, no image has a board, or OpenCV is not
-        installed.
+        When the board is too small to be detected, an image cannot be read or differs in size from the first, no image
+        has a board, or OpenCV is not installed.
     """
+    _check_detectable(board)
     cv2 = opencv("calibrate", "calibration")
     names = _names(files)
     images, circle = _read(files)
@@ -74,6 +77,14 @@ def find_corners(files: Sequence[Path], board: Board, tell: Callable[[str], None
     detections = [(names[i], board.points_m, corners_of_image[i]) for i in sorted(corners_of_image)]
     without = tuple(name for i, name in enumerate(names) if i not in corners_of_image)
     return Search(corners_of(detections, width, height), circle, without)
+
+
+def _check_detectable(board: Board) -> None:
+    """Refuse a board that OpenCV's detector has no pattern for: it needs three corners each way."""
+    for key, count in (("columns", board.columns), ("rows", board.rows)):
+        if count < _LEAST_CORNERS:
+            problem = f"must be at least {_LEAST_CORNERS} to be found in images; found {count}"
+            raise InputError(problem, file="board", key=key)
 
 
 def _look(

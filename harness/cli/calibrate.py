@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from harness.cli import completers
 from harness.cli.command_line import Parser
 from harness.cli.options import Commands, add_out
-from harness.cli.sensor_options import add_mount_and_field
+from harness.cli.sensor_options import add_mount_and_field, elevations
 
 if TYPE_CHECKING:
     from harness.api.calibrating import CalibrationResult
@@ -21,8 +21,6 @@ _IN_TABLES = {
     ("board", "columns"): "--board",
     ("board", "rows"): "--board",
     ("field", "angle_max_deg"): "--angle-max",
-    ("field", "elevation_min_deg"): "--elevation",
-    ("field", "elevation_max_deg"): "--elevation",
 }
 """The options that are keys of its tables."""
 
@@ -164,7 +162,7 @@ def _field(options: Namespace) -> dict[str, float] | None:
     """The field of view in the options; None if no option gives it."""
     if options.angle_max is None and options.elevation is None:
         return None
-    low, high = options.elevation or (-90.0, 90.0)
+    low, high = elevations(options) or (-90.0, 90.0)
     angle = 180.0 if options.angle_max is None else options.angle_max
     return {"elevation_min_deg": low, "elevation_max_deg": high, "angle_max_deg": angle}
 

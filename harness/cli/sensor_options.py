@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.command_line import Parser
+from harness.cli.options import positive
 
 if TYPE_CHECKING:
     from harness.camera.sensor import Sensor
@@ -64,7 +65,7 @@ def add_mount_and_field(command: Parser, *, looks: str, mirrored: str, angle_max
     default = f" (default: {angle_max})" if angle_max else ""
     command.add_argument(
         "--angle-max",
-        type=float,
+        type=positive,
         metavar="DEG",
         help=f"largest angle of the field off the optical axis, degrees{default}",
     )
@@ -77,6 +78,19 @@ def add_mount_and_field(command: Parser, *, looks: str, mirrored: str, angle_max
     )
 
 
+def elevations(options: Namespace) -> tuple[float, float] | None:
+    """The lowest and the highest elevation of `--elevation`; None if it is not given."""
+    from harness.errors import InputError
+
+    if options.elevation is None:
+        return None
+    low, high = options.elevation
+    if not -90 <= low < high <= 90:
+        problem = f"the first must be below the second, both within -90 .. 90; found {low:g} and {high:g}"
+        raise InputError(problem, file="--elevation")
+    return low, high
+
+
 def chosen(options: Namespace, camera: int | None) -> "Chosen":
     """The values of the options of `add_choices`, with the number of a camera."""
     from harness.io.calibrations.sensors import Chosen
@@ -87,7 +101,7 @@ def chosen(options: Namespace, camera: int | None) -> "Chosen":
         mirrored=options.mirrored,
         size=tuple(options.size) if options.size else None,
         angle_max_deg=options.angle_max,
-        elevation_deg=tuple(options.elevation) if options.elevation else None,
+        elevation_deg=elevations(options),
     )
 
 
