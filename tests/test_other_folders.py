@@ -40,6 +40,7 @@ def test_what_has_the_name_of_a_file_is_kept(name, file, pair, tmp_path, capsys,
     assert own.read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_rendered_views_ranges_are_no_estimates(pair):
     before = (pair / "0" / "range.npy").read_bytes()
     images = [pair / each / "omni.png" for each in "01"]
