@@ -18,8 +18,17 @@ def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int
 
     The calling thread is one of them: to begin another takes as long as to fill a hundred kilobytes.
     """
+    threads = threads or available_cpus()
+    with ThreadPoolExecutor(max(threads - 1, 1)) as pool:  # which begins no thread before it is needed
+        in_pool(pool, work, items, threads)
+
+
+def in_pool(pool: ThreadPoolExecutor, work: Callable[[Item], None], items: Iterable[Item], threads: int) -> None:
+    """The same with a pool's threads: each takes the next piece when it is free.
+
+    A task of the pool for each would take 20 microseconds of the interpreter's time, which threads have to share.
+    """
     left = deque(items)
-    others = min(threads or available_cpus(), len(left)) - 1
 
     def work_off() -> None:
         while True:
@@ -33,11 +42,10 @@ def in_threads(work: Callable[[Item], None], items: Iterable[Item], threads: int
                 left.clear()  # what has not begun is left
                 raise
 
-    with ThreadPoolExecutor(max(others, 1)) as pool:  # which begins no thread before it is needed
-        begun = [pool.submit(work_off) for _ in range(others)]
-        work_off()
-        for each in begun:
-            each.result()
+    begun = [pool.submit(work_off) for _ in range(min(threads, len(left)) - 1)]
+    work_off()
+    for each in begun:
+        each.result()
 
 
 def in_bands(work: Callable[[int, int], None], length: int, bands: int, threads: int | None) -> None:

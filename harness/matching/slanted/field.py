@@ -4,10 +4,10 @@ A field takes 76 bytes a pixel, view 2's 52. Only the part of the image that the
 no better than a few digits, or is as exact as the images are, is in single precision.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,10 @@ from harness.matching.slanted import _fit_kernels, _median_kernels, _reading_ker
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.settings import Slanted
 from harness.matching.slanted.smoothing import smoothed
+from harness.threads import Item, in_pool
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-T = TypeVar("T")
 
 _BAND = 40
 """Rows that are worked on at a time; fixed, as a running sum begins anew in each."""
@@ -188,19 +188,9 @@ def in_rows(pool: ThreadPoolExecutor, height: int, work: Callable[..., None], *a
     in_turn(pool, range(0, height, _BAND), lambda first: work(first, min(first + _BAND, height), *arguments))
 
 
-def in_turn(pool: ThreadPoolExecutor, items: Sequence[T], work: Callable[[T], None]) -> None:
-    """Do some work with all items, each thread taking the next one when it is free.
-
-    A task for each item would take 20 microseconds of the interpreter's time, which threads have to share.
-    """
-    left = iter(items)  # whose next item is taken in one step of the interpreter
-
-    def some() -> None:
-        for item in left:
-            work(item)
-
-    for task in [pool.submit(some) for _ in range(min(len(items), available_cpus()))]:
-        task.result()
+def in_turn(pool: ThreadPoolExecutor, items: Iterable[Item], work: Callable[[Item], None]) -> None:
+    """Do some work with all items; see `in_pool`."""
+    in_pool(pool, work, items, available_cpus())
 
 
 def sample(w: Array, second: View, warp: Warp, samples: Samples, pool: ThreadPoolExecutor) -> None:
