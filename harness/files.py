@@ -1,11 +1,13 @@
 """Files read within limits, and written whole or not at all."""
 
+import errno
 import os
 import re
 import secrets
 import stat
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from harness.errors import InputError, with_article
@@ -18,6 +20,13 @@ _START_BYTES = 16
 """What is read of a file that is too large, to say what it is."""
 _IMAGES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
 """How files of images begin."""
+
+PAGE_MARK = (
+    b'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="omnirange">'
+)
+"""How the pages begin that this program writes."""
+_MARKED_BYTES = 4096
+"""The first bytes of a file, among which is the mark of one of ours."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
@@ -131,6 +140,26 @@ def make_folder(folder: Path, option: str = "--out") -> None:
         raise InputError("the output folder cannot be written to", file=folder, key=option)
 
 
+def check_folder(folder: Path, option: str = "--out") -> None:
+    """Refuse, without making it, a folder that `make_folder` could not make or that could not be written to.
+
+    Raises
+    ------
+    InputError
+        Names the option that gave it.
+    """
+    try:
+        there = next(each for each in (folder, *folder.absolute().parents) if os.path.lexists(each))
+        if not there.is_dir():
+            problem = os.strerror(errno.EEXIST if there == folder else errno.ENOTDIR)
+            raise InputError(f"cannot be used as the output folder ({problem})", file=folder, key=option)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be used as the output folder ({why})", file=folder, key=option) from error
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError("the output folder cannot be written to", file=folder, key=option)
+
+
 def make_folder_of(path: Path | None, option: str = "--out") -> None:
     """Make the folder of a file that is to be written, before the work that it is for.
 
@@ -172,47 +201,92 @@ def is_same(one: Path, other: Path) -> bool:
     return one.resolve() == other.resolve()
 
 
-def check_own(folder: Path, own: Collection[str]) -> None:
+@dataclass(frozen=True)
+class OwnFiles:
+    """The files that a command writes into a folder, and how those show that it has written them.
+
+    Other commands, other programs and people have files of the same names: a name alone shows nothing.
+    """
+
+    what: str
+    """What they are together: `range of two images`."""
+    marks: Mapping[str, bytes | None]
+    """By name, what is among the first bytes of each; None for a file that does not say whose it is, such as an array,
+    which is ours where another file beside it is."""
+
+
+def check_empty_or_own(folder: Path, own: OwnFiles) -> None:
     """Refuse to write among other people's files.
 
     Parameters
     ----------
     own
-        The names of the files by which a folder of ours is known: all are there.
+        The marks of files that each show that a folder is ours.
 
     Raises
     ------
     InputError
         When the folder has files and is none of ours.
     """
-    if folder.is_dir() and any(folder.iterdir()) and not all((folder / name).is_file() for name in own):
-        raise InputError(
-            "holds files that were not written by this command; give an empty folder, or a new one",
-            file=folder,
-            key="--out",
-        )
+    is_ours = any(mark is not None and _is_ours(folder / name, mark) for name, mark in own.marks.items())
+    if folder.is_dir() and any(folder.iterdir()) and not is_ours:
+        problem = f"holds files, and nothing shows that they are of an earlier {own.what}"
+        raise InputError(f"{problem}; give an empty folder, or a new one", file=folder, key="--out")
 
 
-def check_no_others(folder: Path, names: Iterable[str], known_by: str) -> None:
-    """Refuse to write over files that have the names of ours, in a folder that we have not written before.
+def check_no_others(
+    folder: Path,
+    own: OwnFiles,
+    *,
+    option: str | None = "--out",
+    advice: str = "give another folder",
+) -> None:
+    """Refuse to write over files that have the names of ours, and are not.
+
+    One of ours that was cut short, or emptied, is ours.
 
     Parameters
     ----------
-    names
-        Of the files that will be written.
-    known_by
-        The name of the file by which a folder of ours is known.
+    option
+        The option that gave the folder, for messages.
+    advice
+        What would be right, for messages.
 
     Raises
     ------
     InputError
         Names one of the files.
     """
-    if not (folder / known_by).is_file():
-        for path in (folder / name for name in names):
-            if path.exists():
-                problem = "is there already, and not from the same command; give another folder"
-                raise InputError(problem, file=path, key="--out")
+    paths = {name: folder / name for name in own.marks}
+    ours = {name: _is_ours(path, own.marks[name]) for name, path in paths.items() if os.path.lexists(path)}
+    is_known = any(ours.values())
+    for name, is_ours in ours.items():
+        if is_ours is False or (is_ours is None and not is_known and not _is_empty(paths[name])):
+            problem = f"is there already, and nothing shows that it is of an earlier {own.what}; {advice}"
+            raise InputError(problem, file=paths[name], key=option)
+
+
+def is_marked(path: Path, mark: bytes) -> bool:
+    """Whether a file is ours by its mark, as in `OwnFiles`; one of ours that was cut short, or emptied, is."""
+    return _is_ours(path, mark) is not False
+
+
+def _is_ours(path: Path, mark: bytes | None) -> bool | None:
+    """Whether a file is ours by its contents; None if it does not say."""
+    if not path.is_file():  # a folder, a device, a link to nothing
+        return False
+    if mark is None:
+        return None
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(_MARKED_BYTES)
+    except OSError:
+        return None
+    return True if mark in start else None if mark.startswith(start) else False
+
+
+def _is_empty(path: Path) -> bool:
+    return path.is_file() and not path.stat().st_size
 
 
 def write(path: Path, content: str | bytes) -> None:

@@ -293,3 +293,42 @@ def test_no_file_that_is_read_is_written_over(given, out, csv, tmp_path, capsys)
     )
     assert [each.name for each in tmp_path.iterdir()] == [given]
     assert file.read_bytes() == csv.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--lens", "q1"], "--lens: there is no lens term 'q1'"),
+        (["--fix", "foo"], "--fix: there is no one key 'foo' to estimate"),
+        (["--fix", "xi=-1"], "--fix: model.xi"),
+        (["--free", "foo"], "--free: there is no one key 'foo' to estimate"),
+        (["--model", "kannala_brandt", "--misalignment"], "--misalignment: "),
+    ],
+)
+def test_what_is_to_be_estimated_is_checked_before_corners_are_looked_for(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("harness.api.calibrating.find_corners", None)
+    image = tmp_path / "a.png"
+    image.write_bytes(png(np.zeros((48, 64), dtype=np.uint8)))
+    assert main(["calibrate", str(image), "--board", "9x6", "--square-m", "0.04", *words]) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {said}")
+
+
+def test_a_value_of_the_camera_waits_for_the_size_of_the_images(csv, capsys):
+    assert main(["calibrate", "--corners", str(csv), "--model", "hyperboloid", "--fix", "cx=-5000"]) == 2
+    assert capsys.readouterr().err.startswith("omnirange: --fix: camera.cx_px")
+
+
+@pytest.mark.parametrize("name", ["sensor.json", "sensor.html"])
+def test_files_of_ones_own_beside_the_sensor_file_are_kept(name, csv, written, tmp_path, capsys, monkeypatch):
+    own = tmp_path / name
+    own.write_text('{"mine": 1}')
+    said = f"{own}: --out: is there already, and nothing shows that it is of an earlier calibration; give another name"
+    with pytest.raises(InputError, match=re.escape(said)):
+        written[0].write(tmp_path / "sensor.toml")
+    monkeypatch.setattr(harness, "calibrate", None)
+    assert main(["calibrate", "--corners", str(csv), "--out", str(tmp_path / "sensor.toml")]) == 2
+    assert capsys.readouterr().err == f"omnirange: {said}\n"
+    assert own.read_text() == '{"mine": 1}'
+    own.unlink()
+    for _ in range(2):
+        written[0].write(tmp_path / "sensor.toml")

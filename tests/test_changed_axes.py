@@ -81,6 +81,7 @@ def test_an_experiment_of_ones_own_is_not_written_over(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", ["trials.csv", "experiment.toml", "report.html", "failures.csv"])
 def test_files_of_ones_own_are_not_written_over_or_removed(name, tmp_path, capsys):
+    """Nor is it said otherwise by a dry run, which changes nothing."""
     own = tmp_path / "out" / name
     own.parent.mkdir()
     own.write_text("mine")
@@ -88,8 +89,64 @@ def test_files_of_ones_own_are_not_written_over_or_removed(name, tmp_path, capsy
     assert main(["run", str(file), "--out", str(own.parent), "--no-report"]) == 2
     said = f"{own}: is there already, and not from a run in this folder; give another folder"
     assert capsys.readouterr().err == f"omnirange: {said}\n"
+    assert main(["run", str(file), "--out", str(own.parent), "--dry-run"]) == 2
+    assert capsys.readouterr().err == f"omnirange: {said}\n"
     with pytest.raises(InputError) as caught:
         harness.run(file, out=own.parent)
     assert str(caught.value) == said
     assert [each.name for each in own.parent.iterdir()] == [name]
     assert own.read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_failures_of_ones_own_in_a_runs_folder_are_kept(tmp_path, capsys):
+    """By a run with other trials, by one that has nothing to do, by a report."""
+    file, out = write_small(tmp_path / "e.toml"), tmp_path / "out"
+    words = ["run", str(file), "--out", str(out), "--no-report"]
+    assert main(words) == 0
+    own = out / "failures.csv"
+    own.write_text("what,why\n")
+    said = (
+        f"omnirange: {own}: is there already, and nothing shows that it is of an earlier run; move it, or give another "
+        "folder\n"
+    )
+    capsys.readouterr()
+    for each in (words, [*words, "--set", "seed=2"], [*words, "--dry-run"], ["report", str(out)]):
+        assert main(each) == 2
+        assert capsys.readouterr().err == said
+        assert own.read_text() == "what,why\n"
+    own.write_text("seed,message,traceback,key\n")  # as an earlier version has left it
+    assert main(words) == 0
+    assert not own.exists()
+
+
+def test_a_dry_run_says_what_the_run_would_of_its_folder(tmp_path, capsys):
+    file = write_small(tmp_path / "e.toml")
+    text = file.read_text(encoding="utf-8")
+    other = tmp_path / "other.toml"
+    other.write_text(text.replace('name = "', 'name = "another'), encoding="utf-8")
+    out = tmp_path / "out"
+    (tmp_path / "file").write_text("mine")
+    assert main(["run", str(other), "--out", str(out), "--no-report"]) == 0
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "run.sqlite").touch()
+    for each in (out, tmp_path / "file", tmp_path / "file" / "out", tmp_path / "new", tmp_path / "empty"):
+        capsys.readouterr()
+        words = ["run", str(file), "--out", str(each), "--no-report"]
+        before = sorted(tmp_path.rglob("*"))
+        dry = main([*words, "--dry-run"]), capsys.readouterr().err
+        assert sorted(tmp_path.rglob("*")) == before
+        assert (main(words), capsys.readouterr().err) == dry
+
+
+def test_a_readme_of_ones_own_among_the_maps_is_kept(tmp_path):
+    file, out = write_small(tmp_path / "e.toml"), tmp_path / "out"
+    own = out / "maps" / "README.txt"
+    own.parent.mkdir(parents=True)
+    own.write_text("mine")
+    words = ["run", str(file), "--out", str(out), "--no-report", "--keep-arrays"]
+    assert main(words) == 0
+    assert own.read_text() == "mine"
+    own.write_text("The maps")  # ours, cut short
+    assert main([*words, "--set", "seed=2"]) == 0
+    assert own.read_text().startswith("The maps of the trials")

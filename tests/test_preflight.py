@@ -8,7 +8,7 @@ from sweeps import write_small
 
 from harness.cli.parser import main
 from harness.errors import InputError, Notice
-from harness.files import check_own
+from harness.files import OwnFiles, check_empty_or_own
 from harness.runs import preflight
 from harness.runs.load import load_experiment
 
@@ -82,15 +82,17 @@ def test_a_scene_is_no_experiment(capsys):
 
 
 def test_a_folder_of_other_files_is_left_alone(tmp_path):
-    own = ("a.toml", "b.npy")
-    check_own(tmp_path / "new", own)
-    check_own(tmp_path, own)  # empty
+    own = OwnFiles("view", {"README.txt": b"One view"})
+    check_empty_or_own(tmp_path / "new", own)
+    check_empty_or_own(tmp_path, own)
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(InputError, match="holds files that were not written by this command"):
-        check_own(tmp_path, own)
-    for name in own:
-        (tmp_path / name).write_text("")
-    check_own(tmp_path, own)
+    for text in (None, "mine", "One v"):
+        if text is not None:
+            (tmp_path / "README.txt").write_text(text)
+        with pytest.raises(InputError, match="holds files, and nothing shows that they are of an earlier view"):
+            check_empty_or_own(tmp_path, own)
+    (tmp_path / "README.txt").write_text("One view of a house")
+    check_empty_or_own(tmp_path, own)
 
 
 def test_a_command_beside_the_experiment_needs_no_path(tmp_path, monkeypatch):

@@ -144,9 +144,11 @@ def test_nothing_of_another_sequence_stays_as_if_it_were_of_this_one(tmp_path, m
     out = tmp_path / "out"
     for number in range(4):
         (out / f"{number:04d}").mkdir(parents=True)
-        (out / f"{number:04d}" / "pair.json").write_text("{}")
-        (out / f"{number:04d}" / "range.npy").write_text("")
-    (out / "points.ply").write_text("")
+        (out / f"{number:04d}" / "pair.json").write_text('{\n  "key": "')
+        (out / f"{number:04d}" / "range.npy").write_text("1")
+        (out / f"{number:04d}" / "range.json").write_text('{\n  "density": 1')
+    (out / "points.ply").write_text("1")
+    (out / "sequence.json").write_text('[\n  {\n    "left": "a.png"')
     assert main(["range", *images, "--sensor", "mirror", "--out", str(out)]) == 1
     assert f"still in {out} of another sequence: 0002 and 0003" in capsys.readouterr().out
     assert [each.parent.name for each in sorted(out.glob("*/range.npy"))] == ["0002", "0003"]

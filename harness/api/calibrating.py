@@ -14,14 +14,14 @@ from harness.calibration.corner_files import read_corners
 from harness.calibration.corners import Board, Corners, corners_of
 from harness.calibration.corners_in_images import Search, find_corners
 from harness.calibration.result_table import record_of
-from harness.calibration.sensor_calibration import SensorCalibration, calibrate_sensor
+from harness.calibration.sensor_calibration import SensorCalibration, calibrate_sensor, check_choice
 from harness.calibration.start import check_kind
 from harness.camera.intrinsics import FieldOfView
 from harness.camera.mount import Mount
 from harness.camera.sensor import Sensor
 from harness.display import html_figure
 from harness.errors import InputError
-from harness.files import write
+from harness.files import OwnFiles, check_no_others, write
 from harness.geometry.angles import Array
 from harness.spec import dump_toml, parse
 
@@ -61,6 +61,7 @@ class CalibrationResult(SensorCalibration):
         from harness.report.calibration_page import build_page
 
         paths = files_of(Path(file), has_central=self.central is not None)
+        check_beside(paths)
         page = build_page(self)
         if self.central is not None:
             write(paths[3], dump_toml(self.central.sensor))
@@ -82,6 +83,24 @@ def files_of(toml: Path, *, has_central: bool) -> tuple[Path, ...]:
     """The files that `CalibrationResult.write` writes: sensor, numbers and page, and the best central sensor."""
     central = (toml.with_name(f"{toml.stem}-central.toml"),) if has_central else ()
     return (toml, toml.with_suffix(".json"), toml.with_suffix(".html"), *central)
+
+
+def check_beside(files: Sequence[Path]) -> None:
+    """Refuse to write over somebody else's files beside the sensor file, of whose names nobody has said anything.
+
+    Parameters
+    ----------
+    files
+        Those of `files_of`.
+
+    Raises
+    ------
+    InputError
+        Names one of them.
+    """
+    toml, numbers, *others = files
+    own = OwnFiles("calibration", {numbers.name: b'{"program": "omnirange '} | {each.name: None for each in others})
+    check_no_others(toml.parent, own, advice="give another name")
 
 
 def calibrate(
@@ -151,14 +170,12 @@ def calibrate(
     (614.12, 0.0234)
     """
     checked = _checked(model, mount, field)  # finding corners takes long
+    chosen = _chosen(model, lens, free, fix, start)
     search = _search(images, board, corners, size, tell)
     calibration = calibrate_sensor(
         search.corners,
         model,
-        lens=lens,
-        free=free,
-        fix=dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix),
-        start=None if start is None else load_sensor(start),
+        **chosen,
         **checked,
         circle=search.circle,
         tell=tell,
@@ -175,6 +192,24 @@ def _checked(
         "mount": mount if mount is None or isinstance(mount, Mount) else parse(Mount, mount, file="mount"),
         "field": field if field is None or isinstance(field, FieldOfView) else parse(FieldOfView, field, file="field"),
     }
+
+
+def _chosen(
+    model: str,
+    lens: Sequence[str] | None,
+    free: Sequence[str],
+    fix: Mapping[str, float | None] | Sequence[str],
+    start: str | Path | Mapping[str, Any] | Sensor | None,
+) -> dict[str, Any]:
+    """What is to be estimated, and from where, as `calibrate_sensor` takes it; refuses what cannot be."""
+    chosen: dict[str, Any] = {
+        "lens": lens,
+        "free": free,
+        "fix": dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix),
+        "start": None if start is None else load_sensor(start),
+    }
+    check_choice(model, **chosen)
+    return chosen
 
 
 def _search(

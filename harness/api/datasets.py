@@ -26,11 +26,22 @@ from harness.datasets.scoring import Score, mean_of, mean_of_regions, nothing_fo
 from harness.datasets.specification import DatasetSpec
 from harness.display import OneLine
 from harness.errors import InputError, nearest
-from harness.files import make_folder, read_regular, write
+from harness.files import OwnFiles, check_no_others, make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.pose import Motion
 from harness.runs.executors import backend_for
 from harness.version import __version__
+
+OF_A_SCORE = OwnFiles(
+    "score",
+    {
+        "score.json": b'{\n  "estimate": ',
+        "scores.csv": b"pair,density,",
+        "parts.csv": b"split,part,",
+        "score.html": None,
+    },
+)
+"""The files of a folder with the scores of a data set."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,6 +141,7 @@ class DatasetScore(OneLine):
         from harness.report.score_page import build_page
 
         folder = Path(folder)
+        check_no_others(folder, OF_A_SCORE)
         make_folder(folder)
         about = {**self.about, "pairs": len(self.pairs), "missing": list(self.missing), "omnirange": __version__}
         table = {**about, "figures": self.figures, "parts": self.parts}

@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
+from PIL.PngImagePlugin import PngInfo
 
 from harness.api.loading import load_sensor
 from harness.api.photographs import Image, photographs_of
 from harness.camera.sensor import Sensor, used
-from harness.files import write
+from harness.files import OwnFiles, write
 from harness.geometry.pose import Motion
 from harness.pipeline.static_pixels import static_pixels
+
+OF_A_MASK = OwnFiles("mask of what moves with the camera", {"mask.png": b"tEXtSoftware\0omnirange"})
+"""The mask that `omnirange range --mask auto` writes into its folder."""
 
 
 def find_mask(
@@ -65,6 +69,7 @@ def write_mask(mask: NDArray[np.bool_], path: str | Path) -> None:
     InputError
         When the file cannot be written.
     """
-    stream = io.BytesIO()
-    Pillow.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(stream, format="PNG")
+    stream, said = io.BytesIO(), PngInfo()
+    said.add_text("Software", "omnirange")  # one that was drawn by hand says nothing, or something else
+    Pillow.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(stream, format="PNG", pnginfo=said)
     write(Path(path), stream.getvalue())

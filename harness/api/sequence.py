@@ -17,16 +17,22 @@ from harness.api.ranging import estimate_range
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.errors import InputError
-from harness.files import make_folder, read_regular, write
+from harness.files import OwnFiles, check_no_others, make_folder, read_regular, write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion
 from harness.images import LIMIT_BYTES
 from harness.matching.interface import MatcherSettings
-from harness.pipeline.photographs import WRITTEN
+from harness.pipeline.photographs import OF_A_RANGE
 from harness.spec import as_table
 from harness.version import __version__
 
 _SUMMARY = "pair.json"
+OF_A_SEQUENCE = OwnFiles(
+    "range of a sequence",
+    dict.fromkeys(("range.html", "points.ply")) | {"sequence.json": b'[\n  {\n    "left": '},
+)
+"""The files of a folder with the ranges of a sequence, beside the folders of its pairs."""
+_OF_A_PAIR = OwnFiles("pair of a sequence", {**OF_A_RANGE.marks, _SUMMARY: b'{\n  "key": "'})
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,7 +133,7 @@ def estimate_sequence(
             f"must be one for each image but the last, {len(images) - 1}; found {len(motions)}", key="motions"
         )
     loaded, out = load_sensor(sensor), Path(folder)
-    make_folder(out)
+    _prepare(out, len(images) - 1)
     table = as_table(matcher) if isinstance(matcher, MatcherSettings) else matcher
     panorama = as_table(grid) if isinstance(grid, Grid) else grid
     settings = [__version__, as_table(loaded), table, panorama, bits, baseline_m, scale, fit_limits]
@@ -135,7 +141,7 @@ def estimate_sequence(
     names, done = _names([Path(each) for each in images]), []
     for i, (left, right) in enumerate(pairwise(images)):
         motion = None if motions is None else motions[i]
-        inside = out / f"{i:04d}"
+        inside = _folder_of(out, i)
         key = _key(settings, (Path(left), Path(right)), motion)
         pair = _earlier(inside, key)
         if pair is None:
@@ -153,6 +159,19 @@ def folders_of_others(sequence: SequenceRange) -> list[str]:
     """The folders of pairs in a sequence's folder that are of a longer one, matched there before."""
     mine = {each.folder for each in sequence.pairs}
     return sorted(each.parent.name for each in sequence.folder.glob(f"*/{_SUMMARY}") if each.parent.name not in mine)
+
+
+def _prepare(out: Path, pairs: int) -> None:
+    """Make the folder of a sequence, unless files are there that are not of one."""
+    check_no_others(out, OF_A_SEQUENCE)
+    for i in range(pairs):
+        check_no_others(_folder_of(out, i), _OF_A_PAIR)
+    make_folder(out)
+
+
+def _folder_of(out: Path, i: int) -> Path:
+    """The folder of a pair's files."""
+    return out / f"{i:04d}"
 
 
 def _names(images: list[Path]) -> list[str]:
@@ -204,7 +223,7 @@ def _estimated(
         status, reasons = str(motion.status), list(motion.reasons)
         if motion.direction_v1 is None:
             make_folder(folder)
-            for name in ("range.html", *WRITTEN):  # of another pair, matched here before
+            for name in OF_A_RANGE.marks:  # of another pair, matched here before
                 (folder / name).unlink(missing_ok=True)
             return PairRange(
                 left.name, right.name, folder.name, status, tuple(reasons), "", 0.0, None, None, False, None, None

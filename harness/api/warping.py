@@ -16,7 +16,7 @@ from harness.api.ranging import RangeEstimate
 from harness.camera.sensor import Sensor, pixel_directions, require_central
 from harness.display import OneLine, html_figure
 from harness.errors import InputError
-from harness.files import check_no_others, make_folder, write
+from harness.files import OwnFiles, check_no_others, make_folder, write
 from harness.geometry.angles import Array, normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import AT_REST, Pose
@@ -27,9 +27,12 @@ from harness.warping.warp import Image, PixelState, Source, warp
 Projection = Literal["panorama", "mirror", "perspective"]
 
 
-OF_A_VIEW = ("view.png", "range.npy", "sigma_m.npy", "state.npy", "README.txt"), "state.npy"
-"""The files of a folder with a warped view, and the one by which it is known: other commands have some of these names
-too."""
+_README = "view.png: the view; black where nothing is known\n"
+OF_A_VIEW = OwnFiles(
+    "warped view",
+    dict.fromkeys(("view.png", "range.npy", "sigma_m.npy", "state.npy")) | {"README.txt": _README.encode()},
+)
+"""The files of a folder with a warped view."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,21 +61,20 @@ class NewView(OneLine):
             When the folder cannot be written to.
         """
         folder = Path(folder)
-        check_no_others(folder, *OF_A_VIEW)
+        check_no_others(folder, OF_A_VIEW)
         make_folder(folder)
-        # The first one is that by which the folder is known, should it be left half-written.
+        states = ", ".join(f"{state.value} {state.name.lower()}" for state in PixelState)
+        # First, so that a folder that was left half-written is known as ours.
+        write(
+            folder / "README.txt",
+            f"{_README}range.npy: distance from the new viewpoint, metres (baselines where the scale is not known), or "
+            f"NaN\nsigma_m.npy: its standard deviation\nstate.npy: {states}\n",
+        )
         for name, array in (("state.npy", self.state), ("range.npy", self.range_m), ("sigma_m.npy", self.sigma_m)):
             stream = io.BytesIO()
             np.save(stream, array, allow_pickle=False)
             write(folder / name, stream.getvalue())
         write(folder / "view.png", self._png())
-        states = ", ".join(f"{state.value} {state.name.lower()}" for state in PixelState)
-        write(
-            folder / "README.txt",
-            "view.png: the view; black where nothing is known\n"
-            "range.npy: distance from the new viewpoint, metres (baselines where the scale is not known), or NaN\n"
-            f"sigma_m.npy: its standard deviation\nstate.npy: {states}\n",
-        )
 
     def _png(self) -> bytes:
         stream = io.BytesIO()

@@ -176,6 +176,29 @@ def calibrate_sensor(
     )
 
 
+def check_choice(
+    kind: str,
+    *,
+    lens: Sequence[str] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float | None] | None = None,
+    start: Sensor | None = None,
+) -> None:
+    """Refuse what `calibrate_sensor` would refuse of these, as far as that takes no corners.
+
+    Raises
+    ------
+    InputError
+        As `calibrate_sensor`.
+    """
+    if start is not None:
+        _check_kind_of(start, kind)
+    template = start or template_of(kind, 640, 480)
+    # Which values a camera may have follows from the size of the images.
+    of_camera = {word for word in fix or {} if key_named(template, word, "fix").startswith("camera.")}
+    _chosen(template, lens, free, {word: None if word in of_camera else value for word, value in (fix or {}).items()})
+
+
 def _chosen(
     template: Sensor, lens: Sequence[str] | None, free: Sequence[str], fixed: Mapping[str, float | None]
 ) -> tuple[Sensor, tuple[str, ...]]:
@@ -219,8 +242,7 @@ def _central_fit(used: Corners, sensor: Sensor, keys: tuple[str, ...], misaligne
 def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:
     if start is None:
         return template_of(kind, corners.width_px, corners.height_px)
-    if kind_of(start.model) != kind:
-        raise InputError(f"is {with_article(start.model.title)}, not of kind '{kind}'", key="start")
+    _check_kind_of(start, kind)
     if (start.camera.width_px, start.camera.height_px) != (corners.width_px, corners.height_px):
         raise InputError(
             f"is of {start.camera.width_px} x {start.camera.height_px} pixels; the images have {corners.width_px} x "
@@ -228,6 +250,11 @@ def _template(corners: Corners, kind: str, start: Sensor | None) -> Sensor:
             key="start",
         )
     return start.model_copy(update={"mount": Mount()})
+
+
+def _check_kind_of(start: Sensor, kind: str) -> None:
+    if kind_of(start.model) != kind:
+        raise InputError(f"is {with_article(start.model.title)}, not of kind '{kind}'", key="start")
 
 
 def _without_outliers(

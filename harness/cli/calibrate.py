@@ -145,7 +145,7 @@ def run(options: Namespace) -> None:
 
 def _check_out(options: Namespace) -> None:
     """Check that the files can be written and none is read, and make their folder."""
-    from harness.api.calibrating import files_of
+    from harness.api.calibrating import check_beside, files_of
     from harness.errors import InputError
     from harness.files import check_replaces_none, make_folder_of
 
@@ -156,6 +156,7 @@ def _check_out(options: Namespace) -> None:
     make_folder_of(options.out)
     written = files_of(options.out, has_central=options.misalignment)
     check_replaces_none(written, [options.corners, options.start, *options.images])
+    check_beside(written)
 
 
 def _field(options: Namespace) -> dict[str, float] | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_out
+from harness.cli.out_folder import check_default_page
 from harness.cli.tables import differences_table
 from harness.display import counted
 
@@ -39,8 +40,10 @@ def run(options: Namespace) -> int:
     make_folder_of(options.out)
     own = (*WRITTEN, DATABASE)
     check_replaces_none([options.out], [folder / name for folder in options.folders for name in own])
-    comparison = build_comparison(*options.folders)
     page = options.out or options.folders[-1] / COMPARISON
+    if options.out is None:
+        check_default_page(page)
+    comparison = build_comparison(*options.folders)
     write(page, comparison.html)
     console = Console()
     lines = list(comparison.lines())

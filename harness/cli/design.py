@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_out, positive, whole_number
+from harness.cli.out_folder import check_default_page
 from harness.errors import InputError
 from harness.files import make_folder_of
 
@@ -98,6 +99,8 @@ def run(options: Namespace) -> int:
     if options.out is not None and options.out.suffix.lower() not in (".html", ".htm"):
         raise InputError("must end in .html", file=options.out)
     make_folder_of(options.out)
+    if options.out is None:
+        check_default_page(_PAGE)
     return _describe(options) if options.accuracy is None else _find(options)
 
 

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_images, add_out
+from harness.cli.out_folder import check_out_folder
 from harness.cli.range import add_matching, motions_between, ranging, sequence_settings, warn_of
 from harness.cli.scan import add_band, band_of, naming_options
 from harness.errors import InputError
+from harness.files import OwnFiles
 
 if TYPE_CHECKING:
     from harness.api.mapping import RangeScan
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from harness.camera.sensor import Sensor
     from harness.pipeline.geometry_check import Verdict
 
+_COLUMNS = ("left", "right", "x_m", "y_m", "yaw_deg", "share_with_obstacle", "geometry")
+"""Those of `pairs.csv`."""
+_OF_A_MAP = OwnFiles("map", {"map.png": None, "map.yaml": None, "pairs.csv": ",".join(_COLUMNS).encode()})
 Place = tuple[float, float, float]
 """X and y on the map, metres, and yaw, degrees."""
 
@@ -49,7 +54,7 @@ def run(options: Namespace) -> int:
     """Match each image with the next, gather, and write the map."""
     import harness
     from harness.api.mapping import level_poses
-    from harness.files import check_no_others, make_folder, write
+    from harness.files import make_folder, write
     from harness.geometry.pose import Motion, Pose
     from harness.mapping.occupancy import Cell
     from harness.mapping.settings import OccupancyMap
@@ -63,7 +68,7 @@ def run(options: Namespace) -> int:
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
     motions: Sequence[Motion | MotionEstimate] | None = motions_between(options, sensor, len(images))
-    check_no_others(options.out, ("map.png", "map.yaml", "pairs.csv"), "pairs.csv")
+    check_out_folder(options, _OF_A_MAP)
     make_folder(options.out)
     motions = motions or _estimated(options, sensor, images)
     if motions is None:
@@ -104,7 +109,7 @@ def _table(images: list[Path], scans: "list[RangeScan]", places: list[Place], ve
     """The pairs as CSV: where each was taken on the map, and whether its motion and calibration agree with it."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["left", "right", "x_m", "y_m", "yaw_deg", "share_with_obstacle", "geometry"])
+    writer.writerow(_COLUMNS)
     for (left, right), scan, place, verdict in zip(pairwise(images), scans, places, verdicts, strict=True):
         where = [f"{each:.6g}" for each in place]
         writer.writerow([left, right, *where, f"{scan.profile.known.mean():.4f}", verdict])

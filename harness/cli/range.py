@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 from harness.cli import completers
 from harness.cli.command_line import Parser
 from harness.cli.exits import FAILED, OK
+from harness.cli.masks import masked, without_body
 from harness.cli.motion_options import add_length, check_length, naming_options
 from harness.cli.options import Commands, add_images, add_out
+from harness.cli.out_folder import check_out_folder
 from harness.cli.sensor_options import add_sensor, first_sensor, second_sensor
 from harness.display import counted, listed
 
@@ -143,12 +145,11 @@ def _add_motion(command: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Match, and write the folder."""
-    from harness.files import check_no_others
     from harness.pipeline.photographs import OF_A_RANGE
 
     if options.more:
         return _sequence(options)
-    check_no_others(options.out, *OF_A_RANGE)  # before anything is matched
+    check_out_folder(options, OF_A_RANGE)
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED
@@ -167,8 +168,8 @@ def _settings(options: Namespace) -> "tuple[tuple[Sensor, Sensor], OwnSettings]"
         _check_images([options.left, options.right, *getattr(options, "more", ())])
     sensor = first_sensor(options, central=True)
     assert sensor is not None
-    sensor = _masked(sensor, None if options.mask == Path("auto") else options.mask, "--mask")
-    sensor_2 = _masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
+    sensor = masked(sensor, None if options.mask == Path("auto") else options.mask, "--mask")
+    sensor_2 = masked(second_sensor(options) or sensor, options.mask_2, "--mask-2")
     settings = own_settings(options.matcher, options.set)
     _check_scale(options, (sensor, sensor_2))
     _tell_size(options, sensor, settings)
@@ -204,7 +205,7 @@ def estimate_of(options: Namespace) -> "RangeEstimate | None":
             raise InputError("must not be zero: two views from one point determine no range", file="--baseline")
         _check_apart(options, [motion])
     if options.mask == Path("auto"):
-        sensor = _without_body(options, sensors, motion, settings)
+        sensor = without_body(options, sensors, motion, settings)
         sensors = sensor, sensor
     return harness.estimate_range(
         options.left,
@@ -319,8 +320,9 @@ def motions_between(options: Namespace, sensor: "Sensor", count: int) -> "list[M
 def _sequence(options: Namespace) -> int:
     """Match each image with the next, and write a folder for each pair and a page on all."""
     import harness
-    from harness.api.sequence import folders_of_others
+    from harness.api.sequence import OF_A_SEQUENCE, folders_of_others
 
+    check_out_folder(options, OF_A_SEQUENCE)
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
     motions = motions_between(options, sensor, len(images))
@@ -458,43 +460,3 @@ def _check_given(options: Namespace) -> None:
             raise InputError("belongs to --pose, which is not given", file=f"--{option}")
         if len(options.pose) > 1:
             raise InputError("is for one file of several poses; here each --pose is one", file=f"--{option}")
-
-
-def _without_body(
-    options: Namespace,
-    sensors: "tuple[Sensor, Sensor]",
-    motion: "Motion | MotionEstimate",
-    settings: "OwnSettings",
-) -> "Sensor":
-    """The sensor with a mask of what moves with it, which is written into the folder."""
-    from harness.api.masks import find_mask, write_mask
-    from harness.errors import InputError
-    from harness.files import make_folder
-    from harness.geometry.pose import Motion
-
-    if sensors[0] != sensors[1]:
-        raise InputError(
-            "takes one sensor for both images; give a mask of each with --mask and --mask-2", file="--mask"
-        )
-    limits = {"d_min_m": settings.matching.d_min_m, "d_max_m": settings.matching.d_max_m}
-    if not isinstance(motion, Motion):
-        if motion.baseline_m is None:
-            limits = {"d_min_m": 1.0, "d_max_m": 20.0}  # baselines
-        motion = motion.motion
-    mask = find_mask(options.left, options.right, sensors[0], motion, bits=options.bits, **limits)
-    make_folder(options.out)
-    write_mask(mask, options.out / "mask.png")
-    print(f"{1 - mask.mean():.1%} of the image is masked; {options.out / 'mask.png'}")
-    return sensors[0].with_mask(options.out / "mask.png")
-
-
-def _masked(sensor: "Sensor", mask: Path | None, option: str) -> "Sensor":
-    """The sensor with the mask of an option, or unchanged."""
-    from harness.errors import InputError
-
-    if mask is None:
-        return sensor
-    try:
-        return sensor.with_mask(mask)
-    except InputError as error:
-        raise InputError(error.problem, file=option) from error

@@ -45,7 +45,11 @@ def add(commands: Commands) -> None:
 def run(options: Namespace) -> None:
     """Render the view, and write the folder."""
     import harness
+    from harness.files import check_empty_or_own, check_folder
+    from harness.pipeline.rendered_view import OF_A_RENDERED_VIEW
 
+    check_folder(options.out)
+    check_empty_or_own(options.out, OF_A_RENDERED_VIEW)
     try:
         view = harness.render(
             options.scene,

@@ -51,6 +51,7 @@ def run(options: Namespace) -> int:
     from harness.runs.recorded import recorded
     from harness.runs.run import run_status
     from harness.runs.store import DATABASE, OTHER_CODE, Store
+    from harness.runs.written import check_no_others_in
 
     database = options.folder / DATABASE
     if not options.folder.is_dir():
@@ -60,6 +61,7 @@ def run(options: Namespace) -> int:
         raise InputError(f"holds no run: there is no {DATABASE} in it", file=options.folder)
     _check_files(options)
     with Store(database) as store:
+        check_no_others_in(options.folder, store)
         experiment = recorded(store, database)
         now = run_status(experiment, store)
         if store.other_code:

@@ -65,7 +65,7 @@ def run(options: Namespace) -> int:
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
-    from harness.files import check_replaces_none, make_folder
+    from harness.files import check_folder, check_replaces_none, make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.load import load_experiment
     from harness.runs.preflight import preflight
@@ -76,12 +76,12 @@ def run(options: Namespace) -> int:
     experiment = load_experiment(options.experiment, options.set, options.axis)
     _say_left_out(options, experiment)
     _say_law(experiment)
-    if options.dry_run:
-        return _dry_run(experiment, options.experiment, with_report=not options.no_report)
     shown = options.out or Path("results") / experiment.name
-    make_folder(shown)
+    (check_folder if options.dry_run else make_folder)(shown)
     if not (shown / DATABASE).exists():  # a run's own file says what is written into its place again
         check_replaces_none([shown / name for name in WRITTEN], [Path(options.experiment)])
+    if options.dry_run:
+        return _dry_run(experiment, options.experiment, shown, with_report=not options.no_report)
     folder = shown.absolute()  # matchers of other people may change the working folder
     with open_run(experiment, folder) as store:
         maps = prepare_folder(folder / FOLDER) if options.keep_arrays else None
@@ -171,13 +171,15 @@ def _say_law(experiment: "Experiment") -> None:
         warnings.warn(f"{text}false` says that it is meant (earlier versions tested it unasked)", Notice, stacklevel=1)
 
 
-def _dry_run(experiment: "Experiment", given: str, *, with_report: bool) -> int:
+def _dry_run(experiment: "Experiment", given: str, folder: Path, *, with_report: bool) -> int:
     from harness.machine import available_cpus
     from harness.pipeline.sight import check_sight
     from harness.runs.cases import CASE
     from harness.runs.plan import plan
     from harness.runs.preflight import preflight
+    from harness.runs.run import check_folder_of_run
 
+    check_folder_of_run(experiment, folder)
     preflight(experiment.planned, len(experiment.planned), given)
     # The first trial of each pair of sensors: give the errors and notices that it would give when run.
     by_sensors = {each.trial.sensors: each.trial for each in reversed(experiment.planned)}

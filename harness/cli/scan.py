@@ -8,6 +8,7 @@ from typing import Any
 from harness.cli.command_line import Parser
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_images, add_out, positive
+from harness.cli.out_folder import check_out_folder
 from harness.cli.range import add_matching, estimate_of, tell_matching, warn_of
 from harness.errors import InputError
 
@@ -93,11 +94,10 @@ def band_of(options: Namespace) -> dict[str, Any]:
 def run(options: Namespace) -> int:
     """Match, gather, and write the folder."""
     import harness
-    from harness.files import check_no_others
-    from harness.mapping.scan_files import WRITTEN
+    from harness.mapping.scan_files import OF_A_SCAN
 
     settings = band_of(options)  # before anything is matched
-    check_no_others(options.out, WRITTEN, "scan.json")
+    check_out_folder(options, OF_A_SCAN)
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED

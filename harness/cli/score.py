@@ -65,8 +65,12 @@ def add(commands: Commands) -> None:
 def run(options: Namespace) -> int:
     """Score every pair, print the figures, and write the files."""
     import harness
-    from harness.api.datasets import DataSet
+    from harness.api.datasets import OF_A_SCORE, DataSet
+    from harness.files import check_folder, check_no_others
 
+    if options.out is not None:
+        check_folder(options.out)
+        check_no_others(options.out, OF_A_SCORE)
     data = harness.open_dataset(options.truth)
     try:
         if options.split is not None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from harness.cli import completers
 from harness.cli.options import Commands, add_out, positive
+from harness.cli.out_folder import check_default_page
 from harness.cli.sensor_options import add_choices, chosen
 from harness.errors import InputError
 
@@ -77,6 +78,8 @@ def run(options: Namespace) -> None:
     read = read_sensor(options.file, chosen(options, options.camera))
     make_folder_of(options.out)
     check_replaces_none([options.out], [options.file])
+    if options.out is None and options.to is None:
+        check_default_page(_PAGE)
     try:
         if options.central:
             read = _central(read)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from harness.cli import completers
 from harness.cli.exits import FAILED, OK
 from harness.cli.options import Commands, add_images, add_out
+from harness.cli.out_folder import check_out_folder
 from harness.cli.range import add_matching, estimate_of
 from harness.errors import InputError
 
@@ -72,14 +73,13 @@ def run(options: Namespace) -> int:
     """Match, warp, and write the folder."""
     import harness
     from harness.api.warping import OF_A_VIEW, check_perspective, viewpoint
-    from harness.files import check_no_others
     from harness.warping.warp import shares_in_words
 
     angles = options.yaw_deg, options.pitch_deg, options.roll_deg
     with _naming_options():  # before anything is matched
         viewpoint(options.to, *angles)
         check_perspective(options.field_deg, *options.view_size)
-    check_no_others(options.out, *OF_A_VIEW)
+    check_out_folder(options, OF_A_VIEW)
     estimate = estimate_of(options)
     if estimate is None:
         return FAILED

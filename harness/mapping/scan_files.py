@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from harness.errors import InputError
-from harness.files import check_no_others, make_folder, write
+from harness.files import OwnFiles, check_no_others, make_folder, write
 from harness.geometry.angles import Array
 from harness.mapping.range_profile import RangeProfile, bearings
 from harness.mapping.settings import MOST_BEARINGS
@@ -26,6 +26,16 @@ WRITTEN = {
     "scan.ply": "the same as PLY",
 }
 """The files of `write_scan`."""
+OF_A_SCAN = OwnFiles(
+    "scan",
+    dict.fromkeys(WRITTEN)
+    | {
+        "scan.csv": b"bearing_deg,range_m,sigma_m\n",
+        # Both times are zero in ours, and in no message of a robot.
+        "scan.json": b'{\n "header": {\n  "stamp": {\n   "sec": 0,\n   "nanosec": 0\n  },\n  "frame_id": ',
+    },
+)
+"""The same, as those of a folder."""
 RANGE_MIN_M = 0.01
 """Least distance that a scan file has: nearer is the robot itself."""
 
@@ -38,7 +48,7 @@ def write_scan(profile: RangeProfile, folder: Path, range_max_m: float, frame_id
     InputError
         When the folder cannot be written to.
     """
-    check_no_others(folder, WRITTEN, "scan.json")
+    check_no_others(folder, OF_A_SCAN)
     make_folder(folder)
     contents: dict[str, str | bytes] = {
         "scan.json": json.dumps(laser_scan(profile, range_max_m, frame_id), indent=1, allow_nan=False) + "\n",

@@ -1,6 +1,7 @@
 """The maps of a trial: estimate, truth and error, pixel by pixel; in memory and as NPZ."""
 
 import io
+import os
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.display import OneLine, coloured, grey, html_figure
-from harness.files import make_folder, write
+from harness.files import is_marked, make_folder, write
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid
 from harness.geometry.triangulation import sigma_of_range
@@ -46,8 +47,9 @@ MAPS = {
 }
 """Unit and meaning of each map by name. Every map is `[height, width]` of view 1's panorama."""
 
+_BEGINNING = "The maps of the trials that were run with --keep-arrays"
 README = f"""\
-The maps of the trials that were run with --keep-arrays, one file KEY.npz for each, where KEY is the trial's key in
+{_BEGINNING}, one file KEY.npz for each, where KEY is the trial's key in
 trials.csv. A file whose KEY is not there is of other trials, which were run into this folder before.
 
     import numpy as np
@@ -252,7 +254,7 @@ def write_maps(maps: TrialMaps, folder: Path) -> None:
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make the folder for the maps of a run, with a README; returns its absolute path.
+    """Make the folder for the maps of a run, with a README if there is no other; returns its absolute path.
 
     Raises
     ------
@@ -260,7 +262,9 @@ def prepare_folder(folder: Path) -> Path:
         When it cannot be written to.
     """
     make_folder(folder)
-    write(folder / "README.txt", README)
+    readme = folder / "README.txt"
+    if not os.path.lexists(readme) or is_marked(readme, _BEGINNING.encode()):
+        write(readme, README)
     return folder.resolve()
 
 

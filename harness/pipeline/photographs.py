@@ -17,7 +17,7 @@ from harness.camera.sensor import Sensor, forget_directions, project
 from harness.camera.visible_rows import with_rows
 from harness.display import OneLine
 from harness.errors import InputError
-from harness.files import check_no_others, make_folder, read_regular, write
+from harness.files import OwnFiles, check_no_others, make_folder, read_regular, write
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import alpha_1
 from harness.geometry.motion_error import MotionError, range_sigma
@@ -48,9 +48,12 @@ WRITTEN = (
     "range.json",
     "across.csv",
 )
-OF_A_RANGE = ("range.html", *WRITTEN), "range.json"
-"""The files of a folder with the ranges of two images, and the one by which it is known: other commands have some of
-these names too."""
+OF_A_RANGE = OwnFiles(
+    "range of two images",
+    dict.fromkeys(("range.html", *WRITTEN))
+    | {"range.json": b'{\n  "density": ', "across.csv": b"azimuth_deg,elevation_deg,u_px,v_px,"},
+)
+"""The files of a folder with the ranges of two images."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -299,7 +302,7 @@ def write_estimate(result: Estimate, folder: Path) -> None:
     InputError
         When the folder cannot be written to.
     """
-    check_no_others(folder, *OF_A_RANGE)
+    check_no_others(folder, OF_A_RANGE)
     make_folder(folder)
     # First, so that a folder that was left half-written is known as ours.
     write(folder / "range.json", json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")

@@ -12,7 +12,7 @@ from harness.camera.unwrap import unwrap
 from harness.camera.visible_rows import with_rows
 from harness.display import OneLine, grey, html_figure
 from harness.errors import InputError
-from harness.files import check_own, make_folder, write
+from harness.files import OwnFiles, check_empty_or_own, make_folder, write
 from harness.geometry.angles import Array
 from harness.geometry.panorama import Grid, Panorama, directions
 from harness.geometry.pose import Pose
@@ -26,8 +26,9 @@ from harness.simulation.render import render
 from harness.simulation.scene import Scene
 from harness.simulation.truth import truth
 
+_BEGINNING = 'One view of the scene "'
 README = f"""\
-One view of the scene "{{scene}}".
+{_BEGINNING}{{scene}}".
 
 {FILES}\
 range.npy             range along the ray of each pixel's centre, float64 metres, NaN outside the image circle
@@ -37,6 +38,8 @@ scene.glb             the scene as glTF 2.0 with textures; glTF's y is our z, gl
 Range is the Euclidean distance from the effective viewpoint (the mirror's inner focus), not a depth along an axis.
 {CAMERA}
 {PANORAMA}"""
+OF_A_RENDERED_VIEW = OwnFiles("view", {"README.txt": _BEGINNING.encode()})
+"""How a folder with a view is known."""
 
 MISALIGNED = """
 The camera is misaligned with its mirror: omni.* and range.npy are what it sees. points.npy has the point that the ray
@@ -95,8 +98,9 @@ class RenderedView(OneLine):
         if pov:
             check_pov(self.sensor)
         folder = Path(folder)
-        check_own(folder, ("pose.toml", "sensor.toml", "omni.npy"))
+        check_empty_or_own(folder, OF_A_RENDERED_VIEW)
         make_folder(folder)
+        write(folder / "README.txt", self._readme(pov=pov))  # first: a folder left half-written is known as ours
         known = np.isfinite(self.panorama if self.panorama.ndim == 2 else self.panorama.sum(axis=-1))
         panorama = Panorama(self.grid, self.panorama, known)
         for name, data in view_files(self.image, panorama, self.sensor, self.pose).items():
@@ -104,14 +108,14 @@ class RenderedView(OneLine):
         write(folder / "range.npy", npy(self.range_m))
         write(folder / "panorama_range.npy", npy(self.panorama_range_m))
         write_glb(self.scene, folder / "scene.glb", colour=self.image.ndim == 3)
-        readme = README.format(scene=self.scene.name)
         if pov:
             write_pov(self.scene, self.sensor, self.pose, folder)
-            readme += POV_README
         if self.points_m is not None:
             write(folder / "points.npy", npy(self.points_m))
-            readme += MISALIGNED if self.sensor.profile is None else PROFILE
-        write(folder / "README.txt", readme)
+
+    def _readme(self, *, pov: bool) -> str:
+        text = README.format(scene=self.scene.name) + POV_README * pov
+        return text if self.points_m is None else text + (MISALIGNED if self.sensor.profile is None else PROFILE)
 
     def _repr_html_(self) -> str:
         """The mirror image and the panorama as one sees it from inside: azimuth descends to the right."""

@@ -5,6 +5,7 @@ import csv
 import hashlib
 import io
 import json
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ import numpy as np
 from harness.display import OneLine
 from harness.errors import InputError
 from harness.evaluation.metrics import Measures, measure
-from harness.files import clear_leftovers, make_folder, write
+from harness.files import check_folder, clear_leftovers, make_folder
 from harness.matching.window.settings import WindowMatcher
 from harness.pipeline.environment import environment, source_hash
 from harness.pipeline.maps import has_maps
@@ -36,7 +37,16 @@ from harness.runs.recorded import record
 from harness.runs.scheduler import run_batches
 from harness.runs.store import DATABASE, Finished, Store, UnusedRows
 from harness.runs.values import Settings, text_of
-from harness.runs.written import FAILURES, check_no_others, is_written, remove_stale, set_reported, write_files
+from harness.runs.written import (
+    FAILURES,
+    check_begins_no_run,
+    check_no_others_in,
+    is_written,
+    remove_failures,
+    remove_stale,
+    set_reported,
+    write_files,
+)
 from harness.spec import as_table, dump_toml
 
 if TYPE_CHECKING:  # loading it takes long, and trials can be run without
@@ -122,6 +132,32 @@ class RunStatus:
         return plan(self.left)
 
 
+def check_folder_of_run(experiment: Experiment, folder: Path) -> None:
+    """Refuse a folder that `open_run` would refuse, and change nothing in it.
+
+    Raises
+    ------
+    InputError
+        As `open_run`.
+    """
+    check_folder(folder)
+    check_begins_no_run(folder)
+    database = folder / DATABASE
+    if os.path.lexists(database) and not (database.is_file() and not database.stat().st_size):  # an empty one is begun
+        with Store(database, read_only=True) as store:
+            _check_run(experiment, folder, store)
+
+
+def _check_run(experiment: Experiment, folder: Path, store: Store) -> None:
+    name = store.fact("name")
+    if name not in (None, experiment.name):
+        raise InputError(
+            f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
+            file=folder,
+        )
+    check_no_others_in(folder, store)
+
+
 def open_run(experiment: Experiment, folder: Path) -> Store:
     """Open the run of an experiment in a folder, or start it.
 
@@ -132,15 +168,10 @@ def open_run(experiment: Experiment, folder: Path) -> Store:
         cannot be used.
     """
     make_folder(folder)
-    check_no_others(folder)
+    check_begins_no_run(folder)
     with contextlib.ExitStack() as until_it_is_opened:
         store = until_it_is_opened.enter_context(Store(folder / DATABASE))
-        name = store.fact("name")
-        if name not in (None, experiment.name):
-            raise InputError(
-                f"holds a run of the experiment '{name}', not of '{experiment.name}'; give another folder with --out",
-                file=folder,
-            )
+        _check_run(experiment, folder, store)
         clear_leftovers(folder)  # the database is locked, so that no other process writes here
         store.set_fact("name", experiment.name)
         record(experiment, store)
@@ -308,11 +339,10 @@ def write_tables(experiment: Experiment, rows: list[Row], store: Store, folder: 
     }
     removed, left = remove_stale(_digest(experiment, store), store, folder)
     write_files(tables, folder, store)
-    failures = folder / FAILURES
     if any(row.state == "failed" for row in rows):
-        write(failures, _failures(experiment, rows))
+        write_files({FAILURES: _failures(experiment, rows)}, folder, store)
     else:
-        failures.unlink(missing_ok=True)
+        left += remove_failures(folder, store)
     return removed, left + of_earlier_trials(folder, {each.key for each in experiment.planned})
 
 

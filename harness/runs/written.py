@@ -1,12 +1,13 @@
 """The files made from a run's rows, and the hashes that reveal later changes."""
 
 import hashlib
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.files import encoded, read_regular, write
+from harness.files import OwnFiles, check_no_others, encoded, read_regular, write
 from harness.runs.store import DATABASE, Store
 
 WRITTEN = (
@@ -22,6 +23,18 @@ WRITTEN = (
 FAILURES = "failures.csv"
 """Written, or removed, with the tables."""
 
+_OF_A_RUN = OwnFiles(
+    "run",
+    dict.fromkeys(WRITTEN)
+    | {
+        "environment.json": b'{\n  "omnirange": "',
+        "trials.csv": b"state,",
+        "summary.json": b'{\n  "schema": ',
+        FAILURES: b"message,traceback,key\n",
+    },
+)
+"""How they show whose they are; those whose hashes are in the run's database are its own, whatever is in them now."""
+
 OF_ALL_ROWS = ("environment.json", "summary.json", "report.html")
 """Those that are written after the tables, and not at all without a report."""
 
@@ -31,7 +44,7 @@ _LIMIT_BYTES = 1 << 30
 _FACT, _FACT_OF_REPORT, _FACT_OF_TABLES = "written", "reported", "tables"
 
 
-def check_no_others(folder: Path) -> None:
+def check_begins_no_run(folder: Path) -> None:
     """Refuse a folder that has no run yet, but files of the names that a run replaces or removes.
 
     Raises
@@ -39,12 +52,25 @@ def check_no_others(folder: Path) -> None:
     InputError
         Names one of them.
     """
-    database = folder / DATABASE
-    if database.exists() or database.is_symlink():  # what it is, is said where it is opened
+    if os.path.lexists(folder / DATABASE):  # what it is, is said where it is opened
         return
     for path in (folder / name for name in (*WRITTEN, FAILURES)):
-        if path.exists() or path.is_symlink():
+        if os.path.lexists(path):
             raise InputError("is there already, and not from a run in this folder; give another folder", file=path)
+
+
+def check_no_others_in(folder: Path, store: Store) -> None:
+    """Refuse a run's folder that has somebody's own files of the names that a run replaces or removes.
+
+    Raises
+    ------
+    InputError
+        Names one of them.
+    """
+    recorded = _stored_hashes(store) or {}
+    marks = {name: mark for name, mark in _OF_A_RUN.marks.items() if recorded.get(name) is None}
+    advice = "move it, or give another folder"
+    check_no_others(folder, OwnFiles(_OF_A_RUN.what, marks), option=None, advice=advice)
 
 
 def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
@@ -61,6 +87,20 @@ def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
     store.set_fact(_FACT, (_stored_hashes(store) or {}) | hashes)
     for name, data in contents.items():
         write(folder / name, data)
+
+
+def remove_failures(folder: Path, store: Store) -> list[str]:
+    """Remove `FAILURES`, as no trial failed; if somebody has changed it since, leave it, and return its name."""
+    path, hashes = folder / FAILURES, _stored_hashes(store) or {}
+    if not path.is_file():
+        return []
+    recorded = hashes.get(FAILURES)  # earlier versions have recorded none
+    if path.is_symlink() or recorded not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+        return [FAILURES]
+    path.unlink()
+    # A file of this name that comes later is none of ours.
+    store.set_fact(_FACT, {name: digest for name, digest in hashes.items() if name != FAILURES})
+    return []
 
 
 def set_reported(digest: str, store: Store, folder: Path) -> None:
@@ -89,6 +129,8 @@ def remove_stale(digest: str, store: Store, folder: Path) -> tuple[list[str], li
     removed = [name for name in there if name not in left] if are_new else []
     for name in removed:
         (folder / name).unlink()
+    if removed:  # files of these names that come later, and before they are written again, are none of ours
+        store.set_fact(_FACT, {name: each for name, each in hashes.items() if name not in removed})
     store.set_fact(_FACT_OF_TABLES, [digest, left])
     return removed, left
 
