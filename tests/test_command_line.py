@@ -40,12 +40,37 @@ ONE_EACH = "--pose takes one value each time: --pose A --pose B; see omnirange r
         (("cache", "clear"), "'clear' is one argument too many; did you mean '--clear'? See omnirange cache"),
         (("design", "--at"), "--at: must be followed by one M or more; see omnirange design"),
         (("--foo",), "unknown option '--foo'; see omnirange"),
+        (("--set", "a=1"), "unknown option '--set'; a command's options stand behind its name; see omnirange"),
+        (("--sot=1", "run"), "unknown option '--sot'; a command's options stand behind its name; see omnirange"),
+        (("rn", "--foo"), "unknown command 'rn'; did you mean 'run'? See omnirange"),
+        (("range", "a.png", "--basline"), "unknown option '--basline'; did you mean '--baseline'? See omnirange range"),
+        (("run", "--dryrun"), "unknown option '--dryrun'; did you mean '--dry-run'? See omnirange run"),
+        (
+            ("render", "box", "--att", "-1", "0", "1"),
+            "unknown option '--att'; did you mean '--at'? See omnirange render",
+        ),
+        (("render", "box", "--at", "-1", "-inf", "-.3"), "--out: missing; see omnirange render"),
     ],
 )
 def test_a_slip_of_the_command_line(arguments, said, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert capsys.readouterr() == ("", f"omnirange: {said} --help\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--baseline", "nan", "0", "0"], "--baseline: must be a finite number; found nan"),
+        (["--baseline", "1", "0", "0", "--rotation-deg", "0", "inf", "0"], "--rotation-deg: must be a finite number"),
+        (["--pose", "{}"], "{}: is not a regular file; give a pose file"),
+        (["--pose", "{}", "--pose", "{}"], "{}: is not a regular file; give a pose file"),
+    ],
+)
+def test_what_is_wrong_with_a_motion_that_is_given(words, said, tmp_path, capsys):
+    given = [each.format(tmp_path) for each in words]
+    assert main(["range", "a.png", "b.png", "--sensor", "mirror", *given, "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {said.format(tmp_path)}")
 
 
 def test_a_sensors_file_is_blamed_for_its_own_keys(tmp_path, capsys):

@@ -180,10 +180,12 @@ def test_comparison_in_chromium(runs, tmp_path, width):
         assert visited.page.locator("figure img").count() == 1
 
 
-@pytest.mark.parametrize("name", ["trials.csv", "run.sqlite"])
+@pytest.mark.parametrize("name", ["trials.csv", "run.sqlite", "report.html"])
 def test_a_page_is_not_written_over_a_run(runs, name, capsys):
     file = runs["again"] / name
+    if name == "report.html":
+        file.write_text("of the run")
     before = file.read_bytes()
     assert main(["compare", str(runs["window"]), str(runs["again"]), "--out", str(file)]) == 2
-    assert f"{file}: --out: would be written over, and is read" in capsys.readouterr().err
+    assert f"{file}: --out: is a file of a run that is compared; give another name\n" in capsys.readouterr().err
     assert file.read_bytes() == before

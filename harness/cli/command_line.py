@@ -26,6 +26,8 @@ class Parser(argparse.ArgumentParser):
         """Parse; what is not taken is an error of the sub-command, not of the program. Overrides argparse's."""
         self._words = list(sys.argv[1:] if args is None else args)
         self._check_twice()
+        if self._has_commands() and (option := self._unknown_option()):
+            self.error(self._not_taken(option))
         options, rest = super().parse_known_args(self._words, namespace)
         if rest:
             self.error(self._not_taken(rest[0]))
@@ -60,14 +62,31 @@ class Parser(argparse.ArgumentParser):
     def _before_dashes(self) -> Sequence[str]:
         return self._words[: self._words.index("--")] if "--" in self._words else self._words
 
+    def _unknown_option(self) -> str | None:
+        """The first word that looks like an option and is none; of the program itself, the first before the command."""
+        for word in self._before_dashes():
+            if self._has_commands() and not word.startswith("-"):
+                return None
+            is_option = word.startswith("-") and len(word) > 1 and not self._negative_number_matcher.match(word)
+            if is_option and word.partition("=")[0] not in self._option_string_actions:
+                return word
+        return None
+
+    def _has_commands(self) -> bool:
+        return any(each.nargs == argparse.PARSER for each in self._get_positional_actions())
+
     def _not_taken(self, word: str) -> str:
         """What is said of a word that neither is an option nor belongs anywhere."""
         if word.startswith("-") and len(word) > 1 and not self._negative_number_matcher.match(word):
             name = word.partition("=")[0]
             if name in self._option_string_actions:
                 return f"'{name}' is behind --, after which nothing is an option"
-            hint = nearest(name, [each for each in self._option_string_actions if each.startswith("--")])
-            return f"unknown option '{name}'" + (f"; {hint}" if hint.startswith("did you mean") else "")
+            # The dashes, which all have, would make any two alike.
+            words = [each[2:] for each in self._option_string_actions if each.startswith("--")]
+            hint = nearest(name.lstrip("-"), words).replace("did you mean '", "did you mean '--")
+            if not hint.startswith("did you mean"):
+                hint = "a command's options stand behind its name" if self._has_commands() and self._words[1:] else ""
+            return f"unknown option '{name}'{hint and f'; {hint}'}"
         problem = f"'{word}' is one argument too many"
         if hint := self._repeat_hint(word):
             return f"{problem}; {hint}"
@@ -90,6 +109,8 @@ class Parser(argparse.ArgumentParser):
     def _reworded(self, message: str) -> str:
         """An error of argparse in the words of this program."""
         if missing := re.fullmatch(r"the following arguments are required: (.*)", message, re.DOTALL):
+            if option := self._unknown_option():  # what is missing may be its mistyped name
+                return self._not_taken(option)
             # A word behind the first value of a repeatable option was taken for something else.
             plain = zip(self._words[1:], self._words[2:], strict=False)
             behind = [word for before, word in plain if not before.startswith("-") and not word.startswith("-")]

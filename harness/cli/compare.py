@@ -31,15 +31,18 @@ def run(options: Namespace) -> int:
     """Write the page, and print a table for every pair of runs; the exit code is 1 if nothing was paired."""
     from rich.console import Console
 
-    from harness.files import check_replaces_none, make_folder_of, write
+    from harness.errors import InputError
+    from harness.files import is_same, make_folder_of, write
     from harness.report.paired_differences import build_comparison
     from harness.runs.earlier import COMPARISON
     from harness.runs.store import DATABASE
-    from harness.runs.written import WRITTEN
+    from harness.runs.written import FAILURES, WRITTEN
 
     make_folder_of(options.out)
-    own = (*WRITTEN, DATABASE)
-    check_replaces_none([options.out], [folder / name for folder in options.folders for name in own])
+    own = (*WRITTEN, FAILURES, DATABASE)
+    compared = [folder / name for folder in options.folders for name in own]
+    if options.out is not None and any(is_same(options.out, each) for each in compared):
+        raise InputError("is a file of a run that is compared; give another name", file=options.out, key="--out")
     page = options.out or options.folders[-1] / COMPARISON
     if options.out is None:
         check_default_page(page)

@@ -428,7 +428,7 @@ def _given_motion(options: Namespace, sensors: "tuple[Sensor, Sensor]") -> "Moti
         return harness.relative_motion(harness.Pose(), parse(harness.Pose, table))
     except InputError as error:
         option = "--rotation-deg" if (error.key or "").endswith("_deg") else "--baseline"
-        raise InputError(error.problem, file=option, key=error.key) from error
+        raise InputError(error.problem, file=option) from error
 
 
 def _check_estimated(options: Namespace) -> None:

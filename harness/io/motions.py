@@ -65,7 +65,7 @@ def read_motion(
     InputError
         When the file cannot be read or is of no such kind, has no such view, or a choice is missing or out of place.
     """
-    content = read_content(file)
+    content = read_content(file, "pose")
     if is_trajectory(content):
         return _of_trajectory(read_trajectory(content), lens_from_sensor, views, frame)
     is_pose = _is_pose(content)
@@ -109,7 +109,7 @@ def motions_of_poses(files: Sequence[Path], count: int) -> list[Motion]:
 
 
 def _pose(file: Path, *, in_the_world: bool) -> Pose:
-    content = read_content(file)
+    content = read_content(file, "pose")
     if not _is_pose(content):
         raise InputError("holds no pose: TOML with position_m, yaw_deg, pitch_deg, roll_deg", file=file)
     if not in_the_world and _BESIDE_A_POSE & content.table.keys():
@@ -134,7 +134,7 @@ def read_motions(file: Path, lens_from_sensor: Array, frame: Frame | None = None
     InputError
         When the file is no trajectory, or lacks a value that is needed.
     """
-    content = read_content(file)
+    content = read_content(file, "pose")
     if _is_pose(content):
         raise InputError(_ONE_POSE, file=file)
     if not is_trajectory(content):

@@ -30,15 +30,20 @@ def _opencv_matrix(loader: Any, node: Any) -> dict[str, Any]:
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
 
 
-def read_content(file: Path) -> Content:
+def read_content(file: Path, what: str = "sensor") -> Content:
     """Read a file and parse it.
+
+    Parameters
+    ----------
+    what
+        What the file should be, for messages: `sensor` or `pose`.
 
     Raises
     ------
     InputError
         When the file cannot be read, is not text, or is cut off.
     """
-    data = read_regular(file, MOST_BYTES, "sensor")
+    data = read_regular(file, MOST_BYTES, what)
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
