@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 import harness
@@ -12,10 +13,11 @@ from harness.camera.sensor import Sensor, project
 from harness.geometry.angles import angle_between, normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import Motion, Pose, relative_motion
+from harness.matching.pair import Pair
 from harness.motion.across import Across
 from harness.motion.causes import MIRROR, directions_aside, effects_of, fit_causes
 from harness.motion.residuals import Turn
-from harness.pipeline.geometry_check import Verdict
+from harness.pipeline.geometry_check import Verdict, check_geometry
 from harness.pipeline.geometry_cost import cost_of
 
 SENSOR = Sensor()
@@ -292,6 +294,69 @@ def test_a_wrong_geometry_is_said_and_counted_in(pair, fault, cause):
     # The geometry's part is made for two thirds; its pattern is smooth, so that shares of a pair vary.
     assert 0.5 < within_one_sigma(pair, estimate.sigma_m, estimate.range_m) < 0.95
     assert len(check.table()) == len(check.tiles)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [10.0, 20.0, 30.0])
+def test_a_right_geometry_in_noise_is_right(pair, noise):
+    estimate = estimated(pair, noise=noise)
+    check = estimate.geometry
+    assert check.verdict == Verdict.OK
+    assert not check.contradicted
+    assert len(check.lines()) == 1
+    # A median of 60 to 100 tiles varies by some 15 %, and texture as fine as pixels counts as noise in the gradients.
+    assert 0.8 < check.noise_px / check.rms_px < 1.6
+
+
+@pytest.mark.slow
+def test_a_wrong_geometry_in_noise_is_wrong(pair):
+    check = estimated(pair, yaw_deg=1.0, noise=20.0).geometry
+    assert check.verdict in {Verdict.DOUBTFUL, Verdict.WRONG}
+    assert check.rms_px > 3 * check.noise_px
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [2.0, 20.0])
+def test_ranges_at_which_the_views_do_not_look_alike_contradict_the_geometry(pair, noise):
+    rng = np.random.default_rng(1)
+    images = [(each.image + rng.normal(0, noise, each.image.shape)).astype(np.float32).clip(0, 255) for each in pair]
+    seen = Pair((images[0], images[1]), (SMALL, SMALL), relative_motion(*(each.pose for each in pair)), GRID)
+    range_m = pair[0].panorama_range_m
+    assert not check_geometry(seen, range_m, 0.01 * range_m).contradicted
+    check = check_geometry(seen, 0.4 * range_m, 0.01 * range_m)
+    assert check.verdict == Verdict.UNKNOWN
+    assert check.contradicted
+    assert f"{check.counts.tried - check.counts.alike} of {check.counts.tried}" in check.lines()[-1]
+
+
+def _bent(image, rms_px, seed):
+    """The image after a smooth random distortion, which is no error of a motion or of a camera's parameters."""
+    draws = np.random.default_rng(seed)
+    shift = ndimage.gaussian_filter(draws.normal(size=(2, *image.shape)), (0, 12, 12))
+    rows, columns = np.indices(image.shape)
+    v, u = shift * (rms_px / shift.std())
+    return ndimage.map_coordinates(image, [rows + v, columns + u], order=3, mode="nearest")
+
+
+@pytest.mark.slow
+def test_what_no_error_explains_is_said_and_counted_in(pair):
+    motion = relative_motion(*(each.pose for each in pair))
+    alone, both = [], []
+    for seed in range(4):
+        images = [pair[0].image, _bent(pair[1].image, 0.3, seed).astype(np.float32).clip(0, 255)]
+        estimate = harness.estimate_range(*images, SMALL, motion, "slanted", grid=GRID)
+        check = estimate.geometry
+        assert check.verdict in {Verdict.DOUBTFUL, Verdict.WRONG}
+        assert check.noise_px < 0.1
+        if not check.likely:
+            assert "explained by no error" in check.lines()[1]
+            # Across a curve it is 0.3 px; tiles average over a part of its waves, and a tenth is each draw's own.
+            assert 0.2 < check.causes.unexplained_px < 0.36
+        alone.append(within_one_sigma(pair, estimate.sigma_matching_m, estimate.range_m))
+        both.append(within_one_sigma(pair, estimate.sigma_m, estimate.range_m))
+    assert max(alone) < 0.35
+    # An image holds some 40 waves, so that a draw's share varies by a tenth.
+    assert 0.58 < np.mean(both) < 0.8
 
 
 def test_images_without_texture_give_no_verdict():

@@ -6,25 +6,41 @@ its points are rotated by delta about y × n, from y towards n = t × x/|t × x|
 from viewpoint 2 in view 1's orientation.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from harness.camera.sensor import Sensor, jacobian
+from harness.camera.image_noise import noise_of
+from harness.camera.sensor import Sensor, jacobian, pixels_seen
+from harness.camera.spline_noise import noise_through_spline
 from harness.display import OneLine
 from harness.geometry.angles import Array, normalise
 from harness.motion import _across_kernels as _kernels
 from harness.motion.residuals import Turn
-from harness.motion.tiles import LEAST_SHARE, LEAST_W, SIDE_PX, Image, Views, lay_tiles, tangents_at, views
+from harness.motion.tiles import (
+    LEAST_CONTRAST,
+    LEAST_SHARE,
+    LEAST_W,
+    SIDE_PX,
+    Image,
+    Views,
+    lay_tiles,
+    tangents_at,
+    views,
+)
 
 _ITERATIONS = 6
 _CORRELATION = 0.6
-"""Least correlation of the two views on a tile."""
+"""Least correlation of the two views on a tile, squared, but for their noise."""
 _MOST_PX = 6.0
 """Largest angle across, pixels of view 2: beyond it a tile is a mismatch."""
 _MOST_SIGMA_PX = 0.5
+_LEAST_SIGNAL = 0.1
+"""Least share of a tile's squared gradients, across, that is texture: with less, the noise is known too poorly."""
 _LEAST_KNOWN = 0.5
 """Least share of a tile's pixels with an initial inverse range."""
 _OUTLYING = 9.0
@@ -69,9 +85,20 @@ class Across(OneLine):
         return np.asarray(self.tiles[:, ::-1] + (SIDE_PX - 1) / 2, dtype=np.float64)
 
 
+class Counts(NamedTuple):
+    """How many tiles of view 1 came how far."""
+
+    textured: int
+    """Tiles with texture that stands out of the noise."""
+    tried: int
+    """Those of them with inverse ranges."""
+    alike: int
+    """Those of them that look alike in both views."""
+
+
 def fit_across(
     images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], turn: Turn, inverse_range: Array
-) -> tuple[Across, int, int]:
+) -> tuple[Across, Counts]:
     """Fit tiles along and across the epipolar curves, from inverse ranges that are accurate to about a pixel.
 
     Parameters
@@ -82,20 +109,19 @@ def fit_across(
     Returns
     -------
     across
-        The tiles that look alike in both views.
-    tried
-        Number of tiles that were tried: those with texture and inverse ranges.
-    textured
-        Number of tiles of view 1 with texture.
+        The tiles that look alike in both views, and whose texture determines the angle across.
+    counts
+        How many tiles there are, and how many of them look alike.
     """
+    noise = _Noise(*(noise_of(image, pixels_seen(each)) for image, each in zip(images, sensors, strict=True)))
     prepared = views(images, sensors)
-    laid = lay_tiles(prepared)
+    laid = lay_tiles(prepared, max(LEAST_CONTRAST, noise.least_contrast))
     tiles, planes = _planes(prepared, laid, inverse_range)
     count = len(tiles)
     x_c = prepared.x[tiles[:, 0] + SIDE_PX // 2, tiles[:, 1] + SIDE_PX // 2]
     n = normalise(np.cross(turn.t, x_c))
     y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
-    axis = np.ascontiguousarray(np.cross(y, n))
+    axis, px_per_rad = np.ascontiguousarray(np.cross(y, n)), pixels_per_radian(sensors[1], turn, y, n)
     delta, gain, offset = np.zeros(count), np.ones(count), np.zeros(count)
     for iteration in range(_ITERATIONS + 1):
         R = turn.R @ Rotation.from_rotvec(axis * delta[:, None]).as_matrix() if count else np.zeros((0, 3, 3))
@@ -105,39 +131,80 @@ def fit_across(
             prepared.camera, prepared.coefficients, planes, gain, offset, H, g, sums,
         )  # fmt: skip
         H = H + np.triu(H, 1).transpose(0, 2, 1) + _ridge(x_c, H)
+        signal = noise.leave(H, sums[:, 0] * (gain * px_per_rad) ** 2)
         if iteration == _ITERATIONS:
             break
         step = np.linalg.solve(H, g[..., None])[..., 0]
         delta = delta + np.clip(step[:, 0], -0.02, 0.02)
         planes = planes + step[:, 1:4]
         gain, offset = np.clip(gain + step[:, 4], 0.1, 10.0), offset + step[:, 5]
-    return _usable(sensors[1], turn, (tiles, x_c, planes, delta), (H, sums), n), count, len(laid)
-
-
-def _usable(
-    sensor: Sensor,
-    turn: Turn,
-    fitted: tuple[NDArray[np.int64], Array, Array, Array],
-    equations: tuple[Array, Array],
-    n: Array,
-) -> Across:
-    """The tiles that were fitted well."""
-    (tiles, x_c, planes, delta), (H, sums) = fitted, equations
     pixels = np.maximum(sums[:, 0], 7.0)
-    variance = sums[:, 1] / (pixels - 6)
-    correlation = 1 - sums[:, 1] / np.maximum(sums[:, 3] - sums[:, 2] ** 2 / pixels, 1e-9)
-    sigma = np.sqrt(np.linalg.inv(H)[:, 0, 0] * variance)
-    aside = -np.sum(np.linalg.solve(H[:, 1:, 1:], H[:, 1:, :1])[:, :3, 0] * x_c, axis=1)
     y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
-    px_per_rad = np.linalg.norm(np.einsum("nij,nj->ni", jacobian(sensor, y @ turn.R.T), n @ turn.R.T), axis=1)
-    with np.errstate(invalid="ignore"):
-        good = (
-            (sums[:, 0] >= LEAST_SHARE * SIDE_PX**2)
-            & (correlation > _CORRELATION)
-            & (np.abs(delta) * px_per_rad < _MOST_PX)
-            & (sigma * px_per_rad < _MOST_SIGMA_PX)
-        )
-    return Across(tiles, x_c, planes, delta, sigma, px_per_rad, aside).at(good)
+    across = Across(
+        tiles=tiles,
+        x_1=x_c,
+        planes=planes,
+        delta=delta,
+        sigma=np.sqrt(np.linalg.inv(H)[:, 0, 0] / signal * sums[:, 1] / (pixels - 6)),
+        px_per_rad=pixels_per_radian(sensors[1], turn, y, n),
+        aside=-np.sum(np.linalg.solve(H[:, 1:, 1:], H[:, 1:, :1])[:, :3, 0] * x_c, axis=1),
+    )
+    alike = noise.correlation(sums, gain) > _CORRELATION
+    alike &= (sums[:, 0] >= LEAST_SHARE * SIDE_PX**2) & (np.abs(delta) * across.px_per_rad < _MOST_PX)
+    usable = alike & (across.sigma * across.px_per_rad < _MOST_SIGMA_PX)
+    return across.at(usable), Counts(textured=len(laid), tried=count, alike=int(alike.sum()))
+
+
+class _Noise(NamedTuple):
+    """The standard deviation of both images' noise, grey levels, and what it does to a tile's fit."""
+
+    of_1: float
+    of_2: float
+
+    @property
+    def least_contrast(self) -> float:
+        """Standard deviation of view 1's grey levels at which texture is as large as the noise: with less, tiles would
+        often not look alike where they match.
+        """
+        return math.hypot(self.of_1, max(self))
+
+    def leave(self, H: Array, squares: Array) -> Array:
+        """Take the noise's part, which tells nothing, out of the information on the angle across, `H[:, 0, 0]`.
+
+        Parameters
+        ----------
+        H
+            `[n, 6, 6]`, normal equations; changed in place.
+        squares
+            `[n]`: the sum over the tile's pixels of the squared movement, pixels, of I_2 by the angle.
+
+        Returns
+        -------
+        signal
+            `[n]`: the share that is left of the information; at least `_LEAST_SIGNAL`, and positive definite.
+        """
+        value, slope = noise_through_spline()
+        information = 1 / np.linalg.inv(H)[:, 0, 0]
+        signal = np.maximum(1 - value * slope * self.of_2**2 * squares / information, _LEAST_SIGNAL)
+        H[:, 0, 0] -= (1 - signal) * information
+        return np.asarray(signal)
+
+    def correlation(self, sums: Array, gain: Array) -> Array:
+        """The squared correlation `[n]` of both views without noise, from the kernel's sums: expected values of the
+        noise's squares are subtracted.
+        """
+        pixels = np.maximum(sums[:, 0], 1.0)
+        texture = sums[:, 3] - sums[:, 2] ** 2 / pixels - pixels * self.of_1**2
+        unlike = sums[:, 1] - pixels * (self.of_1**2 + gain**2 * self.of_2**2)
+        return np.asarray(1 - unlike / np.maximum(texture, 1e-9))
+
+
+def pixels_per_radian(sensor: Sensor, turn: Turn, y: Array, towards: Array) -> Array:
+    """Pixels of view 2 `[n]` per radian from directions y `[n, 3]` towards unit vectors perpendicular to them `[n, 3]`,
+    all in view 1's orientation.
+    """
+    moved = np.einsum("nij,nj->ni", jacobian(sensor, y @ turn.R.T), towards @ turn.R.T)
+    return np.asarray(np.linalg.norm(moved, axis=1))
 
 
 def _planes(given: Views, tiles: NDArray[np.int64], inverse_range: Array) -> tuple[NDArray[np.int64], Array]:

@@ -8,6 +8,7 @@ they are noise; otherwise it also gives the size of errors that the measurements
 Errors are assumed minus true values: with a principal point that is given 1 px too far right, theta is 1.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,11 @@ _FAR_M = 10.0
 millimetre, which is nothing beside their turning."""
 _SECTORS = 4
 """Sectors of azimuth that errors are tried on, each by those fitted to the others."""
+_MORE_THAN_NOISE = 2.0
+"""Scatter about the fit over that of noise, at least, for what is not noise and has no cause. Noise alone reaches 1.6,
+on a wall whose texture is less than the noise."""
+_LEAST_UNEXPLAINED_PX = 0.05
+"""What has no cause, pixels, at least: interpolation, and surfaces that are not planar, reach 0.03."""
 _SIGNIFICANT = 6.0
 """Least gain in log-likelihood of a significant error."""
 
@@ -236,6 +242,11 @@ class Causes(OneLine):
     """`[n]`, 0 .. 1: robust weight of each tile."""
     sigma: Array
     """`[n]`, radians: standard deviation of the residuals of theta."""
+    noise: Array
+    """`[n]`, radians: the part of it that each tile's own residual predicts."""
+    unexplained_px: float
+    """Standard deviation, pixels of view 2, of the part that is neither noise nor an error named here; 0 where noise
+    may be all."""
     alone: tuple["Cause", ...]
     """The share that each of `CAUSES` explains alone, the largest first; empty if there is no error."""
 
@@ -281,6 +292,8 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
         gain=gain,
         weight=weight,
         sigma=factor * sigma,
+        noise=sigma,
+        unexplained_px=_unexplained_px(factor, (e - E @ theta) * tiles.px_per_rad, sigma * tiles.px_per_rad),
         alone=() if gain <= _SIGNIFICANT else _alone(effects, A, b, size, gain),
     )
 
@@ -309,6 +322,15 @@ def _weighed(left: Array) -> tuple[float, Array]:
     """Robust standard deviation of residuals, at least 1, and their weights."""
     factor = max(1.0, float(1.4826 * np.median(np.abs(left)))) if left.size else 1.0
     return factor, np.asarray(1 / (1 + (left / (_CAUCHY * factor)) ** 2))
+
+
+def _unexplained_px(factor: float, left_px: Array, noise_px: Array) -> float:
+    """Robust scatter of what is left, pixels, without the noise, where it is `factor` times what noise explains."""
+    if factor <= _MORE_THAN_NOISE:
+        return 0.0
+    scatter, noise = 1.4826 * float(np.median(np.abs(left_px))), float(np.median(noise_px))
+    unexplained_px = math.sqrt(max(scatter**2 - noise**2, 0.0))
+    return unexplained_px if unexplained_px > _LEAST_UNEXPLAINED_PX else 0.0
 
 
 def _gain_elsewhere(A: Array, b: Array, x: Array) -> float:

@@ -12,9 +12,9 @@ from harness.motion.direct import DirectFit
 from harness.motion.tiles import SIDE_PX, Image
 
 _LEAST_TILES = 30
-_BEYOND = 4.0
-"""Scatter over the tiles' own noise, at least. With an exact calibration and a noise of 10 grey levels it is up to 3.2
-on rendered pairs, as noise in the gradients makes a tile's own too small."""
+_BEYOND = 2.0
+"""Scatter over the tiles' own noise, at least. With an exact calibration it is up to 1.6 on rendered pairs, at any
+noise."""
 _LEAST_PX = 0.1
 """Below it, interpolation is as large."""
 

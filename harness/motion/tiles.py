@@ -26,7 +26,7 @@ LEAST_SHARE = 0.8
 """Least share of a tile's pixels that are visible in both views."""
 LEAST_W = -0.02
 """The least inverse range of a pixel, in 1/|t|; negative, as noise puts far points behind the views."""
-_LEAST_CONTRAST = 1.0
+LEAST_CONTRAST = 1.0
 """Least standard deviation of a tile's grey levels: below it, rounding to 8 bits dominates."""
 _STRIDE = 2
 _NEIGHBOURS = 12
@@ -82,8 +82,10 @@ def views(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], blur_px: 
     )
 
 
-def lay_tiles(given: Views) -> NDArray[np.int64]:
-    """First row and column `[T, 2]` of the tiles with enough visible pixels in view 1, and enough contrast."""
+def lay_tiles(given: Views, least_contrast: float = LEAST_CONTRAST) -> NDArray[np.int64]:
+    """First row and column `[T, 2]` of the tiles with enough visible pixels in view 1, and enough contrast: the
+    standard deviation of their grey levels.
+    """
     rows, columns = (np.arange(0, size - SIDE_PX + 1, SIDE_PX) for size in given.known.shape)
 
     def mean(values: NDArray[Any]) -> Array:
@@ -94,7 +96,7 @@ def lay_tiles(given: Views) -> NDArray[np.int64]:
     first = np.where(given.known, given.grey, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = mean(first**2) / share - (mean(first) / share) ** 2
-    chosen = np.argwhere((share >= LEAST_SHARE) & (variance > _LEAST_CONTRAST**2))
+    chosen = np.argwhere((share >= LEAST_SHARE) & (variance > least_contrast**2))
     return np.ascontiguousarray(chosen * SIDE_PX, dtype=np.int64)
 
 

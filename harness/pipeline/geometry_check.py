@@ -18,7 +18,7 @@ from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.geometry.panorama import pixel_that_holds
 from harness.matching.pair import Pair
-from harness.motion.across import Across, fit_across
+from harness.motion.across import Across, Counts, fit_across
 from harness.motion.causes import Cause, Causes, fit_causes
 from harness.motion.residuals import Turn
 from harness.pipeline.geometry_cost import Cost, cost_of
@@ -35,6 +35,8 @@ LEAST_COVERED = 0.5
 """Share of the ranges that have to be within one standard deviation of the matching alone; 0.68 of them should."""
 MOST_COVERED = 0.15
 """Share of covered ranges below which a geometry that also costs more than `MOST_SHARE` is called wrong."""
+GROSS_SHARE = 0.1
+"""Range error, as a share of the range, above which a geometry that costs more than the noise is called wrong."""
 _WORTH_SAYING = 0.1
 """Size of an error beside the largest one, at least."""
 
@@ -47,7 +49,7 @@ class Verdict(StrEnum):
     DOUBTFUL = "doubtful"
     """An error costs more than the noise."""
     WRONG = "wrong"
-    """An error costs more than 2 % of the range, and much more than the noise."""
+    """An error costs more than 2 % of the range and much more than the noise, or more than 10 % and the noise."""
     UNKNOWN = "unknown"
     """There are too few matches to tell."""
 
@@ -66,12 +68,10 @@ class GeometryCheck(OneLine):
     covered: float
     """Share of the ranges that the matching's standard deviation alone should cover, by what was fitted; NaN where
     there are too few tiles."""
-    tried: int
-    """Windows with texture and ranges; those of `tiles` look alike in both views."""
-    textured: int
-    """Windows of view 1 with texture."""
+    counts: Counts
+    """Windows of view 1 with texture, those of them with ranges, and those that look alike in both views."""
     cost: Cost | None = None
-    """What the likeliest error does to ranges; None where there is none."""
+    """What the likeliest error, and what is unexplained, do to ranges; None where there is neither."""
 
     @property
     def across_px(self) -> Array:
@@ -89,7 +89,7 @@ class GeometryCheck(OneLine):
     @property
     def sigma_px(self) -> Array:
         """`[tiles]`: the standard deviation of `across_px` from noise, pixels."""
-        sigma = self.tiles.sigma if self.causes is None else self.causes.sigma
+        sigma = self.tiles.sigma if self.causes is None else self.causes.noise
         return np.asarray(sigma * self.tiles.px_per_rad)
 
     @property
@@ -123,27 +123,28 @@ class GeometryCheck(OneLine):
     @property
     def least(self) -> int:
         """The least number of windows for a verdict."""
-        return max(LEAST_TILES, math.ceil(LEAST_MATCHED * self.textured))
+        return max(LEAST_TILES, math.ceil(LEAST_MATCHED * self.counts.textured))
 
     @property
     def contradicted(self) -> bool:
         """Whether most matches contradict the geometry."""
-        return self.tried >= LEAST_TILES and len(self.tiles) < LEAST_ALIKE * self.tried
+        return self.counts.tried >= LEAST_TILES and self.counts.alike < LEAST_ALIKE * self.counts.tried
 
     def lines(self) -> list[str]:
         """The verdict in plain words, as a list of sentences."""
         if not self.contradicted:
             return self._verdict_lines()
+        unlike = self.counts.tried - self.counts.alike
         text = (
-            f"most matches contradict the geometry: {self.tried - len(self.tiles)} of {self.tried} textured windows "
-            "do not look alike where they were matched"
+            f"most matches contradict the geometry: {unlike} of {self.counts.tried} textured "
+            "windows do not look alike where they were matched"
         )
         return [*self._verdict_lines(), text]
 
     def _verdict_lines(self) -> list[str]:
         if self.verdict == Verdict.UNKNOWN:
             text = (
-                f"geometry {self.verdict}: only {len(self.tiles)} of {self.textured} textured windows match, "
+                f"geometry {self.verdict}: only {len(self.tiles)} of {self.counts.textured} textured windows match, "
                 f"{self.least} are needed; motion or calibration may be far off, or there is no texture"
             )
             return [text]
@@ -151,17 +152,27 @@ class GeometryCheck(OneLine):
             f"geometry {self.verdict}: matches lie {self.rms_px:.2g} px off their epipolar curves, of which noise "
             f"explains {self.noise_px:.2g} px"
         )
-        if not self.likely or self.causes is None:
+        if self.causes is None or self.cost is None:
             return [text]
-        best, alike = self.causes.likely[0], self.likely[1:]
-        cause = f"likely cause: {best.name} ({errors_in_words(best)}), which explains {best.explains:.0%} of it"
-        if alike:
-            cause = f"{cause}; it cannot be told from {' or '.join(alike)}"
         cost = (
             f"it costs {100 * self.median_share:.2g} % of the range in the median, which sigma counts in; without, "
             f"sigma would cover {self.covered:.0%} of the ranges instead of 68%"
         )
-        return [text, cause, cost]
+        return [text, *self._cause_lines(self.causes), cost]
+
+    def _cause_lines(self, causes: Causes) -> list[str]:
+        lines = []
+        if self.likely:
+            best, alike = causes.likely[0], self.likely[1:]
+            cause = f"likely cause: {best.name} ({errors_in_words(best)}), which explains {best.explains:.0%} of it"
+            lines = [f"{cause}; it cannot be told from {' or '.join(alike)}" if alike else cause]
+        if causes.unexplained_px:
+            what = f"{causes.unexplained_px:.2g} px of it are" if self.likely else "it is"
+            lines.append(
+                f"{what} explained by no error of the motion or of a camera of this model; sigma takes matches to be "
+                "as far off along their curves"
+            )
+        return lines
 
     def table(self) -> pd.DataFrame:
         """A row for each tile: its direction from view 1, where it is on both images, and how far it lies across."""
@@ -185,10 +196,12 @@ class GeometryCheck(OneLine):
         return {
             "verdict": str(self.verdict),
             "tiles": len(self.tiles),
-            "tiles_tried": self.tried,
-            "tiles_textured": self.textured,
+            "tiles_tried": self.counts.tried,
+            "tiles_alike": self.counts.alike,
+            "tiles_textured": self.counts.textured,
             "across_rms_px": _finite(self.rms_px),
             "noise_px": _finite(self.noise_px),
+            "unexplained_px": 0.0 if self.causes is None else self.causes.unexplained_px,
             "range_error_share": _finite(self.median_share),
             "covered_without_it": _finite(self.covered),
             "likely_causes": list(self.likely),
@@ -213,22 +226,24 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
     """
     turn = Turn(np.asarray(pair.motion.R_v2_from_v1, np.float64), pair.t_v1 / pair.motion.baseline_m)
     first, second = pair.images
-    tiles, tried, textured = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
+    tiles, counts = fit_across((first, second), pair.sensors, turn, _inverse_ranges(pair, range_m))
     none = np.zeros(len(tiles))
     if len(tiles) < LEAST_TILES:
-        return GeometryCheck(Verdict.UNKNOWN, tiles, None, none, math.nan, tried, textured)
+        return GeometryCheck(Verdict.UNKNOWN, tiles, None, none, math.nan, counts)
     causes = fit_causes(tiles, pair.sensors, turn)
-    if not causes.significant:
-        few = len(tiles) < LEAST_MATCHED * textured
+    if not causes.significant and not causes.unexplained_px:
+        few = len(tiles) < LEAST_MATCHED * counts.textured
         verdict, covered = (Verdict.UNKNOWN, math.nan) if few else (Verdict.OK, 0.6827)
-        return GeometryCheck(verdict, tiles, causes, none, covered, tried, textured)
+        return GeometryCheck(verdict, tiles, causes, none, covered, counts)
     cost = cost_of(tiles, causes, pair.sensors, pair.motion, pair.grid, (range_m, sigma_m))
     if cost is None:
-        return GeometryCheck(Verdict.UNKNOWN, tiles, causes, none, math.nan, tried, textured)
+        return GeometryCheck(Verdict.UNKNOWN, tiles, causes, none, math.nan, counts)
     verdict = Verdict.OK if cost.covered >= LEAST_COVERED else Verdict.DOUBTFUL
     if cost.median > MOST_SHARE and cost.covered < MOST_COVERED:
         verdict = Verdict.WRONG
-    return GeometryCheck(verdict, tiles, causes, cost.at_tiles, cost.covered, tried, textured, cost)
+    if cost.median > GROSS_SHARE and verdict == Verdict.DOUBTFUL:
+        verdict = Verdict.WRONG
+    return GeometryCheck(verdict, tiles, causes, cost.at_tiles, cost.covered, counts, cost)
 
 
 def geometry_share(check: GeometryCheck, pair: Pair, range_m: Array) -> Array:

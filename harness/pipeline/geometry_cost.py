@@ -4,6 +4,8 @@ The likeliest error theta is known with its sign, and so is what it does to ever
 deviation has to hold for errors of its kind, not trace the zeros of this one: its pattern is the root of the mean
 square over all errors of theta's kind, of typical sizes and any direction, and of that pattern's median over the image;
 its height the one that has 68 % of the pixels within one standard deviation of their ranges, by what theta does there.
+
+What lies across the curves and is neither noise nor an error that is known here is taken to be as large along them.
 """
 
 from dataclasses import dataclass
@@ -15,10 +17,10 @@ from scipy.special import erf
 
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
-from harness.geometry.angles import Array
+from harness.geometry.angles import Array, normalise
 from harness.geometry.panorama import Grid, directions
 from harness.geometry.pose import Motion
-from harness.motion.across import Across
+from harness.motion.across import Across, pixels_per_radian
 from harness.motion.causes import Cause, Causes, Effects, columns_of, effects_of, typical_sizes
 from harness.motion.residuals import Turn
 
@@ -91,7 +93,7 @@ def cost_of(
     grid: Grid,
     ranges: tuple[Array, Array],
 ) -> Cost | None:
-    """What a significant error costs; None where there are no ranges.
+    """What a significant error costs, and what is unexplained; None where there are no ranges.
 
     Parameters
     ----------
@@ -105,7 +107,9 @@ def cost_of(
     x, w = directions(grid)[chosen], motion.baseline_m / ranges[0][chosen]
     matching = ranges[1][chosen] / ranges[0][chosen]
     here = effects_of(x, _planes(tiles, x, w), sensors, turn, causes.effects.outermost_px)
-    open_here, open_there = (_still_open(each, causes) for each in (here, causes.effects))
+    unexplained = causes.unexplained_px, sensors[1], turn
+    open_here = _still_open(here, causes) + _along(x, w, *unexplained) ** 2
+    open_there = _still_open(causes.effects, causes) + _along(tiles.x_1, tiles.w, *unexplained) ** 2
     highest, there, covered = np.zeros(len(x)), np.zeros(len(tiles)), 1.0
     for cause in _possible(causes):
         by_theta = _UNDERSTATED * _shares(here) @ cause.theta
@@ -153,6 +157,18 @@ def _still_open(effects: Effects, causes: Causes) -> Array:
     """Variance `[n]` of the share by what the measurements leave open."""
     shares = _shares(effects)
     return np.maximum(np.einsum("ni,ij,nj->n", shares, causes.covariance, shares), 0.0)
+
+
+def _along(x: Array, w: Array, px: float, sensor: Sensor, turn: Turn) -> Array:
+    """What so many pixels of view 2 along the epipolar curves do to ranges `[n]`, as shares of the range.
+
+    By w = sin(alpha_2 - alpha_1)/sin(alpha_2), dw/dalpha_2 is sin(alpha_1)/sin(alpha_2)².
+    """
+    y = normalise(x - w[:, None] * turn.t)
+    sine_1, sine_2 = (np.maximum(np.linalg.norm(np.cross(turn.t, each), axis=1), 1e-6) for each in (x, y))
+    away = ((y @ turn.t)[:, None] * y - turn.t) / sine_2[:, None]
+    by_alpha_2 = sine_1 / sine_2**2 / np.maximum(w, NO_RANGE)
+    return np.asarray(px / pixels_per_radian(sensor, turn, y, away) * by_alpha_2)
 
 
 def _pattern(effects: Effects, cause: str, level: float | None = None) -> tuple[Array, float]:
