@@ -1,13 +1,12 @@
 """Files read within limits, and written whole or not at all."""
 
-import errno
 import os
 import re
 import secrets
 import stat
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from harness.errors import InputError, with_article
@@ -22,9 +21,11 @@ _IMAGES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*
 """How files of images begin."""
 
 PAGE_MARK = (
-    b'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="omnirange">'
+    b'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="omnirange'
 )
 """How the pages begin that this program writes."""
+PICTURE_MARK = b"tEXtSoftware\0omnirange"
+"""What is in PNG files that this program writes where another's may be: see `harness.images.png_note`."""
 _MARKED_BYTES = 4096
 """The first bytes of a file, among which is the mark of one of ours."""
 
@@ -131,16 +132,15 @@ def make_folder(folder: Path, option: str = "--out") -> None:
     InputError
         When it cannot be made or written to; names the option that gave it.
     """
+    check_folder(folder, option)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:  # the second is Python's for a null byte
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be used as the output folder ({why})", file=folder, key=option) from error
-    if not os.access(folder, os.W_OK):
-        raise InputError("the output folder cannot be written to", file=folder, key=option)
+    except OSError as error:
+        problem = f"cannot be used as the output folder ({error.strerror})"
+        raise InputError(problem, file=folder, key=option) from error
 
 
-def check_folder(folder: Path, option: str = "--out") -> None:
+def check_folder(folder: Path, option: str | None = "--out") -> None:
     """Refuse, without making it, a folder that `make_folder` could not make or that could not be written to.
 
     Raises
@@ -150,14 +150,15 @@ def check_folder(folder: Path, option: str = "--out") -> None:
     """
     try:
         there = next(each for each in (folder, *folder.absolute().parents) if os.path.lexists(each))
-        if not there.is_dir():
-            problem = os.strerror(errno.EEXIST if there == folder else errno.ENOTDIR)
-            raise InputError(f"cannot be used as the output folder ({problem})", file=folder, key=option)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be used as the output folder ({why})", file=folder, key=option) from error
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError("the output folder cannot be written to", file=folder, key=option)
+        problem = "" if there.is_dir() else "it" if there == folder else printable(there)
+        if problem:
+            problem += " is a link that leads nowhere" if there.is_symlink() and not there.exists() else " is no folder"
+        elif not os.access(there, os.W_OK | os.X_OK):
+            problem = f"{'it' if there == folder else printable(there)} cannot be written to"
+    except (OSError, ValueError) as error:  # the second is Python's for a null byte
+        problem = str(getattr(error, "strerror", None) or error)
+    if problem:
+        raise InputError(f"cannot be used as the output folder ({problem})", file=folder, key=option)
 
 
 def make_folder_of(path: Path | None, option: str = "--out") -> None:
@@ -173,6 +174,24 @@ def make_folder_of(path: Path | None, option: str = "--out") -> None:
     make_folder(path.parent, option)
     if path.is_dir():
         raise InputError("is a folder; give the name of a file", file=path, key=option)
+    check_unprotected([path], option)
+
+
+def check_unprotected(files: Iterable[Path], option: str | None = "--out") -> None:
+    """Refuse to write over files that are write-protected.
+
+    Raises
+    ------
+    InputError
+        Names one of them, and the option that gave it.
+    """
+    for path in filter(_is_protected, files):
+        raise InputError("is write-protected; give another place, or allow writing", file=path, key=option)
+
+
+def _is_protected(path: Path) -> bool:
+    """Whether a file is there that its owner lets nobody change. A rename would replace it all the same."""
+    return path.is_file() and not path.is_symlink() and not os.access(path, os.W_OK)
 
 
 def check_replaces_none(written: Iterable[Path | None], read: Iterable[Path | None], option: str = "--out") -> None:
@@ -213,6 +232,13 @@ class OwnFiles:
     marks: Mapping[str, bytes | None]
     """By name, what is among the first bytes of each; None for a file that does not say whose it is, such as an array,
     which is ours where another file beside it is."""
+    also: Mapping[str, bytes] = field(default_factory=dict)
+    """Further marks, of files that are ours without one, too, as earlier versions have written them."""
+
+    def is_of(self, folder: Path) -> bool:
+        """Whether a file in a folder shows that we have written there."""
+        marks = [(name, mark) for name, mark in self.marks.items() if mark is not None]
+        return any(_is_ours(folder / name, mark) for name, mark in (*marks, *self.also.items()))
 
 
 def check_empty_or_own(folder: Path, own: OwnFiles) -> None:
@@ -228,8 +254,7 @@ def check_empty_or_own(folder: Path, own: OwnFiles) -> None:
     InputError
         When the folder has files and is none of ours.
     """
-    is_ours = any(mark is not None and _is_ours(folder / name, mark) for name, mark in own.marks.items())
-    if folder.is_dir() and any(folder.iterdir()) and not is_ours:
+    if folder.is_dir() and any(folder.iterdir()) and not own.is_of(folder):
         problem = f"holds files, and nothing shows that they are of an earlier {own.what}"
         raise InputError(f"{problem}; give an empty folder, or a new one", file=folder, key="--out")
 
@@ -258,8 +283,9 @@ def check_no_others(
         Names one of the files.
     """
     paths = {name: folder / name for name in own.marks}
+    check_unprotected(paths.values(), option)
     ours = {name: _is_ours(path, own.marks[name]) for name, path in paths.items() if os.path.lexists(path)}
-    is_known = any(ours.values())
+    is_known = own.is_of(folder)
     for name, is_ours in ours.items():
         if is_ours is False or (is_ours is None and not is_known and not _is_empty(paths[name])):
             problem = f"is there already, and nothing shows that it is of an earlier {own.what}; {advice}"
@@ -323,12 +349,14 @@ def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
     Raises
     ------
     OSError
-        When it cannot be written, or is a device, a pipe or a folder.
+        When it cannot be written, is write-protected, or is a device, a pipe or a folder.
     """
     with suppress(FileNotFoundError):
         kind = path.lstat().st_mode
         if not stat.S_ISREG(kind) and not stat.S_ISLNK(kind):
             raise OSError(0, "it is there already and is not a regular file")
+    if _is_protected(path):
+        raise OSError(0, "it is write-protected")
     partial = path.with_name(f".{secrets.token_hex(16)}{PARTIAL}")
     try:
         with os.fdopen(os.open(partial, _NEW, 0o666), "wb") as stream:

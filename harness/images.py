@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, _imaging
+from PIL.PngImagePlugin import PngInfo
 
 from harness.display import OneLine
 from harness.errors import InputError
@@ -240,3 +241,10 @@ def _opened(data: bytes, file: str | Path) -> Iterator[Image.Image]:
         raise InputError(f"has more than the {LIMIT_PX / 1e6:.0f} million pixels that are read", file=file) from error
     except Exception as error:  # Pillow's readers raise exceptions of any class
         raise InputError(f"cannot be read as an image; give a {names} file", file=file) from error
+
+
+def png_note() -> PngInfo:
+    """What says in a PNG file that this program wrote it, `harness.files.PICTURE_MARK`, for Pillow's `pnginfo`."""
+    note = PngInfo()
+    note.add_text("Software", "omnirange")
+    return note

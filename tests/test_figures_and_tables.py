@@ -82,7 +82,7 @@ def test_what_latex_would_read_as_a_command_is_text():
         ("--latex", "report.html", "is a file of the run; give another name"),
         ("--latex", "../out/failures.csv", "is a file of the run; give another name"),  # there or not
         ("--latex", "", "is a folder; give the name of a file"),
-        ("--figures", "trials.csv", "cannot be used as the output folder (File exists)"),
+        ("--figures", "trials.csv", "cannot be used as the output folder (it is no folder)"),
     ],
 )
 def test_nothing_of_the_run_is_written_over(option, name, said, exported, capsys):

@@ -1,5 +1,6 @@
 """No command writes over files of another's, or of one's own, that have the names of its files."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,13 @@ from PIL import Image
 
 import harness
 from harness.api.masks import write_mask
+from harness.api.sequence import OF_A_SEQUENCE
+from harness.api.warping import OF_A_VIEW
 from harness.cli import main
+from harness.cli.map import OF_A_MAP
 from harness.errors import InputError
-from harness.files import PAGE_MARK
+from harness.files import PAGE_MARK, PICTURE_MARK, OwnFiles, check_no_others, write
+from harness.pipeline.photographs import OF_A_RANGE
 
 SENSOR = {"camera": {"width_px": 200, "height_px": 150, "focal_px": 191.9, "cx_px": 99.5, "cy_px": 74.5}}
 
@@ -161,7 +166,8 @@ def test_a_folder_that_cannot_be_is_told_before_the_work(command, pair, tmp_path
     else:
         words = arguments(pair, command, out)
     assert main(words) == 2
-    said = f"omnirange: {out}: --out: cannot be used as the output folder (Not a directory)\n"
+    why = f"{tmp_path / 'file'} is no folder"
+    said = f"omnirange: {out}: --out: cannot be used as the output folder ({why})\n"
     assert capsys.readouterr().err == said
 
 
@@ -229,3 +235,60 @@ def test_one_image_for_two_views(pair, tmp_path, capsys):
     assert main(words) == 2
     said = f"omnirange: {words[1]}: is given for two views in a row; give the image of each\n"
     assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize(
+    ("own", "names"),
+    [
+        (OF_A_RANGE, {"range.json": "", "range.html": "<!DOCTYPE html>\n<title>Range from two mirror images</title>"}),
+        (OF_A_SEQUENCE, {"sequence.json": "[\n  {", "range.html": PAGE_MARK.decode() + ' sequence">'}),
+        (OF_A_VIEW, {"README.txt": "view", "view.png": PICTURE_MARK.decode()}),
+        (OF_A_MAP, {"pairs.csv": "left,", "map.png": PICTURE_MARK.decode()}),
+    ],
+)
+def test_what_was_emptied_or_cut_short_is_known_by_what_is_beside_it(own, names, tmp_path):
+    (tmp_path / next(name for name, mark in own.marks.items() if mark is None and name not in names)).write_text("1")
+    for name, text in names.items():
+        (tmp_path / name).write_text(text)
+    check_no_others(tmp_path, own)
+    (tmp_path / list(names)[1]).write_text("1")
+    with pytest.raises(InputError, match="is there already, and nothing shows"):
+        check_no_others(tmp_path, own)
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path):
+    own = OwnFiles("scan", {"a": b"a,b", "b": None})
+    (tmp_path / "a").write_text("a,b")
+    (tmp_path / "b").symlink_to("nowhere")
+    with pytest.raises(InputError, match="b: --out: is there already"):
+        check_no_others(tmp_path, own)
+    (tmp_path / "b").unlink()
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match="b: --out: is there already"):
+        check_no_others(tmp_path, own)
+
+
+def test_a_link_that_leads_nowhere_is_called_so(tmp_path, capsys):
+    (tmp_path / "link").symlink_to("nowhere")
+    for out, what in ((tmp_path / "link", "it"), (tmp_path / "link" / "out", tmp_path / "link")):
+        for more in ([], ["--dry-run"]):
+            assert main(["run", "smoke", "--out", str(out), *more]) == 2
+            problem = f"cannot be used as the output folder ({what} is a link that leads nowhere)"
+            assert capsys.readouterr().err == f"omnirange: {out}: --out: {problem}\n"
+
+
+def test_what_is_write_protected_stays(tmp_path, capsys, monkeypatch):
+    """A rename would replace it all the same."""
+    page = tmp_path / "mine.html"
+    page.write_text("mine")
+    may = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != page and may(path, mode))  # root may all
+    assert main(["design", "--out", str(page)]) == 2
+    problem = "--out: is write-protected; give another place, or allow writing"
+    assert capsys.readouterr().err == f"omnirange: {page}: {problem}\n"
+    with pytest.raises(InputError, match="is write-protected"):
+        write(page, "ours")
+    with pytest.raises(InputError, match=r"mine\.html: --out: is write-protected"):
+        check_no_others(tmp_path, OwnFiles("page", {"mine.html": b"mine"}))
+    assert [each.name for each in tmp_path.iterdir()] == ["mine.html"]
+    assert page.read_text() == "mine"

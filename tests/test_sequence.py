@@ -97,6 +97,15 @@ def test_an_interrupted_sequence_goes_on_where_it_was(folder, tmp_path, monkeypa
     (tmp_path / "0001" / "pair.json").write_text("{")  # damaged: matched anew
     harness.estimate_sequence(*given, grid=GRID)
     assert len(calls) == 4
+    cut = tmp_path / "0000" / "points.ply"
+    whole = cut.read_bytes()
+    damaged = {"points.ply": whole[:500], "range.npy": None, "pair.json": first.replace('"density": ', '"density": "x')}
+    for count, (name, content) in enumerate(damaged.items(), start=5):
+        file = tmp_path / "0000" / name
+        file.unlink() if content is None else file.write_bytes(content if name != "pair.json" else content.encode())
+        harness.estimate_sequence(*given, grid=GRID)
+        assert len(calls) == count
+    assert cut.read_bytes() == whole
     assert len(json.loads((tmp_path / "sequence.json").read_text())) == 2
 
 

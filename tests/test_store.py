@@ -130,8 +130,14 @@ def test_another_schema_is_refused(tmp_path: Path) -> None:
 
 def test_a_folder_in_its_place_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.sqlite").mkdir()
-    with pytest.raises(InputError, match="cannot be opened for writing"):
-        Store(tmp_path / "run.sqlite")
+    for read_only in (False, True):
+        with pytest.raises(InputError, match="is not a regular file; move it, or give another folder"):
+            Store(tmp_path / "run.sqlite", read_only=read_only)
+
+
+def test_what_is_only_read_is_not_opened_for_writing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"run\.sqlite: cannot be opened \("):
+        Store(tmp_path / "run.sqlite", read_only=True)
 
 
 @pytest.mark.parametrize(

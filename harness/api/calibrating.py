@@ -21,7 +21,7 @@ from harness.camera.mount import Mount
 from harness.camera.sensor import Sensor
 from harness.display import html_figure
 from harness.errors import InputError
-from harness.files import OwnFiles, check_no_others, write
+from harness.files import PAGE_MARK, OwnFiles, check_no_others, write
 from harness.geometry.angles import Array
 from harness.spec import dump_toml, parse
 
@@ -99,7 +99,8 @@ def check_beside(files: Sequence[Path]) -> None:
         Names one of them.
     """
     toml, numbers, *others = files
-    own = OwnFiles("calibration", {numbers.name: b'{"program": "omnirange '} | {each.name: None for each in others})
+    marks = {numbers.name: b'{"program": "omnirange '} | {each.name: None for each in others}
+    own = OwnFiles("calibration", marks, {others[0].name: PAGE_MARK})
     check_no_others(toml.parent, own, advice="give another name")
 
 

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
-from PIL.PngImagePlugin import PngInfo
 
 from harness.api.loading import load_sensor
 from harness.api.photographs import Image, photographs_of
 from harness.camera.sensor import Sensor, used
-from harness.files import OwnFiles, write
+from harness.files import PICTURE_MARK, OwnFiles, write
 from harness.geometry.pose import Motion
+from harness.images import png_note
 from harness.pipeline.static_pixels import static_pixels
 
-OF_A_MASK = OwnFiles("mask of what moves with the camera", {"mask.png": b"tEXtSoftware\0omnirange"})
+OF_A_MASK = OwnFiles("mask of what moves with the camera", {"mask.png": PICTURE_MARK})
 """The mask that `omnirange range --mask auto` writes into its folder."""
 
 
@@ -69,7 +69,6 @@ def write_mask(mask: NDArray[np.bool_], path: str | Path) -> None:
     InputError
         When the file cannot be written.
     """
-    stream, said = io.BytesIO(), PngInfo()
-    said.add_text("Software", "omnirange")  # one that was drawn by hand says nothing, or something else
-    Pillow.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(stream, format="PNG", pnginfo=said)
+    stream = io.BytesIO()
+    Pillow.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(stream, format="PNG", pnginfo=png_note())
     write(Path(path), stream.getvalue())

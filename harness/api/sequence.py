@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 import trimesh
+from pydantic import TypeAdapter
 
 from harness.api.loading import load_sensor
 from harness.api.motion import MotionEstimate, estimate_motion
@@ -17,7 +18,7 @@ from harness.api.ranging import estimate_range
 from harness.camera.sensor import Sensor
 from harness.display import OneLine
 from harness.errors import InputError
-from harness.files import OwnFiles, check_no_others, make_folder, read_regular, write
+from harness.files import PAGE_MARK, OwnFiles, check_folder, check_no_others, make_folder, read_regular, write
 from harness.geometry.panorama import Grid
 from harness.geometry.pose import Motion
 from harness.images import LIMIT_BYTES
@@ -30,6 +31,7 @@ _SUMMARY = "pair.json"
 OF_A_SEQUENCE = OwnFiles(
     "range of a sequence",
     dict.fromkeys(("range.html", "points.ply")) | {"sequence.json": b'[\n  {\n    "left": '},
+    {"range.html": PAGE_MARK + b' sequence">'},
 )
 """The files of a folder with the ranges of a sequence, beside the folders of its pairs."""
 _OF_A_PAIR = OwnFiles("pair of a sequence", {**OF_A_RANGE.marks, _SUMMARY: b'{\n  "key": "'})
@@ -146,7 +148,7 @@ def estimate_sequence(
         pair = _earlier(inside, key)
         if pair is None:
             pair = _estimated(Path(left), Path(right), loaded, motion, matcher, inside, baseline_m, ranging)
-            write(inside / _SUMMARY, json.dumps({"key": key} | asdict(pair), indent=2) + "\n")
+            write(inside / _SUMMARY, json.dumps({"key": key, "sizes": _sizes(inside)} | asdict(pair), indent=2) + "\n")
         pair = replace(pair, left=names[i], right=names[i + 1])
         done.append(pair)
         tell(pair)
@@ -165,6 +167,7 @@ def _prepare(out: Path, pairs: int) -> None:
     """Make the folder of a sequence, unless files are there that are not of one."""
     check_no_others(out, OF_A_SEQUENCE)
     for i in range(pairs):
+        check_folder(_folder_of(out, i))
         check_no_others(_folder_of(out, i), _OF_A_PAIR)
     make_folder(out)
 
@@ -188,20 +191,19 @@ def _key(settings: list[Any], images: tuple[Path, Path], motion: Motion | None) 
 
 
 def _earlier(folder: Path, key: str) -> PairRange | None:
-    """The result of an earlier call with the same key; None if there is none, or its file is damaged."""
+    """The result of an earlier call with the same key; None if there is none, or one of its files is damaged."""
     try:
         table = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
-        if table.pop("key") != key:
+        if table.pop("key") != key or table.pop("sizes") != _sizes(folder):
             return None
-        turn, t = table["R_v2_from_v1"], table["t_v1"]
-        table |= {
-            "reasons": tuple(table["reasons"]),
-            "R_v2_from_v1": None if turn is None else tuple(map(tuple, turn)),
-            "t_v1": None if t is None else tuple(t),
-        }
-        return PairRange(**table)
+        return TypeAdapter(PairRange).validate_python(table)
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _sizes(folder: Path) -> dict[str, int]:
+    """The sizes of a pair's files, by name: one that was cut off, or removed, is noticed."""
+    return {name: (folder / name).stat().st_size for name in OF_A_RANGE.marks if (folder / name).is_file()}
 
 
 def _estimated(

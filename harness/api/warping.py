@@ -16,10 +16,11 @@ from harness.api.ranging import RangeEstimate
 from harness.camera.sensor import Sensor, pixel_directions, require_central
 from harness.display import OneLine, html_figure
 from harness.errors import InputError
-from harness.files import OwnFiles, check_no_others, make_folder, write
+from harness.files import PICTURE_MARK, OwnFiles, check_no_others, make_folder, write
 from harness.geometry.angles import Array, normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import AT_REST, Pose
+from harness.images import png_note
 from harness.spec import parse
 from harness.warping.surface import RangeSurface
 from harness.warping.warp import Image, PixelState, Source, warp
@@ -31,6 +32,7 @@ _README = "view.png: the view; black where nothing is known\n"
 OF_A_VIEW = OwnFiles(
     "warped view",
     dict.fromkeys(("view.png", "range.npy", "sigma_m.npy", "state.npy")) | {"README.txt": _README.encode()},
+    {"view.png": PICTURE_MARK},
 )
 """The files of a folder with a warped view."""
 
@@ -78,7 +80,7 @@ class NewView(OneLine):
 
     def _png(self) -> bytes:
         stream = io.BytesIO()
-        Pillow.fromarray(self.image).save(stream, format="PNG")
+        Pillow.fromarray(self.image).save(stream, format="PNG", pnginfo=png_note())
         return stream.getvalue()
 
     def _repr_html_(self) -> str:

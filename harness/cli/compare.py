@@ -32,7 +32,7 @@ def run(options: Namespace) -> int:
     from rich.console import Console
 
     from harness.errors import InputError
-    from harness.files import is_same, make_folder_of, write
+    from harness.files import check_folder, is_same, make_folder_of, write
     from harness.report.paired_differences import build_comparison
     from harness.runs.earlier import COMPARISON
     from harness.runs.store import DATABASE
@@ -45,6 +45,7 @@ def run(options: Namespace) -> int:
         raise InputError("is a file of a run that is compared; give another name", file=options.out, key="--out")
     page = options.out or options.folders[-1] / COMPARISON
     if options.out is None:
+        check_folder(page.parent, None)
         check_default_page(page)
     comparison = build_comparison(*options.folders)
     write(page, comparison.html)

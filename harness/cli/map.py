@@ -15,7 +15,7 @@ from harness.cli.out_folder import check_out_folder
 from harness.cli.range import add_matching, motions_between, ranging, sequence_settings, warn_of
 from harness.cli.scan import add_band, band_of, naming_options
 from harness.errors import InputError
-from harness.files import OwnFiles
+from harness.files import PICTURE_MARK, OwnFiles
 
 if TYPE_CHECKING:
     from harness.api.mapping import RangeScan
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
 _COLUMNS = ("left", "right", "x_m", "y_m", "yaw_deg", "share_with_obstacle", "geometry")
 """Those of `pairs.csv`."""
-_OF_A_MAP = OwnFiles("map", {"map.png": None, "map.yaml": None, "pairs.csv": ",".join(_COLUMNS).encode()})
+OF_A_MAP = OwnFiles(
+    "map", {"map.png": None, "map.yaml": None, "pairs.csv": ",".join(_COLUMNS).encode()}, {"map.png": PICTURE_MARK}
+)
+"""The files of a folder with a map."""
 Place = tuple[float, float, float]
 """X and y on the map, metres, and yaw, degrees."""
 
@@ -68,7 +71,7 @@ def run(options: Namespace) -> int:
     sensor, settings = sequence_settings(options)
     images = [options.left, options.right, *options.more]
     motions: Sequence[Motion | MotionEstimate] | None = motions_between(options, sensor, len(images))
-    check_out_folder(options, _OF_A_MAP)
+    check_out_folder(options, OF_A_MAP)
     make_folder(options.out)
     motions = motions or _estimated(options, sensor, images)
     if motions is None:

@@ -77,12 +77,13 @@ def run(options: Namespace) -> int:
 
 def _check_files(options: Namespace) -> None:
     """Check before anything is rebuilt that the figures and tables can be written, and over nothing of the run."""
-    from harness.files import is_same, make_folder, make_folder_of
+    from harness.files import check_folder, is_same, make_folder, make_folder_of
     from harness.pipeline import maps
     from harness.runs import path_maps
     from harness.runs.store import DATABASE
     from harness.runs.written import FAILURES, WRITTEN
 
+    check_folder(options.folder, None)
     if options.figures is not None:
         make_folder(options.figures, "--figures")
     make_folder_of(options.latex, "--latex")

@@ -11,6 +11,7 @@ from PIL import Image
 
 from harness.errors import InputError
 from harness.files import make_folder, read_regular, write
+from harness.images import png_note
 from harness.mapping.occupancy import FREE_BELOW, OCCUPIED_ABOVE, Cell, GridFrame
 
 LEVELS = {Cell.OCCUPIED: 0, Cell.FREE: 254, Cell.UNKNOWN: 205}
@@ -35,7 +36,8 @@ def write_map(state: NDArray[np.uint8], frame: GridFrame, folder: Path, name: st
     for cell, level in LEVELS.items():
         levels[cell] = level
     stream = io.BytesIO()
-    Image.fromarray(levels[state][::-1]).save(stream, format="PNG")  # an image's first row is the highest y
+    picture = Image.fromarray(levels[state][::-1])  # an image's first row is the highest y
+    picture.save(stream, format="PNG", pnginfo=png_note())
     table = {
         "image": f"{name}.png",
         "mode": "trinary",

@@ -52,6 +52,7 @@ OF_A_RANGE = OwnFiles(
     "range of two images",
     dict.fromkeys(("range.html", *WRITTEN))
     | {"range.json": b'{\n  "density": ', "across.csv": b"azimuth_deg,elevation_deg,u_px,v_px,"},
+    {"range.html": b"<title>Range from two "},
 )
 """The files of a folder with the ranges of two images."""
 

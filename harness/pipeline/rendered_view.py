@@ -38,7 +38,7 @@ scene.glb             the scene as glTF 2.0 with textures; glTF's y is our z, gl
 Range is the Euclidean distance from the effective viewpoint (the mirror's inner focus), not a depth along an axis.
 {CAMERA}
 {PANORAMA}"""
-OF_A_RENDERED_VIEW = OwnFiles("view", {"README.txt": _BEGINNING.encode()})
+OF_A_RENDERED_VIEW = OwnFiles("view", {"README.txt": _BEGINNING.encode()}, {"pose.toml": b"R_world_from_view"})
 """How a folder with a view is known."""
 
 MISALIGNED = """

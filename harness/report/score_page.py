@@ -146,8 +146,10 @@ def _over_range(scores: Sequence[Score]) -> Picture:
             lines.append(100 * np.quantile(off[inside] / true[inside], [0.5, 0.68, 0.95]))
     for column, stroke, name in zip(np.array(lines).T, ("-", "--", ":"), ("50 %", "68 %", "95 %"), strict=True):
         ax.plot(middle, column, stroke, color=theme.SUBPIXEL, label=name)
-    ax.set_yscale("log")
-    theme.logarithmic(ax, "y", *(float(each) for each in (np.min(lines), np.max(lines))))
+    known = np.array(lines)
+    if known.max() > 0:  # the truth itself has no errors
+        ax.set_yscale("log")
+        theme.logarithmic(ax, "y", float(known[known > 0].min()), float(known.max()))
     ax.grid(color="#E8E8E8", linewidth=0.5)
     ax.set_xlabel("true range (m)")
     ax.set_ylabel("|error| / range (%)")

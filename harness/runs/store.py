@@ -104,11 +104,11 @@ class Store:
     """
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False) -> None:
-        self._path = path
+        self._path, self._read_only = path, read_only
         self._code = self._read = code_hash()
         if path is not None and path.is_symlink():  # it could lead to another's file
             raise InputError("is a symbolic link, which is not followed; move it, or give another folder", file=path)
-        if path is not None and path.exists() and not path.is_file() and not path.is_dir():
+        if path is not None and path.exists() and not path.is_file():
             raise InputError("is not a regular file; move it, or give another folder", file=path)
         try:
             name = f"{path.absolute().as_uri()}?mode=ro" if path and read_only else path or ":memory:"
@@ -293,7 +293,7 @@ class Store:
         elif code == sqlite3.SQLITE_FULL:
             text = "the disk is full; finished trials are stored, make room and run the same command again"
         elif code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
-            text = f"cannot be opened for writing ({error})"
+            text = f"cannot be opened{'' if self._read_only else ' for writing'} ({error})"
         else:
             text = f"is not a run of omnirange, or is damaged ({error}); move it, or give another folder with --out"
         return InputError(text, file=self._path)

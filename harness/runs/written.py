@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.files import OwnFiles, check_no_others, encoded, read_regular, write
+from harness.files import OwnFiles, check_no_others, check_unprotected, encoded, read_regular, write
 from harness.runs.store import DATABASE, Store
 
 WRITTEN = (
@@ -67,6 +67,7 @@ def check_no_others_in(folder: Path, store: Store) -> None:
     InputError
         Names one of them.
     """
+    check_unprotected((folder / name for name in _OF_A_RUN.marks), option=None)
     recorded = _stored_hashes(store) or {}
     marks = {name: mark for name, mark in _OF_A_RUN.marks.items() if recorded.get(name) is None}
     advice = "move it, or give another folder"
