@@ -14,6 +14,7 @@ import hashlib
 import os
 import pickle
 import platform
+import re
 import shutil
 import sys
 import warnings
@@ -44,6 +45,7 @@ LEAST_FREE_MB = 16
 
 _PACKAGE = Path(__file__).parent
 _DIGEST = hashlib.sha256().digest_size
+_HASH = re.compile(r"[0-9a-f]{32}")
 _NO_CODE_CHANGED_BY = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_DEBUG_CACHE")
 
 
@@ -71,15 +73,24 @@ def contents() -> tuple[Path | None, int, int]:
     if current is None:
         return None, 0, 0
     parent = current.parent
-    sizes = [path.stat().st_size for path in parent.glob("*/*") if path.is_file()]
-    return parent, sum(1 for each in parent.glob("*/")), sum(sizes)
+    versions = _versions(parent)
+    sizes = [path.stat().st_size for each in versions for path in each.glob("*") if path.is_file()]
+    return parent, len(versions), sum(sizes)
 
 
 def clear() -> None:
-    """Remove the machine code of all states of the sources."""
+    """Remove the machine code of all states of the sources, and nothing else that may be in its folder."""
     parent = contents()[0]
     if parent is not None:
-        shutil.rmtree(parent, ignore_errors=True)
+        for each in _versions(parent):
+            shutil.rmtree(each, ignore_errors=True)
+
+
+def _versions(parent: Path) -> list[Path]:
+    """The folders of states of the sources, known by their names: the user may keep other things beside them."""
+    if not parent.is_dir():
+        return []
+    return [each for each in parent.iterdir() if _HASH.fullmatch(each.name) and each.is_dir() and not each.is_symlink()]
 
 
 # -- Where machine code is kept ----------------------------------------------------------------------------------------
@@ -198,7 +209,7 @@ def _not_writable(path: Path) -> str:
 def _prune(newest: Path) -> None:
     """Remove the folders of other states of the sources except the latest; a process that uses one compiles again."""
     with suppress(OSError):
-        others = [each for each in newest.parent.iterdir() if each != newest and each.is_dir()]
+        others = [each for each in _versions(newest.parent) if each != newest]
         others.sort(key=lambda each: each.stat().st_mtime)
         for old in others[: -VERSIONS_ON_DISK or None]:
             shutil.rmtree(old, ignore_errors=True)

@@ -13,7 +13,8 @@ from harness.errors import InputError, with_article
 
 PARTIAL = ".partial"
 """Suffix of the name of a file while it is written; the part before it is random."""
-_LEFTOVER = re.compile(rf"\.[0-9a-f]{{32}}{re.escape(PARTIAL)}")
+LEFTOVER = re.compile(rf"\.[0-9a-f]{{32}}{re.escape(PARTIAL)}")
+"""The names that `replace_file` gives to files that it has not finished."""
 
 _START_BYTES = 16
 """What is read of a file that is too large, to say what it is."""
@@ -379,7 +380,7 @@ def clear_leftovers(folder: Path) -> None:
     For a folder that no other process writes to.
     """
     for path in folder.glob(f".*{PARTIAL}"):
-        if _LEFTOVER.fullmatch(path.name):
+        if LEFTOVER.fullmatch(path.name):
             with suppress(OSError):
                 path.unlink()
 

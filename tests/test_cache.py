@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from sweeps import omnirange, write_small
 
+from harness import compiled
 from harness.errors import InputError
 from harness.files import cache_folder
 from harness.geometry.pose import Pose
@@ -113,7 +114,7 @@ def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path: Path) -> Non
 def test_what_dead_processes_left_is_cleared_away(tmp_path: Path) -> None:
     cache = RenderCache(tmp_path, 10**6)
     cache.get("key", Maker())
-    old, new = (tmp_path / "renders" / f"{name}.partial" for name in ("old", "new"))
+    old, new = (tmp_path / "renders" / f".{name * 32}.partial" for name in ("0", "1"))
     old.write_bytes(b"half")
     new.write_bytes(b"half")
     os.utime(old, (0, time.time() - 7200))
@@ -164,6 +165,30 @@ def test_a_trial_does_not_know_of_it(tmp_path: Path) -> None:
         cached = run_trial(trial, StageCache(backing={"render": RenderCache(tmp_path, 10**7)}))
         assert all(a.tobytes() == b.tobytes() for a, b in zip(plain.images, cached.images, strict=True))
         assert plain.range_m.tobytes() == cached.range_m.tobytes()
+
+
+def test_files_of_the_users_own_in_the_folder_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder `renders` may be a user's, and so may `kernels`, and `omnirange` in NUMBA_CACHE_DIR."""
+    own = [tmp_path / "renders" / name for name in ("mine.npy", "mine.partial", f"{'0' * 63}.npy")]
+    own += [tmp_path / "kernels" / f"{number}" / "main.cu" for number in range(compiled.VERSIONS_ON_DISK + 3)]
+    for each in own:
+        each.parent.mkdir(parents=True, exist_ok=True)
+        each.write_text("mine")
+        os.utime(each, (0, 0))
+    cache = RenderCache(tmp_path, 3000)
+    for number in range(20):  # several times the limit
+        cache.get(number, Maker())
+    assert cache.contents().bytes <= 3000
+    cache.clear()
+    assert cache.contents().files == 0
+    state = tmp_path / "kernels" / ("0" * 32)
+    (state / "code").mkdir(parents=True)
+    monkeypatch.setattr(compiled, "folder", lambda: state)
+    compiled._prune(state)
+    assert compiled.contents()[1] == 1
+    compiled.clear()
+    assert sorted(path for path in tmp_path.rglob("*") if path.is_file()) == sorted(own)
+    assert not state.exists()
 
 
 @pytest.mark.slow

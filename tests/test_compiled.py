@@ -181,11 +181,11 @@ def test_the_newest_versions_are_kept(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(compiled, "VERSIONS_ON_DISK", 2)
     chosen, _ = store(monkeypatch, XDG_CACHE_HOME=str(tmp_path))
     for age in range(5):
-        old = chosen.folder.with_name(f"old{age}")
+        old = chosen.folder.with_name(f"{age:032x}")
         old.mkdir(parents=True)
         os.utime(old, (1e9 - age, 1e9 - age))
     chosen.write("name", b"content")
-    assert {each.name for each in chosen.folder.parent.iterdir()} == {"old0", "old1", chosen.folder.name}
+    assert {each.name for each in chosen.folder.parent.iterdir()} == {f"{0:032x}", f"{1:032x}", chosen.folder.name}
 
 
 def test_files_of_compiled_code_take_nothing_from_python_beside_them() -> None:

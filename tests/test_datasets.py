@@ -239,6 +239,23 @@ class TestJournal:
         with pytest.raises(InputError, match="another specification"):
             Journal(small("rooms", seed=2), tmp_path)
 
+    @pytest.mark.parametrize("content", [b"notes\n", b"\xff\xfe", b""])
+    def test_a_file_of_ones_own_is_no_journal(self, content, tmp_path):
+        own = tmp_path / JOURNAL
+        own.write_bytes(content)
+        with pytest.raises(InputError, match=r"finished\.jsonl: is no journal of a set; give another folder"):
+            Journal(small("rooms"), tmp_path)
+        assert own.read_bytes() == content
+
+    def test_what_was_left_half_written_is_none_of_ones_own(self, tmp_path):
+        (tmp_path / f".{'0' * 32}.partial").touch()
+        Journal(small("rooms"), tmp_path)
+        own = tmp_path / "another" / "film.partial"
+        own.parent.mkdir()
+        own.touch()
+        with pytest.raises(InputError, match="is not empty"):
+            Journal(small("rooms"), own.parent)
+
     def test_other_code_is_refused(self, tmp_path, monkeypatch):
         Journal(small("rooms"), tmp_path)
         monkeypatch.setattr("harness.datasets.making.maker_hash", lambda: "other")

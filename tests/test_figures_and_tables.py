@@ -48,6 +48,20 @@ def test_the_same_result_gives_the_same_files(exported):
         assert (again / each.name).read_bytes() == each.read_bytes(), each.name
 
 
+@pytest.mark.long
+@pytest.mark.slow
+def test_figures_of_ones_own_stay(exported, tmp_path, capsys):
+    own = tmp_path / "errors.pdf"
+    own.write_bytes(b"mine")
+    words = ["report", str(exported / "out"), "--figures", str(tmp_path)]
+    assert main(words) == 2
+    problem = "is there already, and nothing shows that it is of an earlier figure of a report; give another folder"
+    assert capsys.readouterr().err == f"omnirange: {own}: --figures: {problem}\n"
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"errors.pdf": b"mine"}
+    own.unlink()
+    assert main(words) == main(words) == 0
+
+
 @pytest.mark.slow
 def test_tables_are_latex_of_plain_letters(exported):
     text = (exported / "tables.tex").read_text(encoding="ascii")  # what every engine takes

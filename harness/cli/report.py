@@ -96,8 +96,9 @@ def _check_files(options: Namespace) -> None:
 
 def _export(experiment: "Experiment", store: "Store", options: Namespace) -> None:
     """Write figures and tables as files of their own."""
+    from harness.files import OwnFiles, check_no_others
     from harness.files import write as write_file
-    from harness.report.export import exported, figures_in, latex_of
+    from harness.report.export import FIGURE_MARK, exported, figures_in, latex_of
     from harness.runs.run import result_of
 
     sections = exported(result_of(experiment, store, run_code=options.run_code), may_copy=True)
@@ -106,6 +107,8 @@ def _export(experiment: "Experiment", store: "Store", options: Namespace) -> Non
         print(f"tables: {options.latex}")
     if options.figures is not None:
         files = figures_in(sections)
+        marks = {name: FIGURE_MARK if name.endswith(".svg") else None for name in files}
+        check_no_others(options.figures, OwnFiles("figure of a report", marks), option="--figures")
         for name, content in files.items():
             write_file(options.figures / name, content)
         print(f"figures: {len(files) // 2} as SVG and PDF in {options.figures}")

@@ -31,7 +31,7 @@ from harness.datasets.pair import make_pair
 from harness.datasets.rooms import draw_room
 from harness.datasets.specification import DatasetSpec
 from harness.errors import InputError
-from harness.files import PARTIAL, clear_leftovers, make_folder, printable, replace_file, write
+from harness.files import LEFTOVER, clear_leftovers, make_folder, printable, replace_file, write
 from harness.runs.executors import Backend
 from harness.spec import as_table, dump_toml
 
@@ -124,7 +124,7 @@ class Journal:
         self.done: dict[int, SceneRecord] = {}
         if self._file.exists():
             self._resume()
-        elif any(not path.name.endswith(PARTIAL) for path in folder.iterdir()):
+        elif any(not LEFTOVER.fullmatch(path.name) for path in folder.iterdir()):
             raise InputError(
                 "is not empty, and holds no set that was begun with this specification; give another folder",
                 file=folder,
@@ -134,10 +134,13 @@ class Journal:
             write(folder / "dataset.toml", dump_toml(spec))
 
     def _resume(self) -> None:
-        head, *lines = self._file.read_text(encoding="utf-8").split("\n")
+        head, *lines = self._file.read_bytes().decode(errors="replace").split("\n")
         word = head.split()
+        if word[:2] != self._head.split()[:2]:
+            raise InputError("is no journal of a set; give another folder", file=self._file)
         if word[:3] != self._head.split()[:3]:
-            raise InputError("holds a set that was begun with another specification; give another", file=self._folder)
+            problem = "holds a set that was begun with another specification; give another folder"
+            raise InputError(problem, file=self._folder)
         if head != self._head:
             raise InputError(
                 "holds a set that was begun by another version of omnirange or its libraries, which may draw other "

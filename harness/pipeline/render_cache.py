@@ -7,6 +7,7 @@ not match its checksum is made again. Any number of processes may share the fold
 import hashlib
 import io
 import os
+import re
 import time
 from collections.abc import Callable, Hashable
 from contextlib import suppress
@@ -18,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.errors import InputError
-from harness.files import PARTIAL, cache_folder, replace_file
+from harness.files import LEFTOVER, cache_folder, replace_file
 from harness.pipeline.environment import render_hash
 from harness.spec import Spec
 
 DEFAULT_LIMIT_MB = 2048
 _DIGEST = hashlib.sha256().digest_size
+_OF_AN_IMAGE = re.compile(r"[0-9a-f]{64}\.npy")
+"""The names of its files; what else is in the folder is the user's."""
 _STALE_S = 3600
 """Age after which a half-written file is taken to be left by a process that died."""
 
@@ -124,9 +127,9 @@ class RenderCache:
                 status = path.stat()
             except OSError:  # another process has just removed it
                 continue
-            if path.suffix == ".npy":
+            if _OF_AN_IMAGE.fullmatch(path.name):
                 files.append((status.st_mtime, path, status.st_size))
-            elif path.suffix == PARTIAL and time.time() - status.st_mtime > _STALE_S:
+            elif LEFTOVER.fullmatch(path.name) and time.time() - status.st_mtime > _STALE_S:
                 _remove(path)
         return files
 

@@ -26,6 +26,10 @@ def exported(result: Result, failures: list[str] | None = None, *, may_copy: boo
         return sections_of(Context.of(result), failures, may_copy=may_copy)
 
 
+FIGURE_MARK = b"<!-- omnirange -->\n"
+"""How the SVG files begin, by which their folder is known as ours: a folder of figures has other people's, too."""
+
+
 def figures_in(sections: Sequence[Section]) -> dict[str, bytes]:
     """Every panel of every figure as SVG and as PDF, by file name; the same for the same result."""
     files: dict[str, bytes] = {}
@@ -33,7 +37,7 @@ def figures_in(sections: Sequence[Section]) -> dict[str, bytes]:
         for block in section.blocks:
             if isinstance(block, Figure):
                 for name, picture in _named(block):
-                    files[f"{name}.svg"] = picture.svg.encode()
+                    files[f"{name}.svg"] = FIGURE_MARK + picture.svg.encode()
                     files[f"{name}.pdf"] = picture.pdf
     return files
 
