@@ -65,7 +65,7 @@ def read_regular(path: str | Path, limit_bytes: int, what: str = "file") -> byte
     except ValueError as error:  # a null byte or a lone surrogate
         raise InputError("is not a file name", file=printable(path)) from error
     if status.st_size > limit_bytes or len(data) > limit_bytes:
-        if what in {"sensor", "pose"} and _image_kind(data):
+        if what in {"sensor", "pose", "corner"} and _image_kind(data):
             raise InputError(not_text(data), file=path)
         raise InputError(f"is larger than the {limit_bytes / 2**20:g} MiB that are read of a {what}", file=path)
     return data

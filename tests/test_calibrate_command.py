@@ -313,6 +313,11 @@ def test_what_is_to_be_estimated_is_checked_before_corners_are_looked_for(words,
     assert capsys.readouterr().err.startswith(f"omnirange: {said}")
 
 
+def test_a_folder_is_no_file_of_corners(tmp_path, capsys):
+    assert main(["calibrate", "--corners", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"omnirange: {tmp_path}: is not a regular file; give a corner file\n"
+
+
 def test_a_value_of_the_camera_waits_for_the_size_of_the_images(csv, capsys):
     assert main(["calibrate", "--corners", str(csv), "--model", "hyperboloid", "--fix", "cx=-5000"]) == 2
     assert capsys.readouterr().err.startswith("omnirange: --fix: camera.cx_px")

@@ -65,9 +65,11 @@ def test_a_slip_of_the_command_line(arguments, said, capsys):
         (["--baseline", "1", "0", "0", "--rotation-deg", "0", "inf", "0"], "--rotation-deg: must be a finite number"),
         (["--pose", "{}"], "{}: is not a regular file; give a pose file"),
         (["--pose", "{}", "--pose", "{}"], "{}: is not a regular file; give a pose file"),
+        (["--pose", "{}/cut.toml"], "{}/cut.toml: not valid TOML: "),
     ],
 )
 def test_what_is_wrong_with_a_motion_that_is_given(words, said, tmp_path, capsys):
+    (tmp_path / "cut.toml").write_text("position_m = [\n    0.0,\n")
     given = [each.format(tmp_path) for each in words]
     assert main(["range", "a.png", "b.png", "--sensor", "mirror", *given, "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.startswith(f"omnirange: {said.format(tmp_path)}")

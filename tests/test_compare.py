@@ -180,6 +180,13 @@ def test_comparison_in_chromium(runs, tmp_path, width):
         assert visited.page.locator("figure img").count() == 1
 
 
+def test_a_file_is_no_run(runs, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("")
+    assert main(["compare", str(runs["window"]), str(file)]) == 2
+    assert capsys.readouterr().err.startswith(f"omnirange: {file}: holds no run")
+
+
 @pytest.mark.parametrize("name", ["trials.csv", "run.sqlite", "report.html"])
 def test_a_page_is_not_written_over_a_run(runs, name, capsys):
     file = runs["again"] / name

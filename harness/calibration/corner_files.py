@@ -55,7 +55,7 @@ def read_corners(file: Path, *, square_m: float | None = None, size: tuple[int, 
     elif suffix in {".csv", ".txt"}:
         views, own = _from_csv(file, square_m)
     else:
-        content = read_content(file)
+        content = read_content(file, "corner")
         views, own = _from_table(content) if "images" in content.table else _from_opencv(content)
     if own is None and size is None:
         raise InputError("does not contain the size of the images; give --size WIDTH HEIGHT", file=file)

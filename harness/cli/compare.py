@@ -45,7 +45,8 @@ def run(options: Namespace) -> int:
         raise InputError("is a file of a run that is compared; give another name", file=options.out, key="--out")
     page = options.out or options.folders[-1] / COMPARISON
     if options.out is None:
-        check_folder(page.parent, None)
+        if page.parent.is_dir():  # what it is otherwise, is told where it is read
+            check_folder(page.parent, None)
         check_default_page(page)
     comparison = build_comparison(*options.folders)
     write(page, comparison.html)

@@ -36,7 +36,7 @@ def read_content(file: Path, what: str = "sensor") -> Content:
     Parameters
     ----------
     what
-        What the file should be, for messages: `sensor` or `pose`.
+        What the file should be, for messages: `sensor`, `pose` or `corner`.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def _parsed(file: Path, text: str) -> Content:
         return Content(file, "toml", text, parse_toml(text))
     except ValueError as error:
         no_toml = InputError(f"not valid TOML: {error}")
-    if file.suffix.lower() == ".toml" and re.search(r"^\s*\[[A-Za-z]", text, re.MULTILINE):
+    if file.suffix.lower() == ".toml" and re.search(r"^\s*(?:\[[A-Za-z]|[A-Za-z_]\w*\s*=)", text, re.MULTILINE):
         raise no_toml
     if re.search(r"^[^\s#:][^\n:]*:(?:\s|\Z)", text, re.MULTILINE):
         try:
