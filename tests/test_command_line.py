@@ -29,6 +29,11 @@ ONE_EACH = "--pose takes one value each time: --pose A --pose B; see omnirange r
         (("run", "paper", "smoke"), "'smoke' is one argument too many; see omnirange run"),
         (("run",), "EXPERIMENT: missing; see omnirange run"),
         (("run", "paper", "--out"), "--out: must be followed by DIR; see omnirange run"),
+        (("run", "paper", "--out", "--dry-run"), "--out: must be followed by DIR; see omnirange run"),
+        (
+            ("run", "paper", "--out", "-new"),
+            "--out: must be followed by DIR; one that begins with a dash is written --out=-new; see omnirange run",
+        ),
         (("run", "paper", "--dry-run=1"), "--dry-run: takes no value; found '1'; see omnirange run"),
         (
             ("run", "--", "paper", "--dry-run"),

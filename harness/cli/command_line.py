@@ -4,6 +4,7 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NoReturn
 
 from harness.cli.exits import INPUT
@@ -106,6 +107,14 @@ class Parser(argparse.ArgumentParser):
             return ""
         return f"{before} takes one value each time: {before} A {before} B" if _is_repeatable(action) else ""
 
+    def _dash_hint(self, action: argparse.Action) -> str:
+        """How a value that begins with a dash is written, if that is what stands behind an option of one value."""
+        for word, behind in pairwise(self._words):
+            is_value = behind.startswith("-") and behind.partition("=")[0] not in self._option_string_actions
+            if word in action.option_strings and action.nargs is None and is_value:
+                return f"; one that begins with a dash is written {word}={behind}"
+        return ""
+
     def _reworded(self, message: str) -> str:
         """An error of argparse in the words of this program."""
         if missing := re.fullmatch(r"the following arguments are required: (.*)", message, re.DOTALL):
@@ -122,7 +131,7 @@ class Parser(argparse.ArgumentParser):
         name, problem = found.groups()
         if problem.startswith("expected "):
             action = self._option_string_actions.get(name.split("/")[0])
-            problem = f"must be followed by {_values(action)}" if action else problem
+            problem = f"must be followed by {_values(action)}{self._dash_hint(action)}" if action else problem
         elif value := re.fullmatch(r"invalid (float|int) value: (.*)", problem, re.DOTALL):
             problem = f"must be {_NUMBER[value[1]]}; found {value[2]}"
         elif other := re.fullmatch(r"not allowed with argument (.*)", problem):
