@@ -17,6 +17,7 @@ from harness.datasets.pair import VISIBLE
 from harness.datasets.scoring import true_ranges
 from harness.geometry.angles import angle_between
 from harness.geometry.triangulation import exact_alpha_2
+from harness.report import score_page
 
 pytestmark = pytest.mark.slow
 
@@ -73,6 +74,15 @@ def panoramas(small_set):
 
 
 class TestFigures:
+    def test_page_of_maps_without_any_error(self, rooms, tmp_path):
+        """Ranges in double precision, as the set has them: no logarithm has anything to show."""
+        estimate = estimates(
+            tmp_path / "estimate", rooms.pairs, lambda _, r: r, lambda file, r: np.save(file.with_suffix(".npy"), r)
+        )
+        scored = DataSet(rooms).score(estimate, "range")
+        assert scored.figures["range_rmse_m"] == 0
+        assert score_page._over_range(scored.pairs).svg
+
     def test_truth_itself_is_without_error(self, rooms, tmp_path):
         estimate = estimates(tmp_path / "estimate", rooms.pairs, lambda _, r: r)
         figures = figures_of(rooms, estimate)
