@@ -16,6 +16,7 @@ from harness.matching.slanted import _agreement_kernels, _fit_kernels, _median_k
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Part, warp_between
 from harness.matching.slanted.means import means
+from harness.matching.slanted.noise import Noise
 
 
 def warped(sensor, there, image, w):
@@ -106,7 +107,8 @@ def test_slope_is_the_derivative(lens):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("far", [False, True])
-def test_a_window_is_the_least_squares_solution(far):
+@pytest.mark.parametrize("excess", [0.0, 100.0, -90.0])
+def test_a_window_is_the_least_squares_solution(far, excess):
     """Against numpy's solver, sample by sample, on random fields with holes."""
     draws = np.random.default_rng(5)
     known = pixel_directions(SENSOR)[1]
@@ -121,9 +123,11 @@ def test_a_window_is_the_least_squares_solution(far):
     moved = draws.uniform(1, 2, shape).astype(np.float32)
     plane, covariance = np.zeros((*shape, 3)), np.zeros((*shape, 6))
     residual, gain, offset, share = np.zeros((4, *shape))
+    through_spline = of_value, of_slope = noise_through_spline()
+    noise = Noise(1.0, 0.0, gain_squared=1.1, ratio=1.1 * 2.0 ** np.sign(excess), excess=excess)
     _fit_kernels.fit_rows(
-        30, 190, half, 20.0, 0.0, far, noise_through_spline(), warp.valid, warp.x, w, first, known, value, slope, moved,
-        plane, covariance, residual, gain, offset, share,
+        30, 190, half, 20.0, 0.0, far, noise.for_fit(through_spline), warp.valid, warp.x, w, first, known, value, slope,
+        moved, plane, covariance, residual, gain, offset, share,
     )  # fmt: skip
     checked = 0
     for i, j in draws.integers(40, 180, (60, 2)):
@@ -132,12 +136,16 @@ def test_a_window_is_the_least_squares_solution(far):
         box = np.s_[i - half : i + half + 1, j - half : j + half + 1]
         k = known[box]
         I_1, I_2, g, x = (a[box][k].astype(np.float64) for a in (first, value, slope, warp.x))
-        a = I_1.std() / I_2.std()
+        a = np.sqrt((I_1.var() + noise.excess_2 * of_value**2) / (I_2.var() + noise.excess_1 / 1.1))
         columns = np.column_stack([a * g[:, None] * x, np.ones(len(g))])
         right = I_1 - a * (I_2 - g * w[box][k])
         solution, squares, _, _ = np.linalg.lstsq(columns, right, rcond=None)
+        r, interpolated = squares[0] / (len(g) - 5), a * a * of_value**2
+        alike = (r - 1.2 * noise.excess_1) / (1.1 + interpolated), (r + 1.2 * noise.excess_2) / (1.1 + interpolated)
+        n_2 = np.clip(r / (noise.ratio + interpolated), *alike)
+        assert share[i, j] == pytest.approx(n_2 * of_value * of_slope * moved[box][k].sum() / (g @ g), rel=1e-5)
         if far:
-            assert 0.05 < share[i, j] < 0.95
+            assert 0.01 < share[i, j] < 0.95
             solution += share[i, j] * np.linalg.lstsq(columns, I_1 - a * I_2, rcond=None)[0]
             solution[3] = np.mean(right - columns[:, :3] @ solution[:3])
         # Running sums and normal equations: the square of the solver's condition, some 1e4, times 1e-16, with room.
@@ -235,9 +243,8 @@ def test_standard_deviations_are_of_the_windows_and_of_a_polynomial():
     residual, share, inflation = draws.uniform(0.5, 2, (3, 90)).astype(np.float32)
     window, smoothed, variance = draws.integers(0, 90, 150), draws.random(5), draws.random(150)
     found = variance.copy()
-    _reading_kernels.spread(window, residual, share, inflation, smoothed, found)
-    f, rest = share.astype(np.float64)[window], (residual.astype(np.float64) * inflation)[window]
-    # The rounding of images adds 1e-10 to residuals of 0.5 and more.
+    _reading_kernels.spread(window, residual, share, inflation, smoothed, 0.01, found)
+    f, rest = share.astype(np.float64)[window], ((residual.astype(np.float64) + 0.01) * inflation)[window]
     np.testing.assert_allclose(found**2, variance * rest * polyval(f, smoothed), rtol=1e-9)
 
 

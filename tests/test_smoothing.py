@@ -76,6 +76,14 @@ def test_how_much_goes_with_the_noise():
     assert 1 / 6 > blur_for(np.full(5, 0.999), residual) > 0.16  # never more than a binomial's 1/4
 
 
+def test_noise_of_view_1_counts_half_where_it_is_more():
+    residual, share = np.ones(5), np.full(5, 0.01)
+    # Of view 1's squared gradients 0.99/(0.99 + 0.99) are noise.
+    assert blur_for(share, residual, np.full(5, 99.0)) == pytest.approx(0.25 / 6)
+    assert blur_for(np.full(5, 0.3), residual, np.full(5, 0.1)) == pytest.approx(0.05)
+    assert blur_for(share, np.full(5, np.inf), np.ones(5)) == 0
+
+
 @pytest.mark.slow
 def test_noisy_images_leave_less_of_the_start(monkeypatch):
     """A start that is off by a third of a pixel everywhere, as semi-global matching is on some walls in noise."""

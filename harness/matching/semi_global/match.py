@@ -34,11 +34,12 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import ndimage
 
-from harness.camera.fill import closed_image, touches
+from harness.camera.fill import Mask, closed_image, touches
 from harness.camera.sensor import Sensor, project, seam_px
 from harness.geometry.angles import Array
 from harness.geometry.epipolar import Curves, Sampling, alpha_2_at, epipolar_curves, forget_curves
 from harness.geometry.panorama import Grid, cylinder, directions
+from harness.matching.grey_levels import Moments, grey_level_squared
 from harness.matching.interface import MatcherSettings, Matches, Reason
 from harness.matching.pair import Pair
 from harness.matching.semi_global import _semi_global_kernels as kernels
@@ -54,6 +55,8 @@ BITS = (2 * kernels.REACH + 1) ** 2 - 1
 """Bits of a census code: the most that two pixels differ by."""
 _PER_GREY = 16
 """Steps in a grey level of what the census compares, before the blur adds four bits."""
+_LARGEST_GREY = 2.0**15
+"""Grey levels beyond which all is one, so that sums of steps are integers of 32 bits: none but hot pixels are."""
 
 
 class SemiGlobal(MatcherSettings):
@@ -83,8 +86,9 @@ class SemiGlobal(MatcherSettings):
     p2_bits: Annotated[float, Field(ge=0)] = 64.0
     """Cost of a larger jump from one pixel to the next, differing bits of 24; at least `p1_bits`."""
     edge_grey: Annotated[float, Field(ge=0, le=255)] = 0.0
-    """P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, grey levels; Hirschmüller's idea. 0 leaves P2 as
-    it is, since it gains nothing at the room's edges and more pixels are wrong in noise."""
+    """P2 becomes `max(P1, P2/(1 + |grey difference|/edge_grey))`, grey levels of which the images have 128 in the
+    quadratic mean; Hirschmüller's idea. 0 leaves P2 as it is, since it gains nothing at the room's edges and more
+    pixels are wrong in noise."""
     paths: Literal[4, 8] = 4
     """Directions of the paths: 4, along rows and columns, or 8 with the diagonals, which take 1.5 times as long
     and gain less in noise than they lose in the room."""
@@ -266,22 +270,30 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
     """The mirror images on the baseline grid, both in v1's orientation.
 
     A pixel that is not finite, or masked, is not valid, and neither is any whose census would use it.
+
+    Images of any unit have about as many steps, since both are divided by what is a grey level to them (`grey_levels`),
+    to the next power of two: what else is in the images, such as what a mask hides, then changes no bit.
     """
     order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
+    closed = [
+        closed_image(image, sensor, seam_px(sensor)) for image, sensor in zip(pair.images, pair.sensors, strict=True)
+    ]
+    squared = grey_level_squared([Moments.of(image, known) for image, known, _ in closed])
+    scale = 2.0 ** -round(math.log2(squared) / 2) if squared > 0 else 1.0
 
-    def view(image: NDArray[np.float32], sensor: Sensor, R: Array) -> View:
+    def view(one: tuple[NDArray[np.float32], Mask, Mask | None], sensor: Sensor, R: Array) -> View:
+        image, _, gaps = one
         coordinates, valid = _sampling_table(sensor, geometry.baseline_grid, R.tobytes())
-        image, _, gaps = closed_image(image, sensor, seam_px(sensor))
         if gaps is not None:
             gaps = touches(gaps, coordinates, order)
             reach = kernels.REACH + 1  # the blur's
             valid = valid & ~ndimage.maximum_filter(gaps, size=2 * reach + 1, mode=("wrap", "nearest"))
         values = ndimage.map_coordinates(image, coordinates, order=order, mode="nearest", output=np.float32)
-        values = np.where(valid, np.clip(values, 0, 255), 0)
+        values = np.where(valid, np.clip(scale * values, 0, _LARGEST_GREY), 0)
         return View(np.rint(values * _PER_GREY).astype(np.int32), valid)
 
     rotations = np.eye(3), pair.motion.R_v2_from_v1
-    first, second = map(view, pair.images, pair.sensors, rotations)
+    first, second = map(view, closed, pair.sensors, rotations)
     return first, second
 
 

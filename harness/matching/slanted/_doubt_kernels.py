@@ -101,14 +101,14 @@ def divide_rows(first, end, divisor, values):
 
 
 @kernel
-def variance_rows(first, end, level, count, variance):
-    """Turn means of squares into variances, in place, plus the variance of rounding.
+def variance_rows(first, end, level, count, floor, variance):
+    """Turn means of squares into variances, in place, plus a least one.
 
     level, count : means of what was squared, and of how many there are.
     """
     for i in range(first, end):
         for j in range(variance.shape[1]):
-            variance[i, j] = max(variance[i, j] - level[i, j] * level[i, j] / count[i, j], 0.0) + count[i, j]
+            variance[i, j] = max(variance[i, j] - level[i, j] * level[i, j] / count[i, j], 0.0) + count[i, j] * floor
 
 
 @kernel

@@ -5,6 +5,7 @@ compilers turn into vector instructions; a tile of the row at a time, so that al
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,30 @@ from harness.matching._vector_kernels import LANES, from_1, from_2, from_4, load
 
 TILE = 64
 """Columns whose planes are fitted side by side."""
+
+SCATTERED = 1.2
+"""A window's noise is less than so many times its variance, nearly always: over 11² or 17² pixels a mean square has a
+standard deviation of 0.13 or 0.08 of itself."""
+
+
+class FitNoise(NamedTuple):
+    """What is known of white noise, of which a view's pixel has the variance n_1 or n_2."""
+
+    of_value: float
+    """Variance of noise of variance 1 along an axis, once view 2 is interpolated."""
+    of_slope: float
+    """That of its slope."""
+    ratio: float
+    """n_1/n_2."""
+    gain_squared: float
+    """The square of the gain between the whole images."""
+    excess_1: float
+    """n_1 - gain_squared n_2, or 0 if that is negative."""
+    excess_2: float
+    """gain_squared n_2 - n_1, or 0 if that is negative."""
+    least: float
+    """Variance from which on a window has texture."""
+
 
 # -- Sums over windows -------------------------------------------------------------------------------------------------
 
@@ -161,17 +186,24 @@ def _fit(tile, least, slope_weight, far, noise_of):
     """The planes of a tile's windows, by least squares in the value at x and the slopes along two tangents.
 
     I_1 = a (h + g m·x_i) + b: the offset b goes by taking means off, and the gain a is the ratio of the standard
-    deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike.
+    deviations. A regression would put a below 1 for the noise of I_2; the ratio treats both views alike. Of views that
+    are not equally noisy the less noisy one counts as if it had the other's noise, too: its own would put a above 1 or
+    below, and to take the other's off leaves nothing to rely on where there is little else.
+
+    The residual is the noise of both views, as one is to the other. Where it exceeds the noise by which one of them is
+    noisier, and what that one scatters by, the rest is something else, such as a wrong plane, and is put down to both
+    alike.
 
     With `far` the plane lies 1 + f times as far from the field as the solution does, f being the noise's share.
 
-    noise_of : variance of noise of variance 1 along an axis after interpolation, and that of its slope.
+    noise_of : a `FitNoise`.
 
     tile : `[ROWS * TILE]`, row after row; distances known when this is compiled show that columns do not depend on one
     another. Written: m; the inverse normal matrix in x's tangent coordinates, upper triangle by rows; the variance of
     the residual, infinite where there is no plane; a; b; and the noise's share in the sum of g².
     """
-    of_value, of_slope = noise_of
+    of_value, of_slope, ratio, gain_squared, excess_1, excess_2, texture = noise_of
+    more_2 = excess_2 * of_value * of_value
     for j in range(TILE):
         x, y, z = tile[DIRECTION * TILE + j], tile[(DIRECTION + 1) * TILE + j], tile[(DIRECTION + 2) * TILE + j]
         gx, gy, gz = tile[X * TILE + j], tile[Y * TILE + j], tile[Z * TILE + j]
@@ -181,7 +213,7 @@ def _fit(tile, least, slope_weight, far, noise_of):
         per_n = 1.0 / n
         variance_1 = tile[S_11 * TILE + j] - sum_1 * sum_1 * per_n
         variance_2 = tile[S_22 * TILE + j] - sum_2 * sum_2 * per_n
-        a = math.sqrt(variance_1 / variance_2)
+        a = math.sqrt((variance_1 + n * more_2) / (variance_2 + n * excess_1 / gain_squared))
         mean = sum_1 - a * sum_h
         xx, xy = tile[XX * TILE + j] - gx * gx * per_n, tile[XY * TILE + j] - gx * gy * per_n
         xz, yy = tile[XZ * TILE + j] - gx * gz * per_n, tile[YY * TILE + j] - gy * gy * per_n
@@ -211,7 +243,7 @@ def _fit(tile, least, slope_weight, far, noise_of):
         c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
         c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
         determinant = m00 * c00 + m01 * c01 + m02 * c02
-        ok = (n >= least) & (variance_1 > 1e-3 * n) & (variance_2 > 1e-3 * n)
+        ok = (n >= least) & (variance_1 > texture * n) & (variance_2 > texture * n)
         ok &= determinant > 1e-12 * m00 * m11 * m22
 
         inverse = 1.0 / determinant
@@ -222,12 +254,16 @@ def _fit(tile, least, slope_weight, far, noise_of):
         p2 = (c02 * y0 + c12 * y1 + c22 * y2) * inverse
         squares = total - (p0 * y0 + p1 * y1 + p2 * y2)
         residual = max(0.0, squares) / (n - 5.0)
-        noise = residual / (1.0 + scale * of_value * of_value)
+        interpolated = scale * of_value * of_value
+        alike = 1.0 / (gain_squared + interpolated)
+        noise = max(residual / (ratio + interpolated), (residual - SCATTERED * excess_1) * alike)
+        noise = min(noise, (residual + SCATTERED * excess_2) * alike)
         noise *= of_value * of_slope * tile[MOVED * TILE + j]
         noise /= tile[XX * TILE + j] + tile[YY * TILE + j] + tile[ZZ * TILE + j]
-        correlation = 1.0 - residual * (n - 5.0) / (2.0 * variance_1)
-        # Where it is this low the two may well have nothing in common.
-        in_common = correlation >= 3.0 / math.sqrt(n)
+        # Twice the covariance of I_1 and a I_2. Where they correlate by less than 3/sqrt(n), they may well have
+        # nothing in common.
+        twice = variance_1 + scale * variance_2 - residual * (n - 5.0)
+        in_common = (twice > 0.0) & (twice * twice >= 36.0 * per_n * scale * variance_1 * variance_2)
         share = noise if in_common & (noise < 1.0) else 1.0
         if far:
             # The step from the field is least squares of I_1 - a I_2 - b alone.
@@ -267,7 +303,7 @@ def fit_rows(
 
     least : samples that a window needs.
     slope_weight : of the prior that slopes are near 0, (1/(1/m per radian))² per window's variance in grey levels.
-    far, noise_of : whether to go beyond the solution, and what is known of noise; see `_fit`.
+    far, noise_of : whether to go beyond the solution, and a `FitNoise`; see `_fit`.
     plane, covariance, residual, gain, offset, share : written; `[height, width, 3]`, `[..., 6]` (nothing where it has
     no pixels) and `[...]`: see `_fit`.
     """

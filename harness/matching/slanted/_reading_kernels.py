@@ -76,10 +76,11 @@ def seen_from_2(x, w, t, R, there, length, across, along):
 
 
 @kernel
-def spread(window, residual, share, inflation, smoothed, variance):
+def spread(window, residual, share, inflation, smoothed, rounding, variance):
     """Multiply variances of n directions by those of their windows' residuals, and by what adds up in windows.
 
     residual, share, inflation : of all windows. smoothed : coefficients of a polynomial of the share.
+    rounding : variance of the images' rounding to single precision, below which no residual is.
     variance : `[n]`, read, and overwritten by standard deviations.
     """
     shares, total = np.zeros(AT_ONCE), np.empty(AT_ONCE)
@@ -91,8 +92,7 @@ def spread(window, residual, share, inflation, smoothed, variance):
         for power in range(smoothed.shape[0] - 1, -1, -1):
             _add_power(shares, smoothed[power], total)
         for k in range(here.shape[0]):
-            # Images in single precision are rounded by 1e-5 grey levels: no residual is less.
-            out[k] = math.sqrt(out[k] * (residual[here[k]] + 1e-10) * total[k] * inflation[here[k]])
+            out[k] = math.sqrt(out[k] * (residual[here[k]] + rounding) * total[k] * inflation[here[k]])
 
 
 @kernel

@@ -18,6 +18,7 @@ from harness.geometry.angles import Array
 from harness.matching.slanted import _doubt_kernels as _kernels
 from harness.matching.slanted.field import Field, Image, Samples, View, Warp, in_rows
 from harness.matching.slanted.means import means
+from harness.matching.slanted.noise import Noise
 
 _USUAL = 0.2
 """The share of the variance around a pixel that may remain unexplained before a match is doubted."""
@@ -48,7 +49,7 @@ class Surroundings:
     residual: NDArray[np.float32]
     """The residual's mean square about the pixel, grey levels squared."""
     unexplained: NDArray[np.float32]
-    """The same as a share of the image's variance there."""
+    """The same as a share of the image's variance there, as it would be if view 1 were as noisy as view 2."""
     texture_near: Array
     """Sum of g² per squared motion over the pixel's surroundings."""
     texture: Array
@@ -56,7 +57,7 @@ class Surroundings:
 
 
 def surroundings_of(
-    field: Field, first: View, samples: Samples, warp: Warp, window_px: int, pool: ThreadPoolExecutor
+    field: Field, first: View, noise: Noise, samples: Samples, warp: Warp, window_px: int, pool: ThreadPoolExecutor
 ) -> Surroundings:
     """What lies around every pixel of a field that view 2 was sampled at."""
     shape, side = field.w.shape, 2 * (window_px // 4) + 1
@@ -65,7 +66,7 @@ def surroundings_of(
         pool, len(square), _kernels.surroundings_rows, window_px // 2, warp.x, first.image, samples.known,
         samples.value, field.plane, field.chosen, field.gain, field.offset, field.w, square, disagreement,
     )  # fmt: skip
-    residual, unexplained = _residuals(first, samples, square, side, pool)
+    residual, unexplained = _residuals(first, noise, samples, square, side, pool)
 
     def density(over: int) -> Array:
         texture, moved = np.empty(shape), np.empty(shape)
@@ -79,7 +80,7 @@ def surroundings_of(
 
 
 def _residuals(
-    first: View, samples: Samples, square: Image, side: int, pool: ThreadPoolExecutor
+    first: View, noise: Noise, samples: Samples, square: Image, side: int, pool: ThreadPoolExecutor
 ) -> tuple[Image, Image]:
     """`residual` and `unexplained` of `Surroundings`, from the residual's squares, which the former overwrites; as few
     arrays at a time as possible, which are as large as the image.
@@ -88,11 +89,13 @@ def _residuals(
     def mean(values: NDArray[np.floating]) -> Array:
         return means(values, side, pool, np.empty(values.shape))
 
-    # Means are over all pixels of the square, known or not. A grey level's rounding is below 1.
+    # Means are over all pixels of the square, known or not. A grey level's rounding is below 1. Noise that view 2 alone
+    # has is left over, but no part of view 1's variance, where as much of its own would be.
+    floor = noise.grey_level_squared + noise.excess_2
     count = mean(samples.known.astype(np.float32))
     image = np.where(samples.known, first.image, np.float32(0))
     variance, level = mean(np.square(image, dtype=np.float64)), mean(image)
-    in_rows(pool, len(level), _kernels.variance_rows, level, count, variance)
+    in_rows(pool, len(level), _kernels.variance_rows, level, count, floor, variance)
     del image, level
     residual = mean(square)
     unexplained = np.empty(square.shape, np.float32)

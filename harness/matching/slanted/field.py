@@ -22,6 +22,7 @@ from harness.geometry.pose import Motion
 from harness.machine import available_cpus
 from harness.matching.slanted import _fit_kernels, _median_kernels, _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
+from harness.matching.slanted.noise import Noise
 from harness.matching.slanted.settings import Slanted
 from harness.matching.slanted.smoothing import smoothed
 from harness.threads import Item, in_pool
@@ -268,6 +269,7 @@ def advance(
     first: View,
     second: View,
     warp: Warp,
+    noise: Noise,
     settings: Slanted,
     steps: tuple[Step, ...],
     pixel: float,
@@ -277,6 +279,8 @@ def advance(
 
     Parameters
     ----------
+    noise
+        Of the first view against that of the second.
     pixel
         Angle of a pixel of the panorama, radians.
     """
@@ -287,9 +291,9 @@ def advance(
         half, reach = step.window_px // 2, settings.patch_px // 2 if step.sharp else -1
         in_rows(
             pool, rows, _fit_kernels.fit_rows, half, _LEAST_SHARE * step.window_px**2, _SLOPE_WEIGHT,
-            not step.sharp, second.noise, warp.valid, warp.x, field.w, first.image, samples.known, samples.value,
-            samples.slope, samples.motion, field.plane, field.covariance if number == len(steps) else none,
-            field.residual, field.gain, field.offset, field.share,
+            not step.sharp, noise.for_fit(second.noise), warp.valid, warp.x, field.w, first.image, samples.known,
+            samples.value, samples.slope, samples.motion, field.plane,
+            field.covariance if number == len(steps) else none, field.residual, field.gain, field.offset, field.share,
         )  # fmt: skip
         in_rows(
             pool, rows, _kernels.choose_rows, half, reach, _APART_PX * pixel, _CENTRE_BONUS,

@@ -62,6 +62,7 @@ from harness.matching.slanted.field import (
     view_of,
     warp_between,
 )
+from harness.matching.slanted.noise import Noise, noise_between
 from harness.matching.slanted.settings import Slanted
 from harness.matching.slanted.sigma import CONFIRMED, at_least, doubted, inflation_of, sigma_of
 from harness.matching.slanted.smoothing import blur_for
@@ -108,14 +109,7 @@ def refine_slanted(
         When an image does not have its sensor's size, or the start not the grid's.
     """
     settings = settings or Slanted()
-    sizes = tuple((each.camera.height_px, each.camera.width_px) for each in sensors)
-    shapes = tuple(image.shape for image in images)
-    if shapes != sizes:
-        raise ValueError(
-            f"the images are {shapes[0]} and {shapes[1]}, the sensors {sizes[0]} and {sizes[1]} (rows, columns)"
-        )
-    if start_alpha_2.shape != grid.shape:
-        raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
+    _check_sizes(images, sensors, grid, start_alpha_2)
     # Windows, samples and whatever planes are carried over go on across the seam of images that go round.
     reach = _ACROSS_SEAM * settings.window_px
     seams = seam_px(sensors[0], reach), seam_px(sensors[1], reach)
@@ -127,19 +121,24 @@ def refine_slanted(
         forget_directions(sensors[0])
         first, second = views
         forth = field_from(_start(start_alpha_2, forth_warp, grid, pool), forth_warp, pool)
+        noise = noise_between(
+            *((closed[i][0][part.at], closed[i][1][part.at]) for i, part in ((0, part_1), (1, part_2)))
+        )
         steps = steps_forth(settings)
-        advance(forth, first, second, forth_warp, settings, steps[:1], grid.phi_pitch, pool)
-        if blur := blur_for(forth.share[:, part_1.once], forth.residual[:, part_1.once]):
+        advance(forth, first, second, forth_warp, noise, settings, steps[:1], grid.phi_pitch, pool)
+        share, residual = forth.share[:, part_1.once], forth.residual[:, part_1.once]
+        if blur := blur_for(share, residual, noise.odds_of_1(residual, second.noise[0])):
             del first, second, views
             first, second = pool.map(view_of, *zip(*closed, strict=True), (part_1, part_2), (blur, blur))
-        advance(forth, first, second, forth_warp, settings, steps[1:], grid.phi_pitch, pool)
+            noise = noise.smoothed(blur)
+        advance(forth, first, second, forth_warp, noise, settings, steps[1:], grid.phi_pitch, pool)
         # Arrays as large as the image go as soon as they can: they are what memory a large one takes.
         samples = no_samples(forth.w.shape)
         sample(forth.w, second, forth_warp, samples, pool)
-        inflation = inflation_of(forth, first, second, samples, forth_warp, pool)
-        around = surroundings_of(forth, first, samples, forth_warp, settings.window_px, pool)
+        inflation = inflation_of(forth, first, second, noise, samples, forth_warp, pool)
+        around = surroundings_of(forth, first, noise, samples, forth_warp, settings.window_px, pool)
         del samples
-        read = _on_panorama(forth, inflation, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
+        read = _on_panorama(forth, inflation, noise, around, start_alpha_2, forth_warp, part_1, grid, settings, pool)
         del inflation, around
         start = _transferred(forth, forth_warp, part_2, closed[1][1].shape)
         del forth, forth_warp  # a field takes 76 bytes a pixel, and a warp 25: one at a time
@@ -147,9 +146,21 @@ def refine_slanted(
         forget_directions(sensors[1])
         reverse = field_from(start, back_warp, pool, covariance=False)
         del start
-        advance(reverse, second, first, back_warp, settings, steps_back(settings), grid.phi_pitch, pool)
+        advance(reverse, second, first, back_warp, noise.turned(), settings, steps_back(settings), grid.phi_pitch, pool)
         del first, second, back_warp
         return _matches(read, start_alpha_2, Reverse(reverse, part_2, motion), grid, settings, pool)
+
+
+def _check_sizes(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], grid: Grid, start_alpha_2: Array) -> None:
+    """Refuse images and starts of other sizes; see `refine_slanted`."""
+    sizes = tuple((each.camera.height_px, each.camera.width_px) for each in sensors)
+    shapes = tuple(image.shape for image in images)
+    if shapes != sizes:
+        raise ValueError(
+            f"the images are {shapes[0]} and {shapes[1]}, the sensors {sizes[0]} and {sizes[1]} (rows, columns)"
+        )
+    if start_alpha_2.shape != grid.shape:
+        raise ValueError(f"the start is {start_alpha_2.shape}, the panorama {grid.shape} (rows, columns)")
 
 
 def _reversed(motion: Motion) -> Motion:
@@ -210,6 +221,7 @@ class _Read:
 def _on_panorama(
     forth: Field,
     inflation: Array,
+    noise: Noise,
     around: Surroundings,
     start_alpha_2: Array,
     warp: Warp,
@@ -230,7 +242,7 @@ def _on_panorama(
         across, along = _across_and_along(warp.t, x)
         ahead = along - w * (warp.t @ warp.t)
         from_start = np.abs(np.arctan2(across, ahead) - start_alpha_2[rows]) / grid.phi_pitch
-        sigma_w = sigma_of(forth, inflation, x, window, warp, settings)
+        sigma_w = sigma_of(forth, inflation, noise, x, window, warp, settings)
         # d alpha_2/dw = |t × x|/|q|²
         alpha_2_by_w = across * (warp.t @ warp.t) / (across * across + ahead * ahead)
         sigma = alpha_2_by_w * at_least(sigma_w, around.disagreement.ravel()[index])

@@ -15,6 +15,7 @@ from harness.matching.slanted import _reading_kernels
 from harness.matching.slanted import _slanted_kernels as _kernels
 from harness.matching.slanted.field import Field, Samples, Step, View, Warp, in_rows, steps_forth
 from harness.matching.slanted.means import means
+from harness.matching.slanted.noise import Noise
 from harness.matching.slanted.settings import Slanted
 from harness.matching.slanted.smoothing import noise_left, smoothed
 
@@ -33,7 +34,13 @@ the noisy corridor's errors lie within one and two as often as Gaussian ones, to
 
 
 def sigma_of(
-    field: Field, inflation: Array, x: Array, window: NDArray[np.int32], warp: Warp, settings: Slanted
+    field: Field,
+    inflation: Array,
+    noise: Noise,
+    x: Array,
+    window: NDArray[np.int32],
+    warp: Warp,
+    settings: Slanted,
 ) -> Array:
     """Standard deviation of m·x, from the residual's variance and the inverse normal matrix C: s² x^T C x, corrected.
 
@@ -50,7 +57,7 @@ def sigma_of(
     )  # fmt: skip
     _reading_kernels.spread(
         window.ravel(), field.residual.ravel(), field.share.ravel(), inflation.ravel(),
-        smoothed_noise(steps_forth(settings)), variance.ravel(),
+        smoothed_noise(steps_forth(settings)), noise.single, variance.ravel(),
     )  # fmt: skip
     return variance
 
@@ -105,14 +112,15 @@ def density_at_0(sides: Mapping[float, int]) -> float:
 
 
 def inflation_of(
-    field: Field, first: View, second: View, samples: Samples, warp: Warp, pool: ThreadPoolExecutor
+    field: Field, first: View, second: View, noise: Noise, samples: Samples, warp: Warp, pool: ThreadPoolExecutor
 ) -> Array:
     """How much larger the variance is of a window's sums than if residuals were white, `[height, width]`.
 
     The larger of two. Where pixels of view 2 are larger than those of view 1, by the factor A in area, neighbouring
     samples share their noise: per sample it counts as A, where the residual shows only what the spline leaves. Pixels
-    of smoothed images share theirs too, in both views. And what the model leaves out, the finest texture above all, is
-    measured: the sum of g_i r_i g_j r_j over neighbours i, j against that over i = j (Newey and West 1987).
+    of smoothed images share theirs too, in both views. Each view counts as much as it is noisy. And what the model
+    leaves out, the finest texture above all, is measured: the sum of g_i r_i g_j r_j over neighbours i, j against that
+    over i = j (Newey and West 1987).
     """
     shape = field.w.shape
     smooth = _through_smoothing(samples, second.blur, pool) if second.blur else None
@@ -133,10 +141,11 @@ def inflation_of(
     def larger(first: int, end: int) -> None:
         alike = smooth[first:end] if smooth is not None else 1.0
         shared, of_all = area[first:end], measured[first:end]
+        of_1 = noise.odds_of_1(field.residual[first:end], second.noise[0])
         shared *= alike
         np.maximum(shared, visible, out=shared)
-        shared += alike
-        shared /= 1 + visible
+        shared += of_1 * alike
+        shared /= of_1 + visible
         with np.errstate(invalid="ignore", divide="ignore"):
             of_all /= score[first:end]
         np.clip(np.fmax(shared, of_all, out=of_all), 1.0, 9.0, out=of_all)
