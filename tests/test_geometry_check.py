@@ -106,6 +106,35 @@ def test_effects_are_differences_of_the_whole_geometry(name):
         np.testing.assert_allclose(mine[:, column], (plus - minus) / (2 * STEP), rtol=1e-5, atol=3e-7)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"turn z": np.radians(2.0)},
+        {"t aside": np.radians(8.0)},
+        {"centre u": 1.0, "t up": np.radians(-2.0)},
+    ],
+    ids=", ".join,
+)
+def test_large_errors_are_undone(change):
+    x, planes = _points()
+    sensor, turn = _with_errors(change)
+    across, off = _apparent(x, planes, sensor, turn)
+    pixels = project(SENSOR, x)[0]
+    seen = ray_directions(sensor, pixels)[0]
+    w_seen, w_true = np.sum(planes * seen, axis=1) + off, np.sum(planes * seen, axis=1)
+    slopes = planes + (w_seen - np.sum(planes * seen, axis=1))[:, None] * seen
+    effects = effects_of(seen, slopes, (sensor, sensor), turn)
+    theta = np.zeros(len(effects.names))
+    for name, size in change.items():
+        theta[effects.names.index(name)] = size
+    undone = np.abs(effects.true_inverse_range(theta) - w_true)
+    to_first_order = np.abs(w_seen - effects.w @ theta - w_true)
+    # What is left is of second order in the angle across, and in the pixels' spreads.
+    assert np.median(undone) < 0.01 * np.median(np.abs(off))
+    assert np.median(undone) < 0.3 * np.median(to_first_order)
+    assert np.median(np.abs(across)) > 1e-3
+
+
 @pytest.mark.parametrize("name", MIRROR)
 def test_a_displaced_mirror_turns_rays_as_reflection_does(name):
     x, planes = _points()

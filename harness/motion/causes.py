@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from harness.camera.models import Mirror
 from harness.camera.reflection import points_jacobian
@@ -101,6 +102,32 @@ class Effects(OneLine):
     """`[n]`, the inverse ranges themselves."""
     outermost_px: float
     """Distance from the centre, pixels, at which errors are counted."""
+    x: Array
+    """`[n, 3]`, directions from view 1."""
+    y: Array
+    """`[n, 3]`, directions from view 2, in view 1's orientation."""
+    planes: Array
+    """`[n, 3]`: the inverse range in direction x is planes · x, in 1/|t|."""
+    t: Array
+    by_1: Array
+    """`[n, 3, k - 5]`: derivatives of x by errors of the calibration."""
+    by_2: Array
+    """The same of y."""
+
+    def true_inverse_range(self, theta: Array) -> Array:
+        """Inverse ranges `[n]` in the directions x once errors theta `[k]` are undone, 1/|t|: not to first order, as
+        errors of ranges may be as large as the ranges.
+        """
+        R = Rotation.from_rotvec(theta[:3]).as_matrix()
+        t = normalise(self.t - sum(a * axis for a, axis in zip(theta[3:5], directions_aside(self.t), strict=True)))
+        y = self.y + (self.across @ theta)[:, None] * normalise(np.cross(self.t, self.x))  # where its match is
+        x, y = normalise(self.x - self.by_1 @ theta[5:]), normalise(y - self.by_2 @ theta[5:]) @ R.T
+        aside = np.cross(np.cross(t, x), t)
+        aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
+        # Angles in the epipolar plane; what is still across it is of second order.
+        alpha_1, alpha_2 = (np.arctan2(np.sum(each * aside, axis=1), each @ t) for each in (x, y))
+        w = np.sin(alpha_2 - alpha_1) / np.where(np.abs(alpha_2) < 1e-6, 1e-6, np.sin(alpha_2))
+        return np.asarray(w + np.sum(self.planes * (self.x - x), axis=1))
 
     def columns(self, names: tuple[str, ...]) -> list[int]:
         """The columns of these errors, of either view."""
@@ -132,8 +159,21 @@ def effects_of(
         Distance from the centre at which errors of the calibration are counted; that of the outermost match unless
         given.
     """
-    w, t = np.sum(planes * x, axis=1), turn.t
-    y = normalise(x - w[:, None] * t)
+    w = np.sum(planes * x, axis=1)
+    y = normalise(x - w[:, None] * turn.t)
+    fields, outermost_px = _pixel_fields(sensors, x, y @ turn.R.T, outermost_px)
+    (first, second) = ({name: -np.einsum("nij,nj->ni", S, shift) for name, shift in each.items()} for S, each in fields)
+    by_1, by_2 = np.stack(list(first.values()), axis=2), turn.R.T @ np.stack(list(second.values()), axis=2)
+    names = (*_TURNS, *_STEPS, *first)
+    if sensors[0] != sensors[1]:
+        names = (*names, *(f"{name} of view 2" for name in second))
+        by_1, by_2 = (np.concatenate(each, axis=2) for each in ((by_1, 0 * by_2), (0 * by_1, by_2)))
+    across, moved_w = _derivatives(x, y, planes, turn.t, by_1, by_2)
+    return Effects(names, across, moved_w, w, outermost_px, x, y, planes, turn.t, by_1, by_2)
+
+
+def _derivatives(x: Array, y: Array, planes: Array, t: Array, by_1: Array, by_2: Array) -> tuple[Array, Array]:
+    """Derivatives `[n, k]` of the angle across and of the inverse range; see `Effects`."""
     n = normalise(np.cross(t, x))
     alpha_1, alpha_2 = (np.arccos(np.clip(each @ t, -1, 1)) for each in (x, y))
     sine_1, sine_2 = np.sin(alpha_1), np.sin(alpha_2)
@@ -149,20 +189,11 @@ def effects_of(
         return across, w - np.sum(planes * dx, axis=1)
 
     none = np.zeros_like(x)
-    names, moves = list(_TURNS + _STEPS), []
-    moves += [moved(none, np.cross(y, axis), none) for axis in np.eye(3)]
+    moves = [moved(none, np.cross(y, axis), none) for axis in np.eye(3)]
     moves += [moved(none, none, np.broadcast_to(axis, x.shape)) for axis in directions_aside(t)]
-    fields, outermost_px = _pixel_fields(sensors, x, y @ turn.R.T, outermost_px)
-    (first, second) = ({name: -np.einsum("nij,nj->ni", S, shift) for name, shift in each.items()} for S, each in fields)
-    if sensors[0] == sensors[1]:
-        names += first
-        moves += [moved(first[name], second[name] @ turn.R, none) for name in first]
-    else:
-        names += [*first, *(f"{name} of view 2" for name in second)]
-        moves += [moved(dx, none, none) for dx in first.values()]
-        moves += [moved(none, dy @ turn.R, none) for dy in second.values()]
-    across, moved_w = (np.stack(each, axis=1) for each in zip(*moves, strict=True))
-    return Effects(tuple(names), across, moved_w, w, outermost_px)
+    moves += [moved(by_1[..., i], by_2[..., i], none) for i in range(by_1.shape[2])]
+    across, moved_w = zip(*moves, strict=True)
+    return np.stack(across, axis=1), np.stack(moved_w, axis=1)
 
 
 def directions_aside(t: Array) -> tuple[Array, Array]:

@@ -1,6 +1,8 @@
 """What errors of a geometry do to ranges, as a standard deviation for every pixel.
 
-The likeliest error theta is known with its sign, and so is what it does to every range, to first order. But a standard
+The likeliest error theta is known with its sign, and so is what it does to every range: once it is undone, the ranges
+are other ones, and windows lose some of it besides, since where texture is oblique to the curve a shift along it makes
+up for one across it. But a standard
 deviation has to hold for errors of its kind, not trace the zeros of this one: its pattern is the root of the mean
 square over all errors of theta's kind, of typical sizes and any direction, and of that pattern's median over the image;
 its height the one that has 68 % of the pixels within one standard deviation of their ranges, by what theta does there.
@@ -33,10 +35,16 @@ _EVEN = 1.0
 _MUCH_LESS = 25.0
 """Difference of log-likelihoods beyond which an error is no longer counted: a generous one, as residuals of neighbours
 are not independent."""
-_UNDERSTATED = 1.05
-"""Errors of ranges over what theta does to first order, in the median: windows follow what lies across as well."""
-_FIRST_ORDER = 0.15
-"""Standard deviation of errors of ranges about what theta does to first order, as a share of it."""
+_INEXACT = 0.1
+"""Standard deviation of errors of ranges about what theta does to them, as a share of it."""
+_FOLLOWED = 0.6
+"""Standard deviation, as a share of it, of what windows lose in range because they follow what lies across, where it is
+taken from the nearest tile."""
+_COSTLIEST = 8
+"""Power of the mean over what equally likely errors cost: near the costliest of them, which alone would cover too much
+where it is another one."""
+_LEAST_TRUE = 0.005
+"""Inverse range, 1/|t|, that a true one is taken to be at least: an error may have hidden that a point is far away."""
 _DOUBLINGS, _BISECTIONS = 60, 40
 _NEAREST = 4
 _MIDDLE = 0.02
@@ -107,19 +115,28 @@ def cost_of(
     x, w = directions(grid)[chosen], motion.baseline_m / ranges[0][chosen]
     matching = ranges[1][chosen] / ranges[0][chosen]
     here = effects_of(x, _planes(tiles, x, w), sensors, turn, causes.effects.outermost_px)
+    aside = tiles.aside[cKDTree(tiles.x_1).query(x)[1]]
     unexplained = causes.unexplained_px, sensors[1], turn
     open_here = _still_open(here, causes) + _along(x, w, *unexplained) ** 2
     open_there = _still_open(causes.effects, causes) + _along(tiles.x_1, tiles.w, *unexplained) ** 2
-    highest, there, covered = np.zeros(len(x)), np.zeros(len(tiles)), 1.0
+    here_by_cause, there_by_cause, covered = [], [], 1.0
     for cause in _possible(causes):
-        by_theta = _UNDERSTATED * _shares(here) @ cause.theta
-        unsure = np.sqrt((_FIRST_ORDER * by_theta) ** 2 + open_here + matching**2)
+        follows = aside * (here.across @ cause.theta) / np.maximum(w, NO_RANGE)
+        by_theta = 1 - w / np.maximum(here.true_inverse_range(cause.theta), _LEAST_TRUE) + follows
+        unsure = np.sqrt((_INEXACT * by_theta) ** 2 + (_FOLLOWED * follows) ** 2 + open_here + matching**2)
         pattern, level = _pattern(here, cause.name)
         height = _height(pattern, by_theta, unsure, open_here + matching**2)
         covered = min(covered, _within(matching, by_theta, unsure))
-        highest = np.maximum(highest, height * pattern)
-        there = np.maximum(there, height * _pattern(causes.effects, cause.name, level)[0])
-    return Cost(x, w, np.sqrt(highest**2 + open_here), np.sqrt(there**2 + open_there), covered)
+        here_by_cause.append(height * pattern)
+        there_by_cause.append(height * _pattern(causes.effects, cause.name, level)[0])
+    at_points = np.hypot(_nearly_the_most(here_by_cause), np.sqrt(open_here))
+    at_tiles = np.hypot(_nearly_the_most(there_by_cause), np.sqrt(open_there))
+    return Cost(x, w, at_points, at_tiles, covered)
+
+
+def _nearly_the_most(costs: list[Array]) -> Array:
+    """The power mean `[n]` of what equally likely errors cost."""
+    return np.asarray(np.mean(np.power(costs, _COSTLIEST), axis=0) ** (1 / _COSTLIEST))
 
 
 def _possible(causes: Causes) -> tuple[Cause, ...]:

@@ -5,7 +5,7 @@ matters: a step goes by the gradient of one view, which holds that view's noise 
 follows from their variances, each of which holds its own. So each image's noise is measured by itself, by its finest
 differences, where white noise is as strong as anywhere and texture nearly gone (Immerkær 1996 has second differences;
 these are fourth). What is left of the texture there the two views have in common, so that it falls out of the
-difference between them.
+difference between them. (`harness.camera.image_noise` measures the noise itself, where an image has least texture.)
 
 Grey levels have no unit: images times a number have the same matches. What has to be compared with a grey level, such
 as the rounding of one, is compared with `Noise.grey_level_squared` instead.
