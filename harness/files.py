@@ -26,9 +26,10 @@ PAGE_MARK = (
 )
 """How the pages begin that this program writes."""
 PICTURE_MARK = b"tEXtSoftware\0omnirange"
-"""What is in PNG files that this program writes where another's may be: see `harness.images.png_note`."""
+"""What is near the beginning of PNG files that this program writes where somebody else's may be; see
+`harness.images.png_note`."""
 _MARKED_BYTES = 4096
-"""The first bytes of a file, among which is the mark of one of ours."""
+"""How much of a file is read to find our mark."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
@@ -150,7 +151,7 @@ def check_folder(folder: Path, option: str | None = "--out") -> None:
         Names the option that gave it.
     """
     try:
-        there = next(each for each in (folder, *folder.absolute().parents) if os.path.lexists(each))
+        there = next((each for each in (folder, *folder.absolute().parents) if os.path.lexists(each)), folder)
         problem = "" if there.is_dir() else "it" if there == folder else printable(there)
         if problem:
             problem += " is a link that leads nowhere" if there.is_symlink() and not there.exists() else " is no folder"
@@ -231,15 +232,18 @@ class OwnFiles:
     what: str
     """What they are together: `range of two images`."""
     marks: Mapping[str, bytes | None]
-    """By name, what is among the first bytes of each; None for a file that does not say whose it is, such as an array,
-    which is ours where another file beside it is."""
+    """By name, how each begins, or how its first line ends if the mark ends with a newline (the first columns of a
+    table may vary); None for a file that does not say whose it is, such as an array, which is ours where another file
+    beside it is."""
     also: Mapping[str, bytes] = field(default_factory=dict)
-    """Further marks, of files that are ours without one, too, as earlier versions have written them."""
+    """By name, what is somewhere near the beginning of files and shows that the folder is ours; they may be ours
+    without it, since earlier versions did not write it."""
 
-    def is_of(self, folder: Path) -> bool:
-        """Whether a file in a folder shows that we have written there."""
-        marks = [(name, mark) for name, mark in self.marks.items() if mark is not None]
-        return any(_is_ours(folder / name, mark) for name, mark in (*marks, *self.also.items()))
+    def are_in(self, folder: Path) -> bool:
+        """Whether a file in a folder shows that this command has written there."""
+        if any(_is_ours(folder / name, mark) for name, mark in self.marks.items()):
+            return True
+        return any(mark in (_start_of(folder / name) or b"") for name, mark in self.also.items())
 
 
 def check_empty_or_own(folder: Path, own: OwnFiles) -> None:
@@ -255,8 +259,8 @@ def check_empty_or_own(folder: Path, own: OwnFiles) -> None:
     InputError
         When the folder has files and is none of ours.
     """
-    if folder.is_dir() and any(folder.iterdir()) and not own.is_of(folder):
-        problem = f"holds files, and nothing shows that they are of an earlier {own.what}"
+    if folder.is_dir() and any(folder.iterdir()) and not own.are_in(folder):
+        problem = f"holds files, and nothing shows that they are from an earlier {own.what}"
         raise InputError(f"{problem}; give an empty folder, or a new one", file=folder, key="--out")
 
 
@@ -286,30 +290,38 @@ def check_no_others(
     paths = {name: folder / name for name in own.marks}
     check_unprotected(paths.values(), option)
     ours = {name: _is_ours(path, own.marks[name]) for name, path in paths.items() if os.path.lexists(path)}
-    is_known = own.is_of(folder)
+    is_known = own.are_in(folder)
     for name, is_ours in ours.items():
         if is_ours is False or (is_ours is None and not is_known and not _is_empty(paths[name])):
-            problem = f"is there already, and nothing shows that it is of an earlier {own.what}; {advice}"
+            problem = f"is there already, and nothing shows that it is from an earlier {own.what}; {advice}"
             raise InputError(problem, file=paths[name], key=option)
 
 
 def is_marked(path: Path, mark: bytes) -> bool:
-    """Whether a file is ours by its mark, as in `OwnFiles`; one of ours that was cut short, or emptied, is."""
+    """Whether a file has our mark, as in `OwnFiles.marks`; one of ours that was cut short, or emptied, counts."""
     return _is_ours(path, mark) is not False
 
 
 def _is_ours(path: Path, mark: bytes | None) -> bool | None:
-    """Whether a file is ours by its contents; None if it does not say."""
+    """Whether a file is ours by how it begins; None if it does not say."""
     if not path.is_file():  # a folder, a device, a link to nothing
         return False
-    if mark is None:
+    if mark is None or (start := _start_of(path)) is None:
         return None
+    if start.startswith(mark) or (mark.endswith(b"\n") and start[: start.find(b"\n") + 1].endswith(mark)):
+        return True
+    return None if mark.startswith(start) else False
+
+
+def _start_of(path: Path) -> bytes | None:
+    """The first bytes of a file; None if there is none, or it cannot be read."""
     try:
+        if not path.is_file():  # a pipe would have us wait
+            return None
         with path.open("rb") as stream:
-            start = stream.read(_MARKED_BYTES)
+            return stream.read(_MARKED_BYTES)
     except OSError:
         return None
-    return True if mark in start else None if mark.startswith(start) else False
 
 
 def _is_empty(path: Path) -> bool:

@@ -323,11 +323,13 @@ def test_a_value_of_the_camera_waits_for_the_size_of_the_images(csv, capsys):
     assert capsys.readouterr().err.startswith("omnirange: --fix: camera.cx_px")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sensor.json", "sensor.html"])
 def test_files_of_ones_own_beside_the_sensor_file_are_kept(name, csv, written, tmp_path, capsys, monkeypatch):
     own = tmp_path / name
     own.write_text('{"mine": 1}')
-    said = f"{own}: --out: is there already, and nothing shows that it is of an earlier calibration; give another name"
+    problem = "is there already, and nothing shows that it is from an earlier calibration; give another name"
+    said = f"{own}: --out: {problem}"
     with pytest.raises(InputError, match=re.escape(said)):
         written[0].write(tmp_path / "sensor.toml")
     monkeypatch.setattr(harness, "calibrate", None)

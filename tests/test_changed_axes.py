@@ -107,8 +107,8 @@ def test_failures_of_ones_own_in_a_runs_folder_are_kept(tmp_path, capsys):
     own = out / "failures.csv"
     own.write_text("what,why\n")
     said = (
-        f"omnirange: {own}: is there already, and nothing shows that it is of an earlier run; move it, or give another "
-        "folder\n"
+        f"omnirange: {own}: is there already, and nothing shows that it is from an earlier run; move it, or give "
+        "another folder\n"
     )
     capsys.readouterr()
     for each in (words, [*words, "--set", "seed=2"], [*words, "--dry-run"], ["report", str(out)]):

@@ -58,7 +58,7 @@ def test_what_has_the_name_of_a_file_is_kept(name, files, pair, tmp_path, capsys
     for each in files:
         (tmp_path / each).write_text('{"mine": 1}')
     assert main(arguments(pair, name, tmp_path)) == 2
-    problem = f"is there already, and nothing shows that it is of an earlier {WHAT[name]}; give another folder"
+    problem = f"is there already, and nothing shows that it is from an earlier {WHAT[name]}; give another folder"
     said = [f"omnirange: {tmp_path / each}: --out: {problem}\n" for each in files]
     assert capsys.readouterr().err in said
     assert {each.name: each.read_text() for each in tmp_path.iterdir()} == dict.fromkeys(files, '{"mine": 1}')
@@ -104,7 +104,7 @@ def test_a_sequence_and_a_pair_do_not_replace_each_other(pair, tmp_path, capsys)
         capsys.readouterr()
         assert main([*given[:-1], str(out)]) == 2
         assert capsys.readouterr().err == (
-            f"omnirange: {out / 'range.html'}: --out: is there already, and nothing shows that it is of an earlier "
+            f"omnirange: {out / 'range.html'}: --out: is there already, and nothing shows that it is from an earlier "
             f"{what}; give another folder\n"
         )
     assert {each: each.read_bytes() for each in tmp_path.rglob("*.*")} == before
@@ -133,7 +133,7 @@ def test_a_mask_of_ones_own_is_kept(pair, tmp_path, capsys):
     words = [*arguments(pair, "range", tmp_path), "--mask", "auto"]
     assert main(words) == 2
     assert capsys.readouterr().err == (
-        f"omnirange: {own}: --out: is there already, and nothing shows that it is of an earlier mask of what moves "
+        f"omnirange: {own}: --out: is there already, and nothing shows that it is from an earlier mask of what moves "
         "with the camera; give another folder\n"
     )
     assert own.read_bytes() == before
@@ -176,7 +176,7 @@ def test_scores_replace_nothing_of_ones_own(tmp_path, capsys):
     own.write_text("student,score\n")
     assert main(["score", "est", "--truth", "set", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err == (
-        f"omnirange: {own}: --out: is there already, and nothing shows that it is of an earlier score; "
+        f"omnirange: {own}: --out: is there already, and nothing shows that it is from an earlier score; "
         "give another folder\n"
     )
     assert own.read_text() == "student,score\n"
@@ -195,7 +195,7 @@ def test_a_page_whose_name_nobody_gave_replaces_none_of_ones_own(words, name, tm
     own.write_text("<!DOCTYPE html>\n<title>Mine</title>")
     assert main(words) == 2
     assert capsys.readouterr().err == (
-        f"omnirange: {name}: is there already, and nothing shows that it is of an earlier page of this program; "
+        f"omnirange: {name}: is there already, and nothing shows that it is from an earlier page of this program; "
         "give another name with --out\n"
     )
     assert own.read_text() == "<!DOCTYPE html>\n<title>Mine</title>"
@@ -254,6 +254,16 @@ def test_what_was_emptied_or_cut_short_is_known_by_what_is_beside_it(own, names,
     (tmp_path / list(names)[1]).write_text("1")
     with pytest.raises(InputError, match="is there already, and nothing shows"):
         check_no_others(tmp_path, own)
+
+
+def test_a_file_is_known_by_how_it_begins(tmp_path):
+    """Somebody's table may have a column of the same name further on."""
+    own = OwnFiles("run", {"trials.csv": b"state,"})
+    (tmp_path / "trials.csv").write_text("country,state,city\n")
+    with pytest.raises(InputError, match=r"trials\.csv: --out: is there already"):
+        check_no_others(tmp_path, own)
+    (tmp_path / "trials.csv").write_text("state,seed\n")
+    check_no_others(tmp_path, own)
 
 
 def test_what_is_no_file_is_not_replaced(tmp_path):

@@ -89,7 +89,7 @@ def test_a_folder_of_other_files_is_left_alone(tmp_path):
     for text in (None, "mine", "One v"):
         if text is not None:
             (tmp_path / "README.txt").write_text(text)
-        with pytest.raises(InputError, match="holds files, and nothing shows that they are of an earlier view"):
+        with pytest.raises(InputError, match="holds files, and nothing shows that they are from an earlier view"):
             check_empty_or_own(tmp_path, own)
     (tmp_path / "README.txt").write_text("One view of a house")
     check_empty_or_own(tmp_path, own)

@@ -17,7 +17,7 @@ from harness.geometry.pose import Motion
 from harness.images import png_note
 from harness.pipeline.static_pixels import static_pixels
 
-OF_A_MASK = OwnFiles("mask of what moves with the camera", {"mask.png": PICTURE_MARK})
+OF_A_MASK = OwnFiles("mask of what moves with the camera", {"mask.png": None}, {"mask.png": PICTURE_MARK})
 """The mask that `omnirange range --mask auto` writes into its folder."""
 
 
