@@ -15,14 +15,26 @@ from harness.report.section import TableBlock
 SVG = "{http://www.w3.org/2000/svg}svg"
 
 
+def run_into(folder, *options):
+    """A run of two trials in `folder/out`."""
+    given = write_small(folder / "small.toml", "\n[axes]\nseed = [1, 2]\n")
+    assert main(["run", str(given), "--out", str(folder / "out"), *options]) == 0
+    return folder / "out"
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("exported")
-    given = write_small(folder / "small.toml", "\n[axes]\nseed = [1, 2]\n")
-    assert main(["run", str(given), "--out", str(folder / "out")]) == 0
+    run = run_into(folder)
     options = ["--figures", str(folder / "figures"), "--latex", str(folder / "tables.tex")]
-    assert main(["report", str(folder / "out"), *options]) == 0
+    assert main(["report", str(run), *options]) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def unreported(tmp_path_factory):
+    """The folder of a run without a report."""
+    return run_into(tmp_path_factory.mktemp("unreported"), "--no-report")
 
 
 @pytest.mark.slow
@@ -54,8 +66,8 @@ def test_figures_of_ones_own_stay(exported, tmp_path, capsys):
     own = tmp_path / "errors.pdf"
     own.write_bytes(b"mine")
     words = ["report", str(exported / "out"), "--figures", str(tmp_path)]
-    assert main(words) == 2
-    problem = "is there already, and nothing shows that it is of an earlier figure of a report; give another folder"
+    assert main([*words, "--latex", str(tmp_path / "tables.tex")]) == 2
+    problem = "is there already, and nothing shows that it is from an earlier report; give another folder"
     assert capsys.readouterr().err == f"omnirange: {own}: --figures: {problem}\n"
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"errors.pdf": b"mine"}
     own.unlink()
@@ -99,20 +111,20 @@ def test_what_latex_would_read_as_a_command_is_text():
         ("--figures", "trials.csv", "cannot be used as the output folder (it is no folder)"),
     ],
 )
-def test_nothing_of_the_run_is_written_over(option, name, said, exported, capsys):
-    file = exported / "out" / name
-    before = (exported / "out" / "trials.csv").read_bytes()
-    assert main(["report", str(exported / "out"), option, str(file)]) == 2
+def test_nothing_of_the_run_is_written_over(option, name, said, unreported, capsys):
+    file = unreported / name
+    before = (unreported / "trials.csv").read_bytes()
+    assert main(["report", str(unreported), option, str(file)]) == 2
     printed = capsys.readouterr()
     assert printed.err.startswith(f"omnirange: {file}: {option}: {said}")
     assert printed.out == ""  # before the report is rebuilt
-    assert (exported / "out" / "trials.csv").read_bytes() == before
+    assert (unreported / "trials.csv").read_bytes() == before
 
 
-def test_maps_of_the_run_are_not_written_over(exported, capsys):
-    kept = exported / "out" / "maps" / "0123456789abcdef.npz"
+def test_maps_of_the_run_are_not_written_over(unreported, capsys):
+    kept = unreported / "maps" / "0123456789abcdef.npz"
     kept.parent.mkdir(exist_ok=True)
     kept.write_bytes(b"took long to make")
-    assert main(["report", str(exported / "out"), "--latex", str(kept)]) == 2
+    assert main(["report", str(unreported), "--latex", str(kept)]) == 2
     assert "is a file of the run" in capsys.readouterr().err
     assert kept.read_bytes() == b"took long to make"

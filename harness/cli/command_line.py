@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
             hint = nearest(name.lstrip("-"), words).replace("did you mean '", "did you mean '--")
             if not hint.startswith("did you mean"):
                 hint = "a command's options stand behind its name" if self._has_commands() and self._words[1:] else ""
-            return f"unknown option '{name}'{hint and f'; {hint}'}"
+            return f"unknown option '{name}'" + (f"; {hint}" if hint else "")
         problem = f"'{word}' is one argument too many"
         if hint := self._repeat_hint(word):
             return f"{problem}; {hint}"

@@ -102,13 +102,14 @@ def _export(experiment: "Experiment", store: "Store", options: Namespace) -> Non
     from harness.runs.run import result_of
 
     sections = exported(result_of(experiment, store, run_code=options.run_code), may_copy=True)
+    files = figures_in(sections) if options.figures is not None else {}
+    if options.figures is not None:  # before anything is written
+        marks = {name: FIGURE_MARK if name.endswith(".svg") else None for name in files}
+        check_no_others(options.figures, OwnFiles("report", marks), option="--figures")
     if options.latex is not None:
         write_file(options.latex, latex_of(sections))
         print(f"tables: {options.latex}")
     if options.figures is not None:
-        files = figures_in(sections)
-        marks = {name: FIGURE_MARK if name.endswith(".svg") else None for name in files}
-        check_no_others(options.figures, OwnFiles("figure of a report", marks), option="--figures")
         for name, content in files.items():
             write_file(options.figures / name, content)
         print(f"figures: {len(files) // 2} as SVG and PDF in {options.figures}")

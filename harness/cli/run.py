@@ -65,7 +65,7 @@ def run(options: Namespace) -> int:
 
     os.environ.update(ONE_THREAD | os.environ)  # threads are ours to deal out; read as the libraries are loaded
 
-    from harness.files import check_folder, check_replaces_none, make_folder
+    from harness.files import check_replaces_none, make_folder
     from harness.pipeline.maps import FOLDER, prepare_folder
     from harness.runs.load import load_experiment
     from harness.runs.preflight import preflight
@@ -77,7 +77,8 @@ def run(options: Namespace) -> int:
     _say_left_out(options, experiment)
     _say_law(experiment)
     shown = options.out or Path("results") / experiment.name
-    (check_folder if options.dry_run else make_folder)(shown)
+    if not options.dry_run:
+        make_folder(shown)
     if not (shown / DATABASE).exists():  # a run's own file says what is written into its place again
         check_replaces_none([shown / name for name in WRITTEN], [Path(options.experiment)])
     if options.dry_run:

@@ -11,6 +11,9 @@ from harness.report.data import Table
 from harness.report.section import Context, Figure, FixedTable, Section, TableBlock
 from harness.runs.run import Result
 
+FIGURE_MARK = b"<!-- omnirange -->\n"
+"""How the SVG files begin; by them the PDF files beside them are known as ours as well."""
+
 
 def exported(result: Result, failures: list[str] | None = None, *, may_copy: bool = False) -> list[Section]:
     """The sections of the report, their pictures drawn as PDF too: what figures and tables are taken from.
@@ -24,10 +27,6 @@ def exported(result: Result, failures: list[str] | None = None, *, may_copy: boo
     """
     with theme.with_pdf():
         return sections_of(Context.of(result), failures, may_copy=may_copy)
-
-
-FIGURE_MARK = b"<!-- omnirange -->\n"
-"""How the SVG files begin, by which their folder is known as ours: a folder of figures has other people's, too."""
 
 
 def figures_in(sections: Sequence[Section]) -> dict[str, bytes]:

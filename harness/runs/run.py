@@ -143,7 +143,8 @@ def check_folder_of_run(experiment: Experiment, folder: Path) -> None:
     check_folder(folder)
     check_begins_no_run(folder)
     database = folder / DATABASE
-    if os.path.lexists(database) and not (database.is_file() and not database.stat().st_size):  # an empty one is begun
+    is_empty = database.is_file() and not database.stat().st_size
+    if os.path.lexists(database) and not is_empty:  # an empty one is a run that has just begun
         with Store(database, read_only=True) as store:
             _check_run(experiment, folder, store)
 
