@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 _EXPOSED = 128.0
 """The quadratic mean of an image of 8 bits that is exposed to the middle of its range, grey levels. Rendered scenes
-have 129 to 138."""
+have 128 to 138."""
 
 _ROWS = 4
-"""One row in so many is looked at, which tells the moments of any image well enough."""
+"""One row in so many is looked at: enough for the moments of a whole image."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Means over the known pixels of an image."""
+    """Means over the known pixels of an image, in its unit and the unit's square."""
 
     mean: float
     square: float

@@ -56,7 +56,7 @@ BITS = (2 * kernels.REACH + 1) ** 2 - 1
 _PER_GREY = 16
 """Steps in a grey level of what the census compares, before the blur adds four bits."""
 _LARGEST_GREY = 2.0**15
-"""Grey levels beyond which all is one, so that sums of steps are integers of 32 bits: none but hot pixels are."""
+"""Larger grey levels are cut off, so that sums of steps fit 32 bits; none but hot pixels are as large."""
 
 
 class SemiGlobal(MatcherSettings):
@@ -271,8 +271,8 @@ def views_about_the_baseline(pair: Pair, geometry: Geometry) -> tuple[View, View
 
     A pixel that is not finite, or masked, is not valid, and neither is any whose census would use it.
 
-    Images of any unit have about as many steps, since both are divided by what is a grey level to them (`grey_levels`),
-    to the next power of two: what else is in the images, such as what a mask hides, then changes no bit.
+    Images of any unit get about as many steps: both are divided by one of their grey levels (`grey_levels`), rounded to
+    a power of two, so that no bit changes by what else is in the images, such as what a mask hides.
     """
     order = {"bilinear": 1, "cubic": 3}[pair.interpolation]
     closed = [

@@ -16,7 +16,7 @@ TILE = 64
 """Columns whose planes are fitted side by side."""
 
 SCATTERED = 1.2
-"""A window's noise is less than so many times its variance, nearly always: over 11² or 17² pixels a mean square has a
+"""The mean square of a window's noise is mostly less than so many times its variance: over 11² or 17² pixels it has a
 standard deviation of 0.13 or 0.08 of itself."""
 
 
@@ -35,8 +35,8 @@ class FitNoise(NamedTuple):
     """n_1 - gain_squared n_2, or 0 if that is negative."""
     excess_2: float
     """gain_squared n_2 - n_1, or 0 if that is negative."""
-    least: float
-    """Variance from which on a window has texture."""
+    least_variance: float
+    """The variance above which a window has texture."""
 
 
 # -- Sums over windows -------------------------------------------------------------------------------------------------
@@ -202,7 +202,7 @@ def _fit(tile, least, slope_weight, far, noise_of):
     another. Written: m; the inverse normal matrix in x's tangent coordinates, upper triangle by rows; the variance of
     the residual, infinite where there is no plane; a; b; and the noise's share in the sum of g².
     """
-    of_value, of_slope, ratio, gain_squared, excess_1, excess_2, texture = noise_of
+    of_value, of_slope, ratio, gain_squared, excess_1, excess_2, least_variance = noise_of
     more_2 = excess_2 * of_value * of_value
     for j in range(TILE):
         x, y, z = tile[DIRECTION * TILE + j], tile[(DIRECTION + 1) * TILE + j], tile[(DIRECTION + 2) * TILE + j]
@@ -243,7 +243,7 @@ def _fit(tile, least, slope_weight, far, noise_of):
         c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
         c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
         determinant = m00 * c00 + m01 * c01 + m02 * c02
-        ok = (n >= least) & (variance_1 > texture * n) & (variance_2 > texture * n)
+        ok = (n >= least) & (variance_1 > least_variance * n) & (variance_2 > least_variance * n)
         ok &= determinant > 1e-12 * m00 * m11 * m22
 
         inverse = 1.0 / determinant

@@ -29,21 +29,22 @@ _ORDER = 4
 _SQUARE = 8
 """Side of the squares over which squared differences are averaged, pixels. The median of the squares' means is not
 moved by edges, and yet noise and texture add up in it, as they do not in a median of single differences. In white noise
-it is 4 % below the variance."""
+it is 7 % below the variance, as means of so few correlated squares are skewed."""
 
 _BANDS = 16
-"""About so many rows of squares are looked at: their median is known to 2 %, in an image of 640 x 480 pixels."""
+"""At least so many rows of squares are looked at, where there are as many: in an image of 640 x 480 pixels their median
+has a standard deviation of 1.3 % of itself."""
 
 _FEWEST = 32
-"""Squares whose median is known to a twentieth of itself."""
+"""The fewest squares that count: their median has a standard deviation of a tenth of itself."""
 
 _ALIKE = 1.25
 """Up to this ratio, views count as equally noisy, or as equally rich in contrast. Two views of one scene show its parts
-at different sizes: without noise the variances of their finest differences are as 1 to 0.97, 1.16, 0.88 and 1.05 in
-box, room, corridor and poles."""
+at different sizes: without noise the variances of their finest differences are as 1 to 0.97, 1.16, 0.88 and 1.05 in the
+box, the room, the corridor and among the poles."""
 
 _LEAST_VARIANCE = 1e-3
-"""A window whose variance is less has no texture, square grey levels; of rounding alone it is 1/12."""
+"""A window whose variance, in square grey levels, is less has no texture; rounding to 8 bits alone makes it 1/12."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +53,14 @@ class Noise:
 
     grey_level_squared: float
     """In the square of the images' unit; see `grey_levels`."""
-    single: float
-    """Variance of both images' rounding to single precision."""
+    rounding: float
+    """Variance of both images' rounding to single precision, at most; in the same."""
     gain_squared: float = 1.0
     """Square of the gain between the whole images: what is I in view 2 varies so much more in view 1."""
     ratio: float = 1.0
     """Variance of view 1's noise per variance of view 2's."""
     excess: float = 0.0
-    """Variance of view 1's noise beyond `gain_squared` times that of view 2's; negative if it is less."""
+    """Variance of view 1's noise beyond `gain_squared` times that of view 2's, in the same; negative if it is less."""
 
     @property
     def excess_1(self) -> float:
@@ -82,18 +83,25 @@ class Noise:
         return replace(self, excess=self.excess * noise_left(blur))
 
     def odds_of_1(self, residual: NDArray[np.float32], of_value: float) -> Array | float:
-        """View 1's noise per view 2's, as view 1 would show it, of windows with these residuals; see `_fit_kernels`.
+        """Variance of view 1's noise per that of view 2's as view 1 would show it, of windows; see `_fit_kernels`.
 
         Parameters
         ----------
+        residual
+            `[height, width]`: the windows' residual variances, infinite where there is no window.
         of_value
             Variance of noise of variance 1 along an axis, once view 2 is interpolated.
+
+        Returns
+        -------
+        odds
+            `[height, width]`; 1 for all of them where the views count as equally noisy.
         """
         if not self.excess:
             return 1.0
         interpolated = self.gain_squared * of_value**2
         with np.errstate(invalid="ignore", divide="ignore"):
-            # In units of the residual, which is infinite where there is no window.
+            # Variances of view 2's noise, in units of the residual.
             alike = SCATTERED * np.array([-self.excess_1, self.excess_2])[:, None, None] / residual + 1
             alike /= self.gain_squared + interpolated
             of_2 = np.clip(1 / (self.ratio + interpolated), *alike)
@@ -109,14 +117,14 @@ class Noise:
         """
         of_value, of_slope = through_spline
         return FitNoise(
-            of_value,
-            of_slope,
-            self.ratio,
-            self.gain_squared,
-            self.excess_1,
-            self.excess_2,
+            of_value=of_value,
+            of_slope=of_slope,
+            ratio=self.ratio,
+            gain_squared=self.gain_squared,
+            excess_1=self.excess_1,
+            excess_2=self.excess_2,
             # Of images without contrast rounding is left, ten times as large once a spline has gone through it.
-            _LEAST_VARIANCE * self.grey_level_squared + 100 * self.single,
+            least_variance=_LEAST_VARIANCE * self.grey_level_squared + 100 * self.rounding,
         )
 
 

@@ -122,7 +122,7 @@ def refine_slanted(
         first, second = views
         forth = field_from(_start(start_alpha_2, forth_warp, grid, pool), forth_warp, pool)
         noise = noise_between(
-            *((closed[i][0][part.at], closed[i][1][part.at]) for i, part in ((0, part_1), (1, part_2)))
+            *((image[part.at], known[part.at]) for (image, known), part in zip(closed, (part_1, part_2), strict=True))
         )
         steps = steps_forth(settings)
         advance(forth, first, second, forth_warp, noise, settings, steps[:1], grid.phi_pitch, pool)

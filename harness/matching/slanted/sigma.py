@@ -57,7 +57,7 @@ def sigma_of(
     )  # fmt: skip
     _reading_kernels.spread(
         window.ravel(), field.residual.ravel(), field.share.ravel(), inflation.ravel(),
-        smoothed_noise(steps_forth(settings)), noise.single, variance.ravel(),
+        smoothed_noise(steps_forth(settings)), noise.rounding, variance.ravel(),
     )  # fmt: skip
     return variance
 
