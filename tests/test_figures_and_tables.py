@@ -11,6 +11,7 @@ from harness.report.data import Data, Heading, Table, words
 from harness.report.export import _latex
 from harness.report.markup import html
 from harness.report.section import TableBlock
+from harness.runs import written
 
 SVG = "{http://www.w3.org/2000/svg}svg"
 
@@ -58,6 +59,14 @@ def test_the_same_result_gives_the_same_files(exported):
     assert main(["report", str(exported / "out"), "--figures", str(again)]) == 0
     for each in (exported / "figures").iterdir():
         assert (again / each.name).read_bytes() == each.read_bytes(), each.name
+
+
+@pytest.mark.slow
+def test_a_runs_files_begin_as_they_are_known_by(exported):
+    """Runs of earlier versions have no hashes of all of them in their database."""
+    for name, mark in written.OF_A_RUN.marks.items():
+        if mark is not None and name != written.FAILURES:
+            assert (exported / "out" / name).read_bytes().startswith(mark)
 
 
 @pytest.mark.long

@@ -8,13 +8,15 @@ import pytest
 from PIL import Image
 
 import harness
-from harness.api.masks import write_mask
+from harness.api.masks import OF_A_MASK, write_mask
 from harness.api.sequence import OF_A_SEQUENCE
 from harness.api.warping import OF_A_VIEW
 from harness.cli import main
 from harness.cli.map import OF_A_MAP
 from harness.errors import InputError
 from harness.files import PAGE_MARK, PICTURE_MARK, OwnFiles, check_no_others, write
+from harness.mapping.map_files import write_map
+from harness.mapping.occupancy import Cell, GridFrame
 from harness.pipeline.photographs import OF_A_RANGE
 
 SENSOR = {"camera": {"width_px": 200, "height_px": 150, "focal_px": 191.9, "cx_px": 99.5, "cy_px": 74.5}}
@@ -253,6 +255,14 @@ def test_what_was_emptied_or_cut_short_is_known_by_what_is_beside_it(own, names,
     check_no_others(tmp_path, own)
     (tmp_path / list(names)[1]).write_text("1")
     with pytest.raises(InputError, match="is there already, and nothing shows"):
+        check_no_others(tmp_path, own)
+
+
+def test_pictures_say_whose_they_are(tmp_path):
+    write_mask(np.ones((3, 4), bool), tmp_path / "mask.png")
+    write_map(np.full((3, 4), Cell.FREE, np.uint8), GridFrame((0.0, 0.0), 0.1, (3, 4)), tmp_path)
+    for own in (OF_A_MASK, OF_A_MAP):
+        assert own.are_in(tmp_path)
         check_no_others(tmp_path, own)
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from harness.api.datasets import DataSet
+from harness.api.datasets import OF_A_SCORE, DataSet
 from harness.cli.parser import main
 from harness.datasets.checks.check import open_set
 from harness.datasets.estimates import Meaning, estimate_of, read_estimate, suspicion
@@ -145,6 +145,8 @@ class TestFigures:
         page = (tmp_path / "out" / "score.html").read_text(encoding="utf-8")
         assert "Estimates against the truth" in page
         assert "could not be drawn" not in page.lower()
+        for name, mark in OF_A_SCORE.marks.items():
+            assert (tmp_path / "out" / name).read_bytes().startswith(mark or b"")
 
     def test_pixels_of_disparity_are_angles_at_view_2(self, panoramas, tmp_path):
         """A pixel too much everywhere: 2 pi/200 of alpha_2."""

@@ -1,4 +1,4 @@
-"""What a command writes without being given its name, checked before it is made."""
+"""Checks, before the work, of files whose names nobody has given."""
 
 from argparse import Namespace
 from pathlib import Path
@@ -15,6 +15,11 @@ def check_out_folder(options: Namespace, own: OwnFiles) -> None:
         Those of `range.add_matching`, with `--out`.
     own
         The files that are written.
+
+    Raises
+    ------
+    InputError
+        Names the folder, or one of the files.
     """
     from harness.api.masks import OF_A_MASK
 
@@ -28,6 +33,12 @@ def check_out_folder(options: Namespace, own: OwnFiles) -> None:
 
 
 def check_default_page(page: Path) -> None:
-    """Refuse to write a page under a name that nobody has given, over a file that is no page of this program."""
+    """Refuse to write a page under its default name over a file that is no page of this program.
+
+    Raises
+    ------
+    InputError
+        Names the file.
+    """
     own = OwnFiles("page of this program", {page.name: PAGE_MARK})
     check_no_others(page.parent, own, option=None, advice="give another name with --out")

@@ -23,7 +23,7 @@ WRITTEN = (
 FAILURES = "failures.csv"
 """Written, or removed, with the tables."""
 
-_OF_A_RUN = OwnFiles(
+OF_A_RUN = OwnFiles(
     "run",
     dict.fromkeys(WRITTEN)
     | {
@@ -33,7 +33,8 @@ _OF_A_RUN = OwnFiles(
         FAILURES: b"message,traceback,key\n",
     },
 )
-"""How they show whose they are; those whose hashes are in the run's database are its own, whatever is in them now."""
+"""How these files show whose they are; those whose hashes are in the run's database are its own, whatever is in them
+now."""
 
 OF_ALL_ROWS = ("environment.json", "summary.json", "report.html")
 """Those that are written after the tables, and not at all without a report."""
@@ -67,11 +68,11 @@ def check_no_others_in(folder: Path, store: Store) -> None:
     InputError
         Names one of them.
     """
-    check_unprotected((folder / name for name in _OF_A_RUN.marks), option=None)
+    check_unprotected((folder / name for name in OF_A_RUN.marks), option=None)
     recorded = _stored_hashes(store) or {}
-    marks = {name: mark for name, mark in _OF_A_RUN.marks.items() if recorded.get(name) is None}
+    marks = {name: mark for name, mark in OF_A_RUN.marks.items() if recorded.get(name) is None}
     advice = "move it, or give another folder"
-    check_no_others(folder, OwnFiles(_OF_A_RUN.what, marks), option=None, advice=advice)
+    check_no_others(folder, OwnFiles(OF_A_RUN.what, marks), option=None, advice=advice)
 
 
 def write_files(files: Mapping[str, str], folder: Path, store: Store) -> None:
