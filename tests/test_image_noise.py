@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import harness
 from harness.camera.image_noise import noise_of
 from harness.camera.sensor import pixels_seen
+from harness.matching.slanted.noise import finest_variance
 
 SHAPE = (240, 320)
 ALL = np.ones(SHAPE, bool)
@@ -35,6 +37,13 @@ def test_pixels_that_are_not_known_do_not_count():
     assert noise_of(hidden, known) == noise_of(np.where(known, image, 1e6), known)
     assert noise_of(hidden, known) == pytest.approx(5, rel=0.15)
     assert noise_of(image, np.zeros(SHAPE, bool)) == 0
+
+
+def test_of_noise_that_pixels_share_more_is_found_than_by_fourth_differences():
+    shared = ndimage.convolve(np.random.default_rng(6).normal(0, 10, SHAPE), np.outer([1, 2, 1], [1, 2, 1]) / 16)
+    found = noise_of(128 + shared, ALL) / shared.std()
+    assert found == pytest.approx(0.15, abs=0.02)
+    assert np.sqrt(finest_variance((128 + shared).astype(np.float32), ALL)) / shared.std() < 0.5 * found
 
 
 @pytest.mark.slow
