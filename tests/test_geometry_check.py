@@ -338,6 +338,17 @@ def test_a_right_geometry_in_noise_is_right(pair, noise):
 
 
 @pytest.mark.slow
+def test_pixels_that_are_not_finite_do_not_change_the_verdict(pair):
+    images = [each.image.astype(np.float32) for each in pair]
+    images[0][100:104, 60:64] = np.nan
+    seen = Pair((images[0], images[1]), (SMALL, SMALL), relative_motion(*(each.pose for each in pair)), GRID)
+    range_m = pair[0].panorama_range_m
+    check = check_geometry(seen, range_m, 0.01 * range_m)
+    assert check.verdict == Verdict.OK
+    assert len(check.tiles) > 100
+
+
+@pytest.mark.slow
 def test_a_wrong_geometry_in_noise_is_wrong(pair):
     check = estimated(pair, yaw_deg=1.0, noise=20.0).geometry
     assert check.verdict in {Verdict.DOUBTFUL, Verdict.WRONG}

@@ -35,6 +35,7 @@ def test_pixels_that_are_not_known_do_not_count():
     known = np.indices(SHAPE)[1] < 160
     hidden = np.where(known, image, np.nan)
     assert noise_of(hidden, known) == noise_of(np.where(known, image, 1e6), known)
+    assert noise_of(hidden, known) == noise_of(hidden, ALL)
     assert noise_of(hidden, known) == pytest.approx(5, rel=0.15)
     assert noise_of(image, np.zeros(SHAPE, bool)) == 0
 

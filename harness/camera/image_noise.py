@@ -29,12 +29,13 @@ def noise_of(image: NDArray[np.floating], known: NDArray[np.bool_]) -> float:
     Parameters
     ----------
     image, known
-        `[height, width]`; the values of other pixels do not matter.
+        `[height, width]`; the values of other pixels do not matter. What is not finite is not known either.
 
     References
     ----------
     J. Immerkær, "Fast noise variance estimation", Computer Vision and Image Understanding 64 (1996), for the filter.
     """
+    known = known & np.isfinite(image)
     filled = np.where(known, image, 0.0).astype(np.float64)
     for axis in (0, 1):
         filled = ndimage.correlate1d(filled, _SECOND_DIFFERENCE, axis)
