@@ -68,17 +68,19 @@ class Parser(argparse.ArgumentParser):
         for word in self._before_dashes():
             if self._has_commands() and not word.startswith("-"):
                 return None
-            is_option = word.startswith("-") and len(word) > 1 and not self._negative_number_matcher.match(word)
-            if is_option and word.partition("=")[0] not in self._option_string_actions:
+            if self._looks_like_option(word) and word.partition("=")[0] not in self._option_string_actions:
                 return word
         return None
+
+    def _looks_like_option(self, word: str) -> bool:
+        return word.startswith("-") and len(word) > 1 and not self._negative_number_matcher.match(word)
 
     def _has_commands(self) -> bool:
         return any(each.nargs == argparse.PARSER for each in self._get_positional_actions())
 
     def _not_taken(self, word: str) -> str:
         """What is said of a word that neither is an option nor belongs anywhere."""
-        if word.startswith("-") and len(word) > 1 and not self._negative_number_matcher.match(word):
+        if self._looks_like_option(word):
             name = word.partition("=")[0]
             if name in self._option_string_actions:
                 return f"'{name}' is behind --, after which nothing is an option"
@@ -86,7 +88,7 @@ class Parser(argparse.ArgumentParser):
             words = [each[2:] for each in self._option_string_actions if each.startswith("--")]
             hint = nearest(name.lstrip("-"), words).replace("did you mean '", "did you mean '--")
             if not hint.startswith("did you mean"):
-                hint = "a command's options stand behind its name" if self._has_commands() and self._words[1:] else ""
+                hint = "a command's options follow its name" if self._has_commands() and self._words[1:] else ""
             return f"unknown option '{name}'" + (f"; {hint}" if hint else "")
         problem = f"'{word}' is one argument too many"
         if hint := self._repeat_hint(word):
