@@ -1,10 +1,14 @@
 """Noise of one view alone, or more of it than the other has: measured view by view, and used so by slanted windows."""
 
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import ndimage
 from slanted_floor import GRID, errors_px, motion, pair, refine, start, steep
 
+from harness.matching.slanted.doubt import _residuals
 from harness.matching.slanted.noise import Noise, _unless_alike, finest_variance, noise_between
 
 ALL = np.ones((256, 320), bool)
@@ -89,6 +93,19 @@ def test_the_residual_of_noise_alone_is_shared_out_as_the_noise_is(n_1, n_2):
     # What is ten times as much is no noise: most of it is put down to both views alike.
     odds = np.broadcast_to(views.odds_of_1(10 * residual, of_value), (1, 1))
     assert 0.6 < odds[0, 0] < 1.6
+
+
+@pytest.mark.parametrize(("excess", "expected"), [(24.0, 25.0), (0.0, 25.0), (-24.0, 1.0)])
+def test_noise_that_view_2_alone_has_leaves_little_unexplained(excess, expected):
+    """As a share of a blank image's variance: one grey level squared, and as much as view 2 has more noise."""
+    blank, there = np.full((40, 40), 128, np.float32), SimpleNamespace(known=np.ones((40, 40), bool))
+    square = np.full((40, 40), 25, np.float32)
+    with ThreadPoolExecutor(1) as pool:
+        residual, unexplained = _residuals(
+            SimpleNamespace(image=blank), Noise(1.0, 0.0, excess=excess), there, square, 9, pool
+        )
+    assert residual[20, 20] == pytest.approx(25)
+    assert unexplained[20, 20] == pytest.approx(expected, rel=1e-5)
 
 
 def noisy(sigma_1, sigma_2, seed=4):
