@@ -399,6 +399,31 @@ def test_what_no_error_explains_is_said_and_counted_in(pair):
     assert 0.58 < np.mean(both) < 0.8
 
 
+@pytest.fixture(scope="module")
+def corridor():
+    """Smooth walls of little contrast, on which noise that neighbouring pixels share does most."""
+    return tuple(harness.render("corridor", sensor=SMALL, samples=4, grid=GRID, **pose) for pose in POSES)
+
+
+def _with_shared_noise(images, sigma, seed):
+    draws = np.random.default_rng(seed)
+    for image in images:
+        noise = ndimage.gaussian_filter(draws.normal(size=image.shape), 0.7)
+        yield np.rint(image + noise * (sigma / noise.std())).clip(0, 255).astype(np.float32)
+
+
+@pytest.mark.slow
+def test_a_right_geometry_in_noise_that_neighbours_share_is_right(corridor):
+    """As cameras deliver it: demosaiced, denoised, compressed."""
+    motion = relative_motion(*(each.pose for each in corridor))
+    for seed in range(2):
+        images = _with_shared_noise([each.image for each in corridor], 8.0, seed)
+        check = harness.estimate_range(*images, SMALL, motion, "slanted", grid=GRID).geometry
+        assert check.verdict == Verdict.OK
+        assert len(check.lines()) == 1
+        assert 0.6 < check.noise_px / check.rms_px < 1.6
+
+
 def test_images_without_texture_give_no_verdict():
     images = [np.full((240, 320), 128.0, np.float32)] * 2
     estimate = harness.estimate_range(*images, SMALL, (0.5, 0, 0), "column", grid=GRID)

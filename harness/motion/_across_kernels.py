@@ -25,14 +25,16 @@ def _turned(R, p0, p1, p2):
 
 @kernel
 def equations_across(
-    tiles, side, least, known, x, grey, R, t, axis, camera, coefficients, planes, gain, offset, H, g, sums
+    tiles, side, least, known, x, grey, R, t, axis, camera, coefficients, planes, gain, offset, weights, H, g, sums,
+    parts,
 ):  # fmt: skip
     """Write the normal equations of every tile, for I_1 = a I_2 + b.
 
     R : `[T, 3, 3]`, the rotation into view 2 with each tile's own turn. axis : `[T, 3]`, what it is turned about, in
-    view 1's orientation.
+    view 1's orientation. weights : `[T, 6]`, of the columns of J in `parts`.
     H, g : `[T, 6, 6]` and `[T, 6]`: sums of J^T J (upper triangle) and J^T r over the tile's pixels.
     sums : `[T, 4]`: the number of pixels, r², I_1 and I_1².
+    parts : `[T, side, side]`: J · weights times r of each pixel, 0 for those that do not count.
     """
     model, seam = camera
     column = [0.0] * PARAMETERS
@@ -42,6 +44,7 @@ def equations_across(
         H[i, :, :] = 0.0
         g[i, :] = 0.0
         sums[i, :] = 0.0
+        parts[i, :, :] = 0.0
         for row in range(tiles[i, 0], tiles[i, 0] + side):
             for col in range(tiles[i, 1], tiles[i, 1] + side):
                 if not known[row, col]:
@@ -67,7 +70,9 @@ def equations_across(
                 column[4], column[5] = other, 1.0
                 value = grey[row, col]
                 r = value - a * other - b
+                part = 0.0
                 for j in range(PARAMETERS):
+                    part += weights[i, j] * column[j]
                     g[i, j] += column[j] * r
                     for k in range(j, PARAMETERS):
                         H[i, j, k] += column[j] * column[k]
@@ -75,3 +80,4 @@ def equations_across(
                 sums[i, 1] += r * r
                 sums[i, 2] += value
                 sums[i, 3] += value * value
+                parts[i, row - tiles[i, 0], col - tiles[i, 1]] = part * r

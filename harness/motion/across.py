@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from harness.camera.image_noise import noise_of
@@ -39,6 +40,8 @@ _CORRELATION = 0.6
 _MOST_PX = 6.0
 """Largest angle across, pixels of view 2: beyond it a tile is a mismatch."""
 _MOST_SIGMA_PX = 0.5
+_REACH_PX = 4
+"""Distance of pixels, along rows and columns, up to which residuals are taken to be correlated."""
 _LEAST_SIGNAL = 0.1
 """Least share of a tile's squared gradients, across, that is texture: with less, the noise is known too poorly."""
 _LEAST_KNOWN = 0.5
@@ -123,29 +126,34 @@ def fit_across(
     y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
     axis, px_per_rad = np.ascontiguousarray(np.cross(y, n)), pixels_per_radian(sensors[1], turn, y, n)
     delta, gain, offset = np.zeros(count), np.ones(count), np.zeros(count)
+    weights, parts = np.zeros((count, 6)), np.zeros((count, SIDE_PX, SIDE_PX))
     for iteration in range(_ITERATIONS + 1):
         R = turn.R @ Rotation.from_rotvec(axis * delta[:, None]).as_matrix() if count else np.zeros((0, 3, 3))
         H, g, sums = np.zeros((count, 6, 6)), np.zeros((count, 6)), np.zeros((count, 4))
         _kernels.equations_across(
             tiles, SIDE_PX, LEAST_W, prepared.known, prepared.x, prepared.grey, np.ascontiguousarray(R), turn.t, axis,
-            prepared.camera, prepared.coefficients, planes, gain, offset, H, g, sums,
+            prepared.camera, prepared.coefficients, planes, gain, offset, weights, H, g, sums, parts,
         )  # fmt: skip
         H = H + np.triu(H, 1).transpose(0, 2, 1) + _ridge(x_c, H)
-        signal = noise.leave(H, sums[:, 0] * (gain * px_per_rad) ** 2)
+        squares = sums[:, 0] * (gain * px_per_rad) ** 2
+        left = sums[:, 1] / (np.maximum(sums[:, 0], 7.0) - 6)
+        if iteration == _ITERATIONS:
+            variance = noise.leave(H.copy(), squares, noise.share_of_2(gain) * left)[1] * left * _by_correlation(parts)
+        H = noise.leave(H, squares, noise.of_2**2)[0]
         if iteration == _ITERATIONS:
             break
+        weights = np.ascontiguousarray(np.linalg.inv(H)[:, 0]) if count else weights
         step = np.linalg.solve(H, g[..., None])[..., 0]
         delta = delta + np.clip(step[:, 0], -0.02, 0.02)
         planes = planes + step[:, 1:4]
         gain, offset = np.clip(gain + step[:, 4], 0.1, 10.0), offset + step[:, 5]
-    pixels = np.maximum(sums[:, 0], 7.0)
     y = normalise(x_c - np.sum(planes * x_c, axis=1, keepdims=True) * turn.t)
     across = Across(
         tiles=tiles,
         x_1=x_c,
         planes=planes,
         delta=delta,
-        sigma=np.sqrt(np.linalg.inv(H)[:, 0, 0] / signal * sums[:, 1] / (pixels - 6)),
+        sigma=np.sqrt(variance),
         px_per_rad=pixels_per_radian(sensors[1], turn, y, n),
         aside=-np.sum(np.linalg.solve(H[:, 1:, 1:], H[:, 1:, :1])[:, :3, 0] * x_c, axis=1),
     )
@@ -168,7 +176,15 @@ class _Noise(NamedTuple):
         """
         return math.hypot(self.of_1, max(self))
 
-    def leave(self, H: Array, squares: Array) -> Array:
+    def share_of_2(self, gain: Array) -> Array:
+        """The variance `[n]` of view 2's noise per variance of what the fits of tiles leave.
+
+        That of the tile itself is white or not, while `of_2` misses most of a noise that neighbouring pixels share.
+        """
+        of_1, of_2 = (self.of_1, self.of_2) if max(self) > 0 else (1.0, 1.0)
+        return np.asarray(of_2**2 / (of_1**2 + gain * of_2**2))
+
+    def leave(self, H: Array, squares: Array, variance_2: Array | float) -> tuple[Array, Array]:
         """Take the noise's part, which tells nothing, out of the information on the angle across, `H[:, 0, 0]`.
 
         Parameters
@@ -177,17 +193,21 @@ class _Noise(NamedTuple):
             `[n, 6, 6]`, normal equations; changed in place.
         squares
             `[n]`: the sum over the tile's pixels of the squared movement, pixels, of I_2 by the angle.
+        variance_2
+            Of view 2's noise, in all tiles or `[n]`.
 
         Returns
         -------
-        signal
-            `[n]`: the share that is left of the information; at least `_LEAST_SIGNAL`, and positive definite.
+        H
+            What is left; at least `_LEAST_SIGNAL` of the information, and positive definite.
+        variance
+            `[n]`, of the angle, per variance of the residual.
         """
         value, slope = noise_through_spline()
         information = 1 / np.linalg.inv(H)[:, 0, 0]
-        signal = np.maximum(1 - value * slope * self.of_2**2 * squares / information, _LEAST_SIGNAL)
+        signal = np.maximum(1 - value * slope * variance_2 * squares / information, _LEAST_SIGNAL)
         H[:, 0, 0] -= (1 - signal) * information
-        return np.asarray(signal)
+        return H, np.linalg.inv(H)[:, 0, 0] / signal
 
     def correlation(self, sums: Array, gain: Array) -> Array:
         """The squared correlation `[n]` of both views without noise, from the kernel's sums: expected values of the
@@ -197,6 +217,31 @@ class _Noise(NamedTuple):
         texture = sums[:, 3] - sums[:, 2] ** 2 / pixels - pixels * self.of_1**2
         unlike = sums[:, 1] - pixels * (self.of_1**2 + gain**2 * self.of_2**2)
         return np.asarray(1 - unlike / np.maximum(texture, 1e-9))
+
+
+def _by_correlation(parts: Array) -> Array:
+    """By how much the variance `[n]` of a sum is larger than if its parts were independent; at least 1.
+
+    Noise that is alike in neighbouring pixels, as after demosaicing, denoising, or compression, moves a tile of smooth
+    texture up to three times as far as its residual says if pixels are taken to be independent.
+
+    Parameters
+    ----------
+    parts
+        `[n, side, side]`, what each pixel's residual adds to the sum.
+
+    References
+    ----------
+    T. G. Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999), with the weights
+    of W. K. Newey and K. D. West, Econometrica 55 (1987), along both axes, by which no variance is negative.
+    """
+    ahead = np.arange(1, _REACH_PX + 2) / (_REACH_PX + 1)
+    weights = np.concatenate([ahead, ahead[-2::-1]])
+    near = parts
+    for axis in (1, 2):
+        near = ndimage.correlate1d(near, weights, axis, mode="constant")
+    squares = np.sum(parts**2, axis=(1, 2))
+    return np.maximum(np.sum(parts * near, axis=(1, 2)) / np.maximum(squares, 1e-300), 1.0)
 
 
 def pixels_per_radian(sensor: Sensor, turn: Turn, y: Array, towards: Array) -> Array:

@@ -8,7 +8,6 @@ they are noise; otherwise it also gives the size of errors that the measurements
 Errors are assumed minus true values: with a principal point that is given 1 px too far right, theta is 1.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +21,7 @@ from harness.geometry.angles import Array, normalise
 from harness.motion.across import Across
 from harness.motion.features import spreads
 from harness.motion.residuals import Turn
+from harness.motion.scatter import common_scatter
 from harness.motion.tiles import tangents_at
 
 FLOOR_PX = 0.01
@@ -43,9 +43,6 @@ _FAR_M = 10.0
 millimetre, which is nothing beside their turning."""
 _SECTORS = 4
 """Sectors of azimuth that errors are tried on, each by those fitted to the others."""
-_MORE_THAN_NOISE = 2.0
-"""Scatter about the fit over that of noise, at least, for what is not noise and has no cause. Noise alone reaches 1.6,
-on a wall whose texture is less than the noise."""
 _LEAST_UNEXPLAINED_PX = 0.05
 """What has no cause, pixels, at least: interpolation, and surfaces that are not planar, reach 0.03."""
 _SIGNIFICANT = 6.0
@@ -324,7 +321,7 @@ def fit_causes(tiles: Across, sensors: tuple[Sensor, Sensor], turn: Turn) -> Cau
         weight=weight,
         sigma=factor * sigma,
         noise=sigma,
-        unexplained_px=_unexplained_px(factor, (e - E @ theta) * tiles.px_per_rad, sigma * tiles.px_per_rad),
+        unexplained_px=_unexplained_px((e - E @ theta) * tiles.px_per_rad, sigma * tiles.px_per_rad),
         alone=() if gain <= _SIGNIFICANT else _alone(effects, A, b, size, gain),
     )
 
@@ -355,12 +352,9 @@ def _weighed(left: Array) -> tuple[float, Array]:
     return factor, np.asarray(1 / (1 + (left / (_CAUCHY * factor)) ** 2))
 
 
-def _unexplained_px(factor: float, left_px: Array, noise_px: Array) -> float:
-    """Robust scatter of what is left, pixels, without the noise, where it is `factor` times what noise explains."""
-    if factor <= _MORE_THAN_NOISE:
-        return 0.0
-    scatter, noise = 1.4826 * float(np.median(np.abs(left_px))), float(np.median(noise_px))
-    unexplained_px = math.sqrt(max(scatter**2 - noise**2, 0.0))
+def _unexplained_px(left_px: Array, noise_px: Array) -> float:
+    """What of the scatter of what is left, pixels, is common to all tiles, where it is worth saying."""
+    unexplained_px = common_scatter(left_px, noise_px)
     return unexplained_px if unexplained_px > _LEAST_UNEXPLAINED_PX else 0.0
 
 

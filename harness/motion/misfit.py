@@ -9,19 +9,17 @@ import numpy as np
 from harness.camera.sensor import Sensor, pixel_directions
 from harness.motion.across import fit_across
 from harness.motion.direct import DirectFit
+from harness.motion.scatter import common_scatter
 from harness.motion.tiles import SIDE_PX, Image
 
 _LEAST_TILES = 30
-_BEYOND = 2.0
-"""Scatter over the tiles' own noise, at least. With an exact calibration it is up to 1.6 on rendered pairs, at any
-noise."""
 _LEAST_PX = 0.1
 """Below it, interpolation is as large."""
 
 
 def misfit_px(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], direct: DirectFit) -> float:
-    """Robust standard deviation of the tiles' offsets across their curves, less the noise, pixels of view 2; 0 where
-    the noise explains them or too few tiles match.
+    """Robust standard deviation of the tiles' offsets across their curves, without the noise, pixels of view 2; 0 where
+    the noise may explain them or too few tiles match.
     """
     x = pixel_directions(sensors[0])[0]
     w = np.full(x.shape[:2], np.nan)
@@ -31,6 +29,5 @@ def misfit_px(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], direc
     across = fit_across(images, sensors, direct.turn, w)[0]
     if len(across) < _LEAST_TILES:
         return 0.0
-    scatter = 1.4826 * float(np.median(np.abs(across.delta * across.px_per_rad)))
-    noise = float(np.median(across.sigma * across.px_per_rad))
-    return float(np.sqrt(scatter**2 - noise**2)) if scatter > max(_BEYOND * noise, _LEAST_PX) else 0.0
+    common_px = common_scatter(across.delta * across.px_per_rad, across.sigma * across.px_per_rad)
+    return common_px if common_px > _LEAST_PX else 0.0
