@@ -36,7 +36,7 @@ from harness.motion.tiles import (
 
 _ITERATIONS = 6
 _CORRELATION = 0.6
-"""Least correlation of the two views on a tile, squared, but for their noise."""
+"""Least squared correlation of the two views on a tile, noise removed."""
 _MOST_PX = 6.0
 """Largest angle across, pixels of view 2: beyond it a tile is a mismatch."""
 _MOST_SIGMA_PX = 0.5
@@ -201,13 +201,14 @@ class _Noise(NamedTuple):
         H
             What is left; at least `_LEAST_SIGNAL` of the information, and positive definite.
         variance
-            `[n]`, of the angle, per variance of the residual.
+            `[n]`, of the angle, per variance of the residual; infinite where less than `_LEAST_SIGNAL` is left.
         """
         value, slope = noise_through_spline()
         information = 1 / np.linalg.inv(H)[:, 0, 0]
-        signal = np.maximum(1 - value * slope * variance_2 * squares / information, _LEAST_SIGNAL)
+        share = 1 - value * slope * variance_2 * squares / information
+        signal = np.maximum(share, _LEAST_SIGNAL)
         H[:, 0, 0] -= (1 - signal) * information
-        return H, np.linalg.inv(H)[:, 0, 0] / signal
+        return H, np.where(share > _LEAST_SIGNAL, np.linalg.inv(H)[:, 0, 0] / signal, np.inf)
 
     def correlation(self, sums: Array, gain: Array) -> Array:
         """The squared correlation `[n]` of both views without noise, from the kernel's sums: expected values of the

@@ -94,7 +94,7 @@ class Effects(OneLine):
     across: Array
     """Radians across."""
     w: Array
-    """Inverse range, 1/|t|, in the direction in which a match appears."""
+    """The same of the inverse range, 1/|t|, in the direction in which a match appears."""
     w_1: Array
     """`[n]`, the inverse ranges themselves."""
     outermost_px: float
@@ -112,8 +112,10 @@ class Effects(OneLine):
     """The same of y."""
 
     def true_inverse_range(self, theta: Array) -> Array:
-        """Inverse ranges `[n]` in the directions x once errors theta `[k]` are undone, 1/|t|: not to first order, as
-        errors of ranges may be as large as the ranges.
+        """Inverse ranges `[n]` in the directions x once errors theta `[k]` are undone, 1/|t|.
+
+        From the corrected directions, since errors of ranges may be as large as the ranges; only the shifts of pixels
+        are to first order.
         """
         R = Rotation.from_rotvec(theta[:3]).as_matrix()
         t = normalise(self.t - sum(a * axis for a, axis in zip(theta[3:5], directions_aside(self.t), strict=True)))
@@ -123,7 +125,7 @@ class Effects(OneLine):
         aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
         # Angles in the epipolar plane; what is still across it is of second order.
         alpha_1, alpha_2 = (np.arctan2(np.sum(each * aside, axis=1), each @ t) for each in (x, y))
-        w = np.sin(alpha_2 - alpha_1) / np.where(np.abs(alpha_2) < 1e-6, 1e-6, np.sin(alpha_2))
+        w = np.sin(alpha_2 - alpha_1) / np.maximum(np.sin(alpha_2), 1e-6)
         return np.asarray(w + np.sum(self.planes * (self.x - x), axis=1))
 
     def columns(self, names: tuple[str, ...]) -> list[int]:

@@ -49,7 +49,7 @@ class Verdict(StrEnum):
     DOUBTFUL = "doubtful"
     """An error costs more than the noise."""
     WRONG = "wrong"
-    """An error costs more than 2 % of the range and much more than the noise, or more than 10 % and the noise."""
+    """An error costs more than 2 % of the range and much more than the noise, or more than 10 % and than the noise."""
     UNKNOWN = "unknown"
     """There are too few matches to tell."""
 
@@ -143,8 +143,14 @@ class GeometryCheck(OneLine):
 
     def _verdict_lines(self) -> list[str]:
         if self.verdict == Verdict.UNKNOWN:
+            if self.counts.alike >= self.least:
+                text = (
+                    f"geometry {self.verdict}: noise leaves only {len(self.tiles)} of {self.counts.alike} matching "
+                    f"windows that tell how far off their epipolar curves they are, {LEAST_TILES} are needed"
+                )
+                return [text]
             text = (
-                f"geometry {self.verdict}: only {len(self.tiles)} of {self.counts.textured} textured windows match, "
+                f"geometry {self.verdict}: only {self.counts.alike} of {self.counts.textured} textured windows match, "
                 f"{self.least} are needed; motion or calibration may be far off, or there is no texture"
             )
             return [text]
@@ -232,16 +238,15 @@ def check_geometry(pair: Pair, range_m: Array, sigma_m: Array) -> GeometryCheck:
         return GeometryCheck(Verdict.UNKNOWN, tiles, None, none, math.nan, counts)
     causes = fit_causes(tiles, pair.sensors, turn)
     if not causes.significant and not causes.unexplained_px:
-        few = len(tiles) < LEAST_MATCHED * counts.textured
+        few = counts.alike < LEAST_MATCHED * counts.textured
         verdict, covered = (Verdict.UNKNOWN, math.nan) if few else (Verdict.OK, 0.6827)
         return GeometryCheck(verdict, tiles, causes, none, covered, counts)
     cost = cost_of(tiles, causes, pair.sensors, pair.motion, pair.grid, (range_m, sigma_m))
     if cost is None:
         return GeometryCheck(Verdict.UNKNOWN, tiles, causes, none, math.nan, counts)
     verdict = Verdict.OK if cost.covered >= LEAST_COVERED else Verdict.DOUBTFUL
-    if cost.median > MOST_SHARE and cost.covered < MOST_COVERED:
-        verdict = Verdict.WRONG
-    if cost.median > GROSS_SHARE and verdict == Verdict.DOUBTFUL:
+    large = cost.median > MOST_SHARE and cost.covered < MOST_COVERED
+    if large or (cost.median > GROSS_SHARE and verdict == Verdict.DOUBTFUL):
         verdict = Verdict.WRONG
     return GeometryCheck(verdict, tiles, causes, cost.at_tiles, cost.covered, counts, cost)
 
