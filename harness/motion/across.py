@@ -182,7 +182,7 @@ class _Noise(NamedTuple):
         That of the tile itself is white or not, while `of_2` misses most of a noise that neighbouring pixels share.
         """
         of_1, of_2 = (self.of_1, self.of_2) if max(self) > 0 else (1.0, 1.0)
-        return np.asarray(of_2**2 / (of_1**2 + gain * of_2**2))
+        return np.asarray(of_2**2 / (of_1**2 + gain**2 * of_2**2))
 
     def leave(self, H: Array, squares: Array, variance_2: Array | float) -> tuple[Array, Array]:
         """Take the noise's part, which tells nothing, out of the information on the angle across, `H[:, 0, 0]`.
