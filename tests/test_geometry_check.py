@@ -265,7 +265,7 @@ def test_sigma_covers_two_thirds_of_what_an_error_does(names):
 
 
 def test_view_2s_part_of_what_fits_leave():
-    """Of I_1 - a I_2 - b it is n_2² in n_1² + a² n_2²."""
+    """The residual I_1 - a I_2 - b has the variance n_1² + a² n_2², and view 2 the second part of it."""
     gain = np.array([0.5, 1.0, 2.0])
     draws = np.random.default_rng(8).normal(size=(2, 3, 200_000)) * np.array([3.0, 4.0])[:, None, None]
     residual = np.var(draws[0] - gain[:, None] * draws[1], axis=1)
