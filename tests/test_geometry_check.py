@@ -14,7 +14,7 @@ from harness.geometry.angles import angle_between, normalise
 from harness.geometry.panorama import directions
 from harness.geometry.pose import Motion, Pose, relative_motion
 from harness.matching.pair import Pair
-from harness.motion.across import Across, _Noise
+from harness.motion.across import Across
 from harness.motion.causes import MIRROR, directions_aside, effects_of, fit_causes
 from harness.motion.residuals import Turn
 from harness.pipeline.geometry_check import Verdict, check_geometry
@@ -262,15 +262,6 @@ def test_sigma_covers_two_thirds_of_what_an_error_does(names):
         # the fit's own errors move its quantile. Where another error explains as much, the costlier of them counts.
         assert covered > 0.64
         assert covered < (0.8 if len(causes.likely) == 1 else 1.0)
-
-
-def test_view_2s_part_of_what_fits_leave():
-    """The residual I_1 - a I_2 - b has the variance n_1² + a² n_2², and view 2 the second part of it."""
-    gain = np.array([0.5, 1.0, 2.0])
-    draws = np.random.default_rng(8).normal(size=(2, 3, 200_000)) * np.array([3.0, 4.0])[:, None, None]
-    residual = np.var(draws[0] - gain[:, None] * draws[1], axis=1)
-    # Variances of 200,000 draws are known to 0.3 %.
-    np.testing.assert_allclose(_Noise(3.0, 4.0).share_of_2(gain), 16.0 / residual, rtol=0.015)
 
 
 # -- On images ---------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ def test_tiles_miss_their_curves_where_the_centre_is_wrong():
     shown = pairs_of(pairs.pixels_1, pairs.pixels_2, wrong)
     direct = fit_direct(pair(), (wrong, wrong), fit(shown, TURN, limit_px=4.0), shown)
     assert max(off_deg(direct.turn)) > 5  # degrees; at 70 degrees of yaw the motion absorbs nearly all of 2 px
-    assert 0.1 < misfit_px(pair(), (wrong, wrong), direct) < 2
+    assert 0.06 < misfit_px(pair(), (wrong, wrong), direct) < 2
 
 
 @pytest.mark.parametrize(

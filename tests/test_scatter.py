@@ -15,7 +15,7 @@ def test_noise_that_is_larger_than_predicted_is_still_noise(factor):
         assert common_scatter(left, NOISE) == 0
 
 
-@pytest.mark.parametrize("factor", [1.0, 2.0])
+@pytest.mark.parametrize("factor", [1.0, 1.5])  # noise is predicted to a third
 def test_what_is_common_is_measured_in_noise(factor):
     found = []
     for seed in range(20):

@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+from scipy import ndimage
 
 
 @lru_cache(maxsize=64)
@@ -22,3 +23,12 @@ def noise_through_spline(kernel: tuple[float, ...] = (1.0,)) -> tuple[float, flo
     H = 3 * np.sinc(w / (2 * np.pi)) ** 4 / (2 + np.cos(w))
     whole = np.sum(G[w < np.pi] ** 2)
     return float(np.sum((G * H) ** 2) / whole), float(np.sum((w * G * H) ** 2) / whole)
+
+
+@lru_cache(maxsize=4)
+def noise_after_blur(blur_px: float) -> tuple[float, float]:
+    """`noise_through_spline` of noise that was smoothed by a Gaussian."""
+    one = np.zeros(33)
+    one[16] = 1.0
+    kernel = ndimage.gaussian_filter1d(one, blur_px) if blur_px else one
+    return noise_through_spline(tuple(kernel[16:].tolist()))

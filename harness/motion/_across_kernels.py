@@ -26,7 +26,7 @@ def _turned(R, p0, p1, p2):
 @kernel
 def equations_across(
     tiles, side, least, known, x, grey, R, t, axis, camera, coefficients, planes, gain, offset, weights, H, g, sums,
-    parts,
+    parts, residuals,
 ):  # fmt: skip
     """Write the normal equations of every tile, for I_1 = a I_2 + b.
 
@@ -34,7 +34,7 @@ def equations_across(
     view 1's orientation. weights : `[T, 6]`, of the columns of J in `parts`.
     H, g : `[T, 6, 6]` and `[T, 6]`: sums of J^T J (upper triangle) and J^T r over the tile's pixels.
     sums : `[T, 4]`: the number of pixels, r², I_1 and I_1².
-    parts : `[T, side, side]`: J · weights times r of each pixel, 0 for those that do not count.
+    parts, residuals : `[T, side, side]`: J · weights and r of each pixel, 0 for those that do not count.
     """
     model, seam = camera
     column = [0.0] * PARAMETERS
@@ -45,6 +45,7 @@ def equations_across(
         g[i, :] = 0.0
         sums[i, :] = 0.0
         parts[i, :, :] = 0.0
+        residuals[i, :, :] = 0.0
         for row in range(tiles[i, 0], tiles[i, 0] + side):
             for col in range(tiles[i, 1], tiles[i, 1] + side):
                 if not known[row, col]:
@@ -80,4 +81,5 @@ def equations_across(
                 sums[i, 1] += r * r
                 sums[i, 2] += value
                 sums[i, 3] += value * value
-                parts[i, row - tiles[i, 0], col - tiles[i, 1]] = part * r
+                parts[i, row - tiles[i, 0], col - tiles[i, 1]] = part
+                residuals[i, row - tiles[i, 0], col - tiles[i, 1]] = r

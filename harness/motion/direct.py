@@ -12,14 +12,12 @@ noise: the covariance is `B^-1 (sum w² g g^T) B^-1`, with
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from harness.camera.sensor import Sensor
-from harness.camera.spline_noise import noise_through_spline
+from harness.camera.spline_noise import noise_after_blur
 from harness.display import OneLine
 from harness.geometry.angles import Array
 from harness.motion import _direct_kernels as _kernels
@@ -178,15 +176,6 @@ def _equations(given: Views, tiles: NDArray[np.int64], state: _State) -> _Equati
     residual = sums[:, 1] / (n - 5)
     correlation = 1 - sums[:, 1] / np.maximum(square, 1e-9)
     return _Equations(H, noise, g, sums[:, 0], residual, correlation)
-
-
-@lru_cache(maxsize=4)
-def noise_after_blur(blur_px: float) -> tuple[float, float]:
-    """`noise_through_spline` of noise that was smoothed by a Gaussian."""
-    one = np.zeros(33)
-    one[16] = 1.0
-    kernel = ndimage.gaussian_filter1d(one, blur_px) if blur_px else one
-    return noise_through_spline(tuple(kernel[16:].tolist()))
 
 
 def _noise_variance(equations: _Equations, gain: Array, blur_px: float) -> Array:

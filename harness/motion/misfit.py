@@ -13,8 +13,8 @@ from harness.motion.scatter import common_scatter
 from harness.motion.tiles import SIDE_PX, Image
 
 _LEAST_TILES = 30
-_LEAST_PX = 0.1
-"""Below it, interpolation is as large."""
+_LEAST_PX = 0.05
+"""Below it, interpolation and surfaces that are not planar are as large."""
 
 
 def misfit_px(images: tuple[Image, Image], sensors: tuple[Sensor, Sensor], direct: DirectFit) -> float:
