@@ -1,5 +1,6 @@
 """What many tests share: the paper's experiment, modules to import, and the rule that long tests are marked."""
 
+import gc
 import itertools
 import os
 import signal
@@ -46,6 +47,15 @@ def small_set(tmp_path_factory):
 
 
 @pytest.fixture
+def undrawn():
+    """Figures of pages stay blank in a test of what is said, or written beside the page."""
+    from undrawn import undrawn
+
+    with undrawn():
+        yield
+
+
+@pytest.fixture
 def module(tmp_path, monkeypatch):
     """Writes a module that can be imported, and gives its name: a new one each time, as modules are loaded once."""
     monkeypatch.chdir(tmp_path)
@@ -63,6 +73,14 @@ def pytest_configure():
     # A shell has what it runs in the background ignore Ctrl-C, and so all that is started there: tests press it.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish():
+    # All tests and libraries stay to the end: to look through them for garbage again and again takes a twentieth of the
+    # time of the tests.
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 # --- A test is slow by measured time ------------------------------------------------------------------------------

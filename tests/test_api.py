@@ -360,6 +360,7 @@ def test_a_motion_may_be_given_in_three_ways(views: "list[harness.RenderedView]"
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_an_estimate_is_written_as_the_command_line_writes_it(
     views: "list[harness.RenderedView]", tmp_path: Path
 ) -> None:

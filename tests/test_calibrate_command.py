@@ -325,6 +325,7 @@ def test_a_value_of_the_camera_waits_for_the_size_of_the_images(csv, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sensor.json", "sensor.html"])
+@pytest.mark.usefixtures("undrawn")
 def test_files_of_ones_own_beside_the_sensor_file_are_kept(name, csv, written, tmp_path, capsys, monkeypatch):
     own = tmp_path / name
     own.write_text('{"mine": 1}')

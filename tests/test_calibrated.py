@@ -110,6 +110,7 @@ def test_what_compensates_costs_less_than_each_alone():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_an_experiment_names_the_file(tmp_path, monkeypatch):
     file_of(tmp_path)
     rest = '\n[trial.believed.sigma]\ncalibration = "camera.json"\n\n[trial.scoring]\nbudget = true\n'

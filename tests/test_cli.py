@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from sweeps import begin, omnirange, wait_for, write_small
+from sweeps import begin, wait_for, write_small
 
 from harness import shipped
 from harness.camera.models import MODELS
@@ -30,6 +30,11 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     assert said.out == ""
     assert said.err.count("\n") == 1
     return said.err.removeprefix("omnirange: ").strip()
+
+
+def run_here(*arguments: object) -> None:
+    """A run in this process, which has the compiled loops loaded."""
+    assert main(["run", *map(str, arguments), "--workers", "1"]) == 0
 
 
 # --- Which trials --------------------------------------------------------------------------------------------------
@@ -149,27 +154,32 @@ def test_dry_run_says_what_would_hardly_be_seen(capsys: pytest.CaptureFixture[st
 @pytest.mark.slow
 def test_set_and_axis_are_folded_into_what_is_written(small: Path, tmp_path: Path) -> None:
     changed = ("--set", "noise.sigma_grey=3", "--axis", "matching.window_px=5,9")
-    assert omnirange(tmp_path, "run", small, *changed, "--out", "one", "--no-report").returncode == 0
-    assert omnirange(tmp_path, "run", "one/experiment.toml", "--out", "two", "--no-report").returncode == 0
-    assert (tmp_path / "one" / "trials.csv").read_bytes() == (tmp_path / "two" / "trials.csv").read_bytes()
+    one, two = tmp_path / "one", tmp_path / "two"
+    run_here(small, *changed, "--out", one, "--no-report")
+    run_here(one / "experiment.toml", "--out", two, "--no-report")
+    assert (one / "trials.csv").read_bytes() == (two / "trials.csv").read_bytes()
 
 
 @pytest.mark.slow
-def test_no_report_of_other_trials_stands_beside_new_tables(small: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("undrawn")
+def test_no_report_of_other_trials_stands_beside_new_tables(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
-    assert omnirange(tmp_path, "run", small, "--out", out).returncode == 0
+    run_here(small, "--out", out)
     before = {name: (out / name).read_bytes() for name in OF_ALL_ROWS}
-    again = omnirange(tmp_path, "run", small, "--out", out, "--no-report")
+    capsys.readouterr()
+    run_here(small, "--out", out, "--no-report")
     assert {name: (out / name).read_bytes() for name in OF_ALL_ROWS} == before  # they are of these trials
-    assert "removed" not in again.stdout
+    assert "removed" not in capsys.readouterr().out
     (out / "environment.json").write_text("a note")
-    other = omnirange(tmp_path, "run", small, "--set", "noise.sigma_grey=3", "--out", out, "--no-report")
-    assert other.stdout.splitlines()[-2:] == [
+    run_here(small, "--set", "noise.sigma_grey=3", "--out", out, "--no-report")
+    assert capsys.readouterr().out.splitlines()[-2:] == [
         f"removed from {out}: summary.json and report.html of earlier trials",
         f"still in {out} of earlier trials: environment.json",
     ]
     assert sorted(path.name for path in out.iterdir() if path.name in OF_ALL_ROWS) == ["environment.json"]
-    assert omnirange(tmp_path, "report", out).returncode == 0
+    assert main(["report", str(out)]) == 0
     assert all((out / name).is_file() for name in OF_ALL_ROWS)
 
 
@@ -328,7 +338,8 @@ def test_a_file_as_the_output_folder(small: Path, tmp_path: Path, capsys: pytest
 @pytest.mark.slow
 def test_a_folder_with_another_experiments_run(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert omnirange(tmp_path, "run", small, "--out", out, "--no-report").returncode == 0
+    run_here(small, "--out", out, "--no-report")
+    capsys.readouterr()
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     other = write_small(tmp_path / "other.toml", name="other")
     said = refusal(capsys, "run", other, "--out", out)

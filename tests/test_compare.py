@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import chromium, visit
+from repeats import few
 from sweeps import write_small
 from test_report import Document
 
@@ -169,7 +170,7 @@ def test_compare_fits_a_terminal_of_80_columns(runs, tmp_path, capsys, monkeypat
 
 @pytest.mark.slow
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [1200, 390])
+@pytest.mark.parametrize("width", few(1, [390, 1200]))
 def test_comparison_in_chromium(runs, tmp_path, width):
     file = tmp_path / "comparison.html"
     file.write_text(build_comparison(runs["window"], runs["column"], runs["baselines"]).html, encoding="utf-8")

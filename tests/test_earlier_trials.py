@@ -40,6 +40,7 @@ def test_a_summary_without_its_report_does_not_stay(small, tmp_path, monkeypatch
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_nor_one_between_two_runs_of_the_same_trials(small, tmp_path, monkeypatch, capsys):
     """The finished report was of the trials that are run again; the summary that is there is not."""
     out = tmp_path / "out"
@@ -91,6 +92,7 @@ def test_a_path_s_maps_of_other_trials_are_said(small, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_from_python_comes_with_its_own_tables(small, tmp_path):
     out = tmp_path / "out"
     first = harness.run(small, out=out, workers=1)
@@ -102,6 +104,7 @@ def test_a_report_from_python_comes_with_its_own_tables(small, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_removed_report_is_said_in_python(small, tmp_path):
     out = tmp_path / "out"
     run(small, out)

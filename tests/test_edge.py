@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from repeats import few
 from sweeps import environment, omnirange, write_small
 
 from harness.cli import main
@@ -278,7 +279,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["package", "module"])
+@pytest.mark.parametrize("kind", few(1, ["package", "module"]))
 def test_beside_a_folder_of_the_same_name(tmp_path: Path, kind: str) -> None:
     """What is called `harness` in the working folder is another project's: neither the command nor workers load it."""
     if kind == "package":

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from bounds import check_all, check_pixel_level, check_subpixel_helps
+from repeats import few
 
 import harness.pipeline.trial as chain
 from harness.camera.sensor import project
@@ -38,7 +39,7 @@ def test_bounds_hold_for_the_papers_experiment(paper):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("yaw_deg", [7.3, 45.0, 90.0, 133.7, 180.0, -71.0])
+@pytest.mark.parametrize("yaw_deg", few(3, [133.7, 180.0, -71.0, 7.3, 45.0, 90.0]))
 def test_any_yaw_of_the_second_view_is_taken_out(paper, yaw_deg):
     straight = by_method(paper.outcomes)
     pixel, subpixel = both(yawed(paper.experiment.trial, yaw_deg))

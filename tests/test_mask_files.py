@@ -188,6 +188,7 @@ def ranged(folder, out, *more):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_masked_photographs(photographs, capsys):
     folder = photographs
     assert ranged(folder, "plain") == 0

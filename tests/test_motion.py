@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from repeats import few
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -46,7 +47,7 @@ def still():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shift", [(0.25, 0.0), (0.5, -0.3), (3.37, 1.71)])
+@pytest.mark.parametrize("shift", few(2, [(0.5, -0.3), (3.37, 1.71), (0.25, 0.0)]))
 def test_keypoints_move_with_the_picture(still, shift):
     pairs = match_features(still, find_features(picture(shift), SENSOR))
     moved = pairs.pixels_2 - pairs.pixels_1
@@ -152,6 +153,7 @@ def test_the_motion_of_rendered_views_is_found(views):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_what_range_reads(views, folder, capsys):
     left, right, sensor = (str(folder / name) for name in ("left.png", "right.png", "sensor.toml"))
     out, figures = folder / "motion.toml", folder / "motion.json"

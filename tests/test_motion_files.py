@@ -1,6 +1,7 @@
 """The motion between two views is the same whichever file says it: a pose, a rig or a trajectory."""
 
 import json
+import shutil
 from itertools import pairwise
 
 import numpy as np
@@ -144,6 +145,7 @@ def test_no_rotation_between_an_image_and_a_mirror_image():
         motion_of(np.eye(4), (lens_from_sensor(FORWARD), lens_from_sensor(MIRROR)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_options_of_range(tmp_path, capsys):
     file = str(tum(tmp_path / "t.txt", [np.eye(4)] * 3))
     images = ["range", "a.png", "b.png", "--sensor", "shipped.toml", "--out", str(tmp_path / "out")]
@@ -171,26 +173,35 @@ def test_a_motion_is_not_written_over_its_sensor(option, tmp_path, capsys):
     assert sensor.read_text() == "kept"
 
 
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Folders as `omnirange render` writes them, small: where they stand in the world is far from each other."""
+    camera = {"width_px": 160, "height_px": 120, "focal_px": 153.53, "cx_px": 79.5, "cy_px": 59.5}
+    sensor = parse(Sensor, {"camera": camera})
+    poses = [harness.Pose(position_m=(x, 0.2, 1.0), yaw_deg=30.0) for x in (0.0, 0.4, 0.9)]
+    folder = tmp_path_factory.mktemp("views")
+    for number, pose in enumerate(poses):
+        grid = harness.Grid(width_px=180, height_px=50, z_min=-1.0, z_max=0.3)
+        view = harness.render(
+            "box",
+            position_m=pose.position_m,
+            yaw_deg=pose.yaw_deg,
+            sensor=sensor,
+            samples=1,
+            grid=grid,
+        )
+        view.write(folder / f"v{number}")
+    return folder, poses
+
+
 class TestPoseOfEachView:
     """`--pose` repeated, and files of one pose where that says no motion."""
 
     @pytest.fixture
-    def views(self, tmp_path):
-        """Folders as `omnirange render` writes them, small: where they stand in the world is far from each other."""
-        camera = {"width_px": 160, "height_px": 120, "focal_px": 153.53, "cx_px": 79.5, "cy_px": 59.5}
-        sensor = parse(Sensor, {"camera": camera})
-        poses = [harness.Pose(position_m=(x, 0.2, 1.0), yaw_deg=30.0) for x in (0.0, 0.4, 0.9)]
-        for number, pose in enumerate(poses):
-            grid = harness.Grid(width_px=180, height_px=50, z_min=-1.0, z_max=0.3)
-            view = harness.render(
-                "box",
-                position_m=pose.position_m,
-                yaw_deg=pose.yaw_deg,
-                sensor=sensor,
-                samples=1,
-                grid=grid,
-            )
-            view.write(tmp_path / f"v{number}")
+    def views(self, rendered, tmp_path):
+        """Each test's own copy, which it may write beside."""
+        folder, poses = rendered
+        shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
         return [tmp_path / f"v{number}" for number in range(3)], poses
 
     def command(self, name, views, *options):
@@ -211,6 +222,7 @@ class TestPoseOfEachView:
             same(motion, harness.relative_motion(harness.Pose(), pose))
 
     @pytest.mark.slow
+    @pytest.mark.usefixtures("undrawn")
     def test_of_a_command(self, views, tmp_path):
         folders, poses = views
         given = [word for each in folders[:2] for word in ("--pose", each / "pose.toml")]

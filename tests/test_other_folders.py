@@ -75,6 +75,7 @@ def test_what_has_the_name_of_a_file_is_kept(name, files, pair, tmp_path, capsys
         ("scan", "scan.json", "scan.csv"),
     ],
 )
+@pytest.mark.usefixtures("undrawn")
 def test_ones_own_results_are_written_again_though_cut_short(name, marked, other, pair, tmp_path, capsys):
     words = arguments(pair, name, tmp_path)
     assert main(words) == 0
@@ -95,6 +96,7 @@ def test_ones_own_results_are_written_again_though_cut_short(name, marked, other
 
 @pytest.mark.long
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_sequence_and_a_pair_do_not_replace_each_other(pair, tmp_path, capsys):
     one, many = tmp_path / "one", tmp_path / "many"
     pair_words = arguments(pair, "range", one)
@@ -144,6 +146,7 @@ def test_a_mask_of_ones_own_is_kept(pair, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_an_image_that_is_read_is_not_replaced(pair, tmp_path, capsys):
     out = tmp_path / "w"
     assert main(arguments(pair, "warp", out)) == 0
@@ -189,6 +192,7 @@ def test_scores_replace_nothing_of_ones_own(tmp_path, capsys):
     ("words", "name"),
     [(["design"], "design.html"), (["sensor", "s.toml"], "sensor.html"), (["compare", "a", "b"], "b/comparison.html")],
 )
+@pytest.mark.usefixtures("undrawn")
 def test_a_page_whose_name_nobody_gave_replaces_none_of_ones_own(words, name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text("[camera]\nfocal_px = 614.0\n")
@@ -214,6 +218,7 @@ def test_every_page_says_whose_it_is():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_rendered_views_ranges_are_no_estimates(pair):
     before = (pair / "0" / "range.npy").read_bytes()
     images = [pair / each / "omni.png" for each in "01"]

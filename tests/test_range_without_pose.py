@@ -49,6 +49,7 @@ def test_the_length_follows_from_the_height_above_the_floor(motion):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_metres_by_the_floor_and_sigma_with_the_motions_share(folder, capsys):
     assert main(command(folder, "--camera-height", "1", "--out", str(folder / "out"))) == 0
     said = capsys.readouterr().out
@@ -65,6 +66,7 @@ def test_metres_by_the_floor_and_sigma_with_the_motions_share(folder, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_units_of_the_baseline_are_said(folder, views, motion, capsys):
     assert main(command(folder, "--set", "panorama.width_px=720", "--out", str(folder / "unit"))) == 0
     said = capsys.readouterr().out

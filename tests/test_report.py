@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from browser import chromium, visit
+from repeats import few
 
 from harness.evaluation.metric_table import METRICS
 from harness.report import theme, typography, words
@@ -323,7 +324,7 @@ def test_panels_without_data_say_so():
 
 @pytest.mark.slow
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [1200, 390])
+@pytest.mark.parametrize("width", few(1, [390, 1200]))
 def test_report_in_chromium(report_file, tmp_path, width):
     with chromium(tmp_path / "profile") as browser:
         visited = visit(browser, report_file, width=width)
@@ -349,6 +350,7 @@ def test_report_without_scripts(report_file, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.browser
+@pytest.mark.usefixtures("undrawn")
 def test_text_that_users_write_runs_nowhere(tmp_path):
     file = tmp_path / "report.html"
     file.write_text(build_report(run_small(description="<img src=x onerror=alert(1)><b>bold</b>")), encoding="utf-8")

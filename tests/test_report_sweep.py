@@ -14,7 +14,9 @@ import pandas as pd
 import pytest
 from browser import chromium, visit
 from markupsafe import Markup
+from repeats import few
 from test_report import BOTH, SMALL, Document, run_small
+from undrawn import undrawn
 
 from harness.pipeline.row import row_of
 from harness.report import opening, sweep, theme
@@ -84,7 +86,9 @@ def page_file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def paper_page(paper: Result) -> str:
-    return build_report(paper)
+    """For what it says: `test_report.py` has the page drawn."""
+    with undrawn():
+        return build_report(paper)
 
 
 def downloads(html: str) -> dict[str, list[dict[str, str]]]:
@@ -134,6 +138,7 @@ def test_the_papers_own_experiment_has_regions_figures_and_pixel_locking_but_no_
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_law_is_tested_only_where_it_is_asked_for(swept):
     """The same rows without the key: no slopes and no sections, in a page that is a sweep's all the same."""
     plain = result_from(swept.experiment.model_copy(update={"law": False}), swept.rows)
@@ -254,6 +259,7 @@ def test_pixel_locking_shares_sum_to_one(page):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_said_of_all_trials_needs_no_pixels(swept):
     bare = sweep_of(dataclasses.replace(swept, details=[]))
     context = Context(dataclasses.replace(swept, details=[]), bare, [], [], swept.outcomes[0].trial)
@@ -305,6 +311,7 @@ def test_axes_know_whether_they_are_lines():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_names_and_messages_show_as_text():
     evil = "<script>alert(1)</script>"
     scene = load_scene("box").model_copy(update={"name": evil})
@@ -332,7 +339,7 @@ def test_symbols_are_set_as_in_captions_and_nothing_else_becomes_html():
 
 @pytest.mark.slow
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [1200, 390])
+@pytest.mark.parametrize("width", few(1, [390, 1200]))
 def test_sweep_in_chromium(page_file, tmp_path, width):
     with chromium(tmp_path / "profile") as browser:
         for scheme in ("light", "dark"):

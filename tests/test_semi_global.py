@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from repeats import few
 from scipy.spatial.transform import Rotation
 
 from harness.camera.sensor import Sensor, pixel_directions
@@ -103,7 +104,7 @@ def any_costs(seed, shape=(5, 9, 32)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("paths", few(1, [8, 4]))
 @given(seed=st.integers(0, 10**6), p1=st.integers(0, 60), more=st.integers(0, 87), labels=st.sampled_from([32, 64]))
 @settings(max_examples=6, deadline=None)
 def test_sums_over_paths_are_those_of_the_definition(paths, seed, p1, more, labels):

@@ -50,6 +50,7 @@ def motions():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_points_of_all_pairs_are_on_the_walls_of_the_box(folder, tmp_path):
     told = []
     sequence = harness.estimate_sequence(
@@ -76,6 +77,7 @@ def test_points_of_all_pairs_are_on_the_walls_of_the_box(folder, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_sequence_goes_on_where_it_was(folder, tmp_path, monkeypatch):
     calls = []
     from harness.api import sequence as module

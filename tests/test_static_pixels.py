@@ -80,6 +80,7 @@ def test_images_of_two_sizes_are_refused(parallel):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_the_mask_and_uses_it(parallel, tmp_path, capsys):
     (tmp_path / "sensor.toml").write_text(dump_toml(SENSOR))
     for name, image in zip(("left", "right"), with_body([each.image for each in parallel]), strict=True):

@@ -251,6 +251,7 @@ def ranged(folder, *more):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_photographs_by_two_sensors(photographs, capsys):
     folder, true_m = photographs
     assert ranged(folder, "--sensor-2", folder / "right" / "sensor.toml") == 0
@@ -273,6 +274,7 @@ def test_photographs_by_two_sensors(photographs, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_says_both_sensors(tmp_path):
     camera = {"width_px": 200, "height_px": 150, "focal_px": 190, "cx_px": 98, "cy_px": 75.5}
     sets = {f"sensor_2.camera.{key}": value for key, value in camera.items()}
