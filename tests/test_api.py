@@ -97,6 +97,7 @@ def test_help_is_a_tour() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DOCUMENTED)
+@pytest.mark.usefixtures("undrawn")
 def test_examples_are_true(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)

@@ -261,6 +261,7 @@ def test_runs_are_compared_case_by_case(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_methods_go_by_their_cases_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

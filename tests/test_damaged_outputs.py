@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from sweeps import write_small
+from undrawn import undrawn
 
 from harness.cli import main
 from harness.runs.store import Store
@@ -21,7 +22,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run, and all that is written of it."""
     folder = tmp_path_factory.mktemp("damaged")
     write_small(folder / "e.toml", '[axes]\n"matching.subpixel" = ["none", "parabola"]\n')
-    assert main(["run", str(folder / "e.toml"), "--out", str(folder / "o")]) == 0
+    with undrawn():
+        assert main(["run", str(folder / "e.toml"), "--out", str(folder / "o"), "--workers", "1"]) == 0
     return folder
 
 

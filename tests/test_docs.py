@@ -84,6 +84,7 @@ def python_blocks(page: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", ["README.md", "docs/quick-start.md"])
+@pytest.mark.usefixtures("undrawn")
 def test_python_on_a_page_gives_what_the_page_shows(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     blocks = python_blocks(page)

@@ -170,6 +170,7 @@ def test_the_command_writes_what_range_reads(views, folder, capsys):
     assert np.allclose(motion.t_v1, 0.5 * np.array(table["direction_v1"]), atol=1e-12)
     assert max(off_deg(motion, truth(views))) < 0.1
     ranged = ["range", left, right, "--sensor", sensor, "--pose", str(out), "--matcher", "column"]
+    ranged += ["--set", "panorama.width_px=360"]
     assert main([*ranged, "--out", str(folder / "range")]) == 0
     assert np.isfinite(np.load(folder / "range" / "range.npy")).mean() > 0.3
     capsys.readouterr()

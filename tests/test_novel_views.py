@@ -24,6 +24,7 @@ def entry(distance_m, gain_db, ends, method=("sgm", "v")):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_from_the_command_to_the_report(tmp_path, capsys):
     given = write_small(tmp_path / "small.toml", "\n[axes]\nseed = [1, 2]\n")
     out = tmp_path / "out"

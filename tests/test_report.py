@@ -271,6 +271,7 @@ def test_every_reason_has_words_and_a_colour_of_its_own():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_what_users_write_shows_as_text():
     evil = '<script>alert(1)</script> & "quotes" {{ 7 * 7 }}'
     scene = load_scene("box").model_copy(update={"name": evil, "description": evil})

@@ -245,6 +245,7 @@ def test_no_answer_is_taken_on_trust(what):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_without_the_files_of_its_scene_says_what_is_left_out(tmp_path, capsys):
     import trimesh
 

@@ -5,6 +5,7 @@ import csv
 import dataclasses
 import io
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import pandas as pd
 import pytest
 from browser import chromium, visit
 from markupsafe import Markup
+from playwright.sync_api import BrowserContext
 from repeats import few
 from test_report import BOTH, SMALL, Document, run_small
 from undrawn import undrawn
@@ -82,6 +84,13 @@ def page_file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("sweep") / "report.html"
     file.write_text(page, encoding="utf-8")
     return file
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContext]:
+    """For all tests of the page: to start one takes longer than most of what is looked at."""
+    with chromium(tmp_path_factory.mktemp("browser") / "profile") as context:
+        yield context
 
 
 @pytest.fixture(scope="module")
@@ -340,74 +349,70 @@ def test_symbols_are_set_as_in_captions_and_nothing_else_becomes_html():
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", few(1, [390, 1200]))
-def test_sweep_in_chromium(page_file, tmp_path, width):
-    with chromium(tmp_path / "profile") as browser:
-        for scheme in ("light", "dark"):
-            visited = visit(browser, page_file, width=width, scheme=scheme)
-            assert visited.requests == []
-            assert visited.complaints == []
-            assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
-            sizes = visited.page.evaluate("[...document.images].map(image => [image.naturalWidth, image.clientWidth])")
-            assert len(sizes) >= 35
-            assert all(natural > 0 and shown > 100 for natural, shown in sizes)
-            background = visited.page.evaluate("getComputedStyle(document.body).backgroundColor")
-            assert (background == "rgb(255, 255, 255)") == (scheme == "light")
+def test_sweep_in_chromium(page_file, browser, width):
+    for scheme in ("light", "dark"):
+        visited = visit(browser, page_file, width=width, scheme=scheme)
+        assert visited.requests == []
+        assert visited.complaints == []
+        assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+        sizes = visited.page.evaluate("[...document.images].map(image => [image.naturalWidth, image.clientWidth])")
+        assert len(sizes) >= 35
+        assert all(natural > 0 and shown > 100 for natural, shown in sizes)
+        background = visited.page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert (background == "rgb(255, 255, 255)") == (scheme == "light")
 
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_a_sheet_of_paper_holds_all_rows_and_no_column_is_cut(page_file, tmp_path):
-    with chromium(tmp_path / "profile") as browser:
-        page = visit(browser, page_file, width=1200).page
-        page.emulate_media(media="print")
-        page.set_viewport_size({"width": 688, "height": 971})  # A4 without the margins of the style sheet
-        tables = page.evaluate(
-            "[...document.querySelectorAll('.table')].map(box => {"
-            " const table = box.querySelector('table'), last = table.rows[table.rows.length - 1];"
-            " return [table.scrollWidth, box.clientWidth, last.getBoundingClientRect().bottom,"
-            " box.getBoundingClientRect().bottom, getComputedStyle(box).overflowY]; })"
-        )
-        assert len(tables) > 5
-        for width, room, last, bottom, overflow in tables:
-            assert width <= room
-            assert last <= bottom + 1  # borders are shared between rows
-            assert overflow == "visible"
-        assert "columns are left out" in page.locator("#table-measures .paper").inner_text()
+def test_a_sheet_of_paper_holds_all_rows_and_no_column_is_cut(page_file, browser):
+    page = visit(browser, page_file, width=1200).page
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 688, "height": 971})  # A4 without the margins of the style sheet
+    tables = page.evaluate(
+        "[...document.querySelectorAll('.table')].map(box => {"
+        " const table = box.querySelector('table'), last = table.rows[table.rows.length - 1];"
+        " return [table.scrollWidth, box.clientWidth, last.getBoundingClientRect().bottom,"
+        " box.getBoundingClientRect().bottom, getComputedStyle(box).overflowY]; })"
+    )
+    assert len(tables) > 5
+    for width, room, last, bottom, overflow in tables:
+        assert width <= room
+        assert last <= bottom + 1  # borders are shared between rows
+        assert overflow == "visible"
+    assert "columns are left out" in page.locator("#table-measures .paper").inner_text()
 
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_tables_sort_by_keyboard(page_file, tmp_path):
-    with chromium(tmp_path / "profile") as browser:
-        page = visit(browser, page_file, width=1200).page
-        table = page.locator("#table-measures table")
-        heading = table.get_by_role("columnheader", name="Range, RMSE mm", exact=True).first
-        column = heading.evaluate("cell => cell.cellIndex")
+def test_tables_sort_by_keyboard(page_file, browser):
+    page = visit(browser, page_file, width=1200).page
+    table = page.locator("#table-measures table")
+    heading = table.get_by_role("columnheader", name="Range, RMSE mm", exact=True).first
+    column = heading.evaluate("cell => cell.cellIndex")
 
-        def values() -> list[float]:
-            return table.evaluate(f"table => [...table.tBodies[0].rows].map(row => +row.cells[{column}].dataset.sort)")
+    def values() -> list[float]:
+        return table.evaluate(f"table => [...table.tBodies[0].rows].map(row => +row.cells[{column}].dataset.sort)")
 
-        before = values()
-        heading.locator("button").focus()
-        page.keyboard.press("Enter")
-        assert heading.get_attribute("aria-sort") == "ascending"
-        assert values() == sorted(before)
-        page.keyboard.press("Space")
-        assert heading.get_attribute("aria-sort") == "descending"
-        assert values() == sorted(before, reverse=True)
-        words = table.get_by_role("columnheader", name="Method", exact=True)
-        words.locator("button").focus()
-        page.keyboard.press("Enter")
-        assert heading.get_attribute("aria-sort") is None
-        assert table.locator("tbody th").all_inner_texts() == ["sub-pixel"] * 6 + ["whole pixels"] * 6
+    before = values()
+    heading.locator("button").focus()
+    page.keyboard.press("Enter")
+    assert heading.get_attribute("aria-sort") == "ascending"
+    assert values() == sorted(before)
+    page.keyboard.press("Space")
+    assert heading.get_attribute("aria-sort") == "descending"
+    assert values() == sorted(before, reverse=True)
+    words = table.get_by_role("columnheader", name="Method", exact=True)
+    words.locator("button").focus()
+    page.keyboard.press("Enter")
+    assert heading.get_attribute("aria-sort") is None
+    assert table.locator("tbody th").all_inner_texts() == ["sub-pixel"] * 6 + ["whole pixels"] * 6
 
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_the_first_stop_of_the_keyboard_leads_to_the_results(page_file, tmp_path):
-    with chromium(tmp_path / "profile") as browser:
-        page = visit(browser, page_file, width=390).page
-        page.keyboard.press("Tab")
-        assert page.evaluate("document.activeElement.textContent") == "Skip to the results"
-        page.keyboard.press("Enter")
-        assert page.evaluate("location.hash") == "#main"
+def test_the_first_stop_of_the_keyboard_leads_to_the_results(page_file, browser):
+    page = visit(browser, page_file, width=390).page
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "Skip to the results"
+    page.keyboard.press("Enter")
+    assert page.evaluate("location.hash") == "#main"
