@@ -150,9 +150,9 @@ def by_definition(first, second, t, matcher):
         ((0.1, -0.3, -0.1), {"pitch_px": 0.5}),
         ((0.3, 0.2, 0.05), {"window_px": 1, "d_max_m": np.inf, "neighbours": 2}),
         ((0.0, 0.4, 0.0), {"window_px": 7, "pitch_px": 1 / 3}),
-        ((-0.2, 0.4, 0.1), {"cost": "zncc"}),
+        pytest.param((-0.2, 0.4, 0.1), {"cost": "zncc"}, marks=pytest.mark.long),
         ((0.4, 0.03, 0.0), {"cost": "zncc", "window_px": 5, "pitch_px": 0.5}),
-        ((0.1, -0.3, -0.1), {"cost": "census"}),
+        pytest.param((0.1, -0.3, -0.1), {"cost": "census"}, marks=pytest.mark.long),
         ((0.4, 0.1, 0.0), {"cost": "census", "pitch_px": 0.5}),
     ],
 )

@@ -124,7 +124,7 @@ def test_killed_again_and_again(room: Path, whole: bytes) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", few(1, [2, 1]))
 def test_interrupted(room: Path, whole: bytes, workers: int) -> None:
     out = room / f"interrupted{workers}"
     process = begin(room, "run", "small.toml", "--workers", workers, "--out", out)
