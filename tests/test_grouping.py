@@ -71,12 +71,12 @@ def test_values_that_look_alike_stay_apart(tmp_path: Path, plugin: str, key: str
     assert axis.values == values
     assert len(set(axis.texts)) == 2
     assert all(len(text) <= 60 for text in axis.texts)
-    rows = measures.all_measures(swept).data.rows
-    assert len(rows) == 2
-    for value, row in zip(values, rows, strict=True):
+    measured = measures.all_measures(swept).data
+    assert len(measured.rows) == 2
+    for value, row in zip(values, measured.rows, strict=True):
         figures = [r.payload["figures"]["range_median_abs_m"] for r in result.rows if r.coordinates[key] == value]
         assert len(figures) == 2
-        column = measures.all_measures(swept).data.headings.index("range_median_abs_m")
+        column = measured.headings.index("range_median_abs_m")
         assert row[column] == pytest.approx(np.mean(figures), rel=1e-12)  # the same sum, in another order
     assert result.cells["quiet"].nunique() == 4
     with theme.style():
