@@ -229,7 +229,7 @@ def tell_matching(estimate: "RangeEstimate") -> None:
         print(f"{photograph.file}: {photograph.scale}")
     if estimate.matches.remark:
         print(estimate.matches.remark)
-    for line in (*estimate.sharpness.lines(), *estimate.geometry.lines()):
+    for line in estimate.lines():
         print(line)
 
 

@@ -25,7 +25,7 @@ def _turned(R, p0, p1, p2):
 
 
 @kernel
-def _sampled(x, w, R, t, camera, coefficients):
+def sampled(x, w, R, t, camera, coefficients):
     """View 2's grey level of a point; NaN outside its field."""
     model, seam = camera
     q0, q1, q2 = _turned(R, x[0] - w * t[0], x[1] - w * t[1], x[2] - w * t[2])
@@ -60,7 +60,7 @@ def try_planes(tiles, side, stride, least, view, x, grey, R, t, camera, coeffici
                     w = m[0] * d[0] + m[1] * d[1] + m[2] * d[2]
                     if w < least:
                         continue
-                    other = _sampled(d, w, R, t, camera, coefficients)
+                    other = sampled(d, w, R, t, camera, coefficients)
                     if math.isnan(other):
                         continue
                     value = grey[row, column]

@@ -32,6 +32,7 @@ from harness.matching.semi_global.match import forget_large
 from harness.matching.uncertainty import sigma_alpha_2
 from harness.pipeline.geometry_check import GeometryCheck, check_geometry, geometry_share
 from harness.pipeline.match_check import moved, without, without_unlike
+from harness.pipeline.repeated_texture import repeated
 from harness.pipeline.sharpness import Sharpness, compare_sharpness, equalised, filled, half_size, has_few_matches
 from harness.pipeline.sight import check_sensor
 
@@ -55,6 +56,10 @@ OF_A_RANGE = OwnFiles(
     {"range.html": b"<title>Range from two "},
 )
 """The files of a folder with the ranges of two images."""
+
+
+_WORTH_SAYING = 0.005
+"""Share of the panorama whose texture repeats, at least, to be said so."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,6 +111,16 @@ class Estimate(OneLine):
     def points_m(self) -> Array:
         """`[pixels with a range, 3]`, in view 1's frame, z up."""
         return directions(self.pair.grid)[self.valid] * self.range_m[self.valid][:, None]
+
+    def lines(self) -> list[str]:
+        """What to say of sharpness, of the geometry, and of texture that repeats, as a list of sentences."""
+        repeated = float(np.mean(self.reason == Reason.REPEATED))
+        left_out = f"{repeated:.1%} of the panorama is left out: its texture repeats, and another range fits as well"
+        return [
+            *self.sharpness.lines(),
+            *self.geometry.lines(),
+            *([left_out] if repeated > _WORTH_SAYING else []),
+        ]
 
     def summary(self) -> dict[str, Any]:
         """The overall figures as plain values; None for a figure without a value."""
@@ -209,6 +224,7 @@ def estimate(
     bands = _bands_of((first, second), sensors, sharpness)
     pair = Pair(images, sensors, motion, grid, share=_sharing_panoramas(), bands=bands)
     matches = without_unlike(pair, matcher, _matched(pair, matcher, sharpness))
+    matches = without(matches, repeated(pair, matcher, _ranges(pair, matcher, matches)[0]), Reason.REPEATED)
     geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
     range_m, reason, matching_m = _ranges(pair, matcher, matches)
