@@ -156,6 +156,7 @@ def _estimated(
     """The ranges of checked photographs; see `estimate_range`."""
     first, second = photographs
     error, has_metres, search = None, True, ""
+    given = {"d_min_m", "d_max_m"} <= settings.model_fields_set
     if isinstance(motion, MotionEstimate):
         if motion.status == Status.WEAK:
             reasons = "; ".join(motion.reasons)
@@ -174,7 +175,17 @@ def _estimated(
         first, second = (smaller(each, sensor, side) for each, sensor in zip((first, second), sensors, strict=True))
         sensors = binned_sensor(sensors[0], side), binned_sensor(sensors[1], side)
         grid = Grid(**grid.model_dump())  # no longer "auto": its rows are those of the full-size images
-    estimated_range = estimate(first, second, sensors, known, settings, grid, error, has_metres=has_metres)
+    estimated_range = estimate(
+        first,
+        second,
+        sensors,
+        known,
+        settings,
+        grid,
+        error,
+        has_metres=has_metres,
+        limits_known=given or (has_metres and not fit_limits),
+    )
     return RangeEstimate(
         **{each.name: getattr(estimated_range, each.name) for each in fields(estimated_range)}, search=search
     )

@@ -215,8 +215,8 @@ class Reason(IntEnum):
     """There is no match, and view 2 seems to see a nearer surface in front of the point. Of the pixels said to be so, a
     tenth to six tenths are, depending on the scene: see `occlusion_precision`."""
     REPEATED = 10
-    """The texture about it repeats, and another range of the search explains both images as well; of photographs alone,
-    see `harness.pipeline.repeated_texture`."""
+    """The texture about it repeats, and another range explains both images as well; of photographs alone, see
+    `harness.pipeline.repeated_texture`."""
 
 
 @dataclass(frozen=True, repr=False)

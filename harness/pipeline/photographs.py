@@ -60,6 +60,9 @@ OF_A_RANGE = OwnFiles(
 
 _WORTH_SAYING = 0.005
 """Share of the panorama whose texture repeats, at least, to be said so."""
+_BEYOND_LIMITS = 1.5
+"""By what factor ranges of texture that repeats are looked for beyond estimated limits: it has few keypoints, whose
+matches the motion rejects."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -201,6 +204,7 @@ def estimate(
     motion_error: MotionError | None = None,
     *,
     has_metres: bool = True,
+    limits_known: bool = True,
 ) -> Estimate:
     """Match two photographs and triangulate.
 
@@ -210,6 +214,9 @@ def estimate(
         How uncertain the motion is; None where it is taken for exact.
     has_metres
         Whether the motion's length is in metres; 1 stands for it otherwise.
+    limits_known
+        Whether nothing is nearer or farther than what the matcher searches. Limits that were estimated may be wrong:
+        texture that repeats is looked for beyond them.
 
     Raises
     ------
@@ -224,7 +231,9 @@ def estimate(
     bands = _bands_of((first, second), sensors, sharpness)
     pair = Pair(images, sensors, motion, grid, share=_sharing_panoramas(), bands=bands)
     matches = without_unlike(pair, matcher, _matched(pair, matcher, sharpness))
-    matches = without(matches, repeated(pair, matcher, _ranges(pair, matcher, matches)[0]), Reason.REPEATED)
+    beyond = 1.0 if limits_known else _BEYOND_LIMITS
+    limits_m = matcher.d_min_m / beyond, matcher.d_max_m * beyond
+    matches = without(matches, repeated(pair, limits_m, _ranges(pair, matcher, matches)[0]), Reason.REPEATED)
     geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
     range_m, reason, matching_m = _ranges(pair, matcher, matches)

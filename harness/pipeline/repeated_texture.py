@@ -11,7 +11,6 @@ from scipy import ndimage
 
 from harness.geometry.angles import Array
 from harness.geometry.panorama import directions
-from harness.matching.interface import MatcherSettings
 from harness.matching.pair import Pair
 from harness.motion.tiles import views
 from harness.pipeline import _repeated_texture_kernels as _kernels
@@ -26,8 +25,8 @@ _APART = np.radians(1.5)
 """Least difference in alpha_2 of another range: nearer ones belong to the same peak."""
 _STEP = np.radians(0.5)
 """Step in alpha_2 from one range to the next."""
-_LEAST = 0.6
-"""Least correlation at the range that was found; with less, noise hides whether others are as good."""
+_LEAST = 0.75
+"""Least correlation at another range: with less, it may be chance, among up to 200 ranges."""
 _AS_GOOD = 0.1
 """Another range is as good where the correlation is less by this, at most: smoothness has decided between them."""
 _VALLEY = 0.25
@@ -40,11 +39,13 @@ _LEAST_BESIDE = 2
 """Least number of a window's eight neighbours that repeat as well: a single one is chance."""
 
 
-def repeated(pair: Pair, matcher: MatcherSettings, range_m: Array) -> NDArray[np.bool_]:
-    """Pixels `[height, width]` about which other ranges of the search explain the images as well.
+def repeated(pair: Pair, limits_m: tuple[float, float], range_m: Array) -> NDArray[np.bool_]:
+    """Pixels `[height, width]` about which other ranges explain the images as well.
 
     Parameters
     ----------
+    limits_m
+        The nearest and the farthest range that the scene may have.
     range_m
         `[height, width]` on the panorama; NaN where there is none.
     """
@@ -53,7 +54,7 @@ def repeated(pair: Pair, matcher: MatcherSettings, range_m: Array) -> NDArray[np
     repeats = np.zeros(cells, dtype=bool)
     row, column = _middles(np.isfinite(range_m), half)
     if row.size:
-        repeats[row // half, column // half] = _has_another(pair, matcher, range_m, half, row, column)
+        repeats[row // half, column // half] = _has_another(pair, limits_m, range_m, half, row, column)
     beside = 9 * ndimage.uniform_filter(repeats.astype(np.float64), 3, mode=("constant", "wrap")) - repeats
     repeats &= beside > _LEAST_BESIDE - 0.5
     rows, columns = (np.arange(size) // half for size in pair.grid.shape)
@@ -71,7 +72,12 @@ def _middles(known: NDArray[np.bool_], side: int) -> tuple[NDArray[np.intp], NDA
 
 
 def _has_another(
-    pair: Pair, matcher: MatcherSettings, range_m: Array, half: int, row: NDArray[np.intp], column: NDArray[np.intp]
+    pair: Pair,
+    limits_m: tuple[float, float],
+    range_m: Array,
+    half: int,
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
 ) -> NDArray[np.bool_]:
     """Whether windows about these pixels `[n]` look alike at another range as well."""
     steps = np.unique(np.rint(np.linspace(-half, half, _SAMPLES)).astype(int))
@@ -83,9 +89,9 @@ def _has_another(
     w = _on_planes(pair.motion.baseline_m / range_m[rows, columns], x, pair.motion.baseline_m / range_m[row, column])
     grey = np.where(inside, pair.panoramas()[0].values[rows, columns], np.nan)
 
-    nearest, farthest = (pair.motion.baseline_m / each for each in (matcher.d_min_m, matcher.d_max_m))
+    nearest, farthest = (pair.motion.baseline_m / each for each in limits_m)
     middle = w[np.arange(len(row)), np.argmin(down**2 + right**2)]
-    scale, shift = _scales(pair.alpha_1[row, column], middle, float(farthest), float(nearest))
+    scale, shift = _scales(pair.alpha_1[row, column], middle, farthest, nearest)
     given, correlation = views(pair.images, pair.sensors), np.empty(scale.shape)
     t, R = pair.t_v1 / pair.motion.baseline_m, np.ascontiguousarray(pair.motion.R_v2_from_v1, np.float64)
 
