@@ -20,8 +20,11 @@ from harness.pipeline.photographs import estimate
 from harness.pipeline.repeated_texture import _as_good, _middles, _on_planes, _scales
 from harness.shipped import folder
 
+SENSOR = Sensor.model_validate(
+    {"camera": {"width_px": 320, "height_px": 240, "focal_px": 307.0, "cx_px": 159.5, "cy_px": 119.5}}
+)
+GRID = harness.Grid(width_px=360, height_px=100)
 SHIFT = np.radians(np.arange(-20, 21, 0.5))
-OWN = int(np.argmin(np.abs(SHIFT)))
 
 
 def peaks(*at_height: tuple[float, float], width_deg: float = 1.0) -> np.ndarray:
@@ -156,15 +159,11 @@ def test_texture_that_does_not_repeat_keeps_its_ranges(matcher):
 
 
 def test_a_period_that_was_not_searched_is_no_other_range(striped):
-    sensor = Sensor.model_validate(
-        {"camera": {"width_px": 320, "height_px": 240, "focal_px": 307.0, "cx_px": 159.5, "cy_px": 119.5}}
-    )
-    grid = harness.Grid(width_px=360, height_px=100)
-    first, second = (harness.render(striped, sensor=sensor, position_m=(x, 0, 1), grid=grid) for x in (0, 0.5))
+    first, second = (harness.render(striped, sensor=SENSOR, position_m=(x, 0, 1), grid=GRID) for x in (0, 0.5))
     near = first.panorama_range_m < 1.8
     shares = []
     for matcher in (SemiGlobal(), SemiGlobal(d_min_m=1.15, d_max_m=1.9)):
-        estimate = harness.estimate_range(first.image, second.image, sensor, (0.5, 0, 0), matcher, grid=grid)
+        estimate = harness.estimate_range(first.image, second.image, SENSOR, (0.5, 0, 0), matcher, grid=GRID)
         shares.append(np.mean((estimate.reason == Reason.REPEATED)[near]))
     # A period more or less makes them 5 times as long, or 0.56 times.
     assert shares[0] > 0.2
@@ -173,16 +172,12 @@ def test_a_period_that_was_not_searched_is_no_other_range(striped):
 
 def test_limits_that_were_estimated_are_not_trusted(striped):
     """A floor of stripes has hardly any keypoints, and may be nearer than those of the walls."""
-    sensor = Sensor.model_validate(
-        {"camera": {"width_px": 320, "height_px": 240, "focal_px": 307.0, "cx_px": 159.5, "cy_px": 119.5}}
-    )
-    grid = harness.Grid(width_px=360, height_px=100)
-    left, right = (harness.render(striped, sensor=sensor, position_m=(x, 0, 1), grid=grid).image for x in (0, 0.5))
-    images = photographs_of(left, right, (sensor, sensor), None)
+    left, right = (harness.render(striped, sensor=SENSOR, position_m=(x, 0, 1), grid=GRID).image for x in (0, 0.5))
+    images = photographs_of(left, right, (SENSOR, SENSOR), None)
     motion = harness.Motion(np.eye(3), np.array([0.5, 0, 0]))
     shares = []
     for known in (True, False):
         matcher = SemiGlobal(d_min_m=1.9)  # most of the floor is nearer
-        estimated = estimate(*images, (sensor, sensor), motion, matcher, grid, limits_known=known)
+        estimated = estimate(*images, (SENSOR, SENSOR), motion, matcher, GRID, limits_known=known)
         shares.append(np.mean(estimated.reason == Reason.REPEATED))
     assert shares[1] > shares[0] + 0.05

@@ -163,7 +163,7 @@ def _estimated(
             warnings.warn(f"the motion is unreliable, and so are ranges from it: {reasons}", Notice, stacklevel=3)
         known, error, has_metres = motion.motion, motion.error, motion.baseline_m is not None
         if not has_metres:
-            settings = in_baselines(settings, motion, sensors[0])
+            settings, search = in_baselines(settings, motion, sensors[0])
     else:
         known = _motion(motion)
     if fit_limits and has_metres:

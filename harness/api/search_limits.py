@@ -14,23 +14,29 @@ from harness.motion.search_limits import LEAST_PAIRS, LEAST_SHARE, limits_of, po
 Image = NDArray[np.float32]
 
 
-def in_baselines(settings: MatcherSettings, motion: MotionEstimate, sensor: Sensor) -> MatcherSettings:
+def in_baselines(settings: MatcherSettings, motion: MotionEstimate, sensor: Sensor) -> tuple[MatcherSettings, str]:
     """Settings whose limits of the search are those of the scene, in baselines, where they were not given: the defaults
-    are metres.
+    are metres; and a line that says so, empty where both were given.
 
     Raises
     ------
     InputError
         When one limit was given, and the other one does not fit.
     """
-    changed = _with(settings, *limits_of(scene_points(motion, sensor)[1]))
+    w = scene_points(motion, sensor)[1]
+    changed = _with(settings, *limits_of(w))
     if not changed.d_min_m < changed.d_max_m:
         raise InputError(
             f"d_min_m = {changed.d_min_m:g} and d_max_m = {changed.d_max_m:g} are in units of the baseline, which is "
             "not known; give both, or its length",
             key="matcher",
         )
-    return changed
+    if {"d_min_m", "d_max_m"} <= settings.model_fields_set:
+        return changed, ""
+    return (
+        changed,
+        f"search: {changed.d_min_m:.3g} to {changed.d_max_m:.3g} baselines, from {len(w)} points of the scene",
+    )
 
 
 def in_metres(

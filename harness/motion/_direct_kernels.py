@@ -36,6 +36,12 @@ def sampled(x, w, R, t, camera, coefficients):
     return grey
 
 
+@kernel(inline=True)
+def added(n, s_1, s_2, s_11, s_22, s_12, a, b):
+    """The number of pairs, and the sums of a, b, a², b² and a b, with one more pair: what a correlation is made of."""
+    return n + 1.0, s_1 + a, s_2 + b, s_11 + a * a, s_22 + b * b, s_12 + a * b
+
+
 @kernel
 def try_planes(tiles, side, stride, least, view, x, grey, R, t, camera, coefficients, planes, share, best, score):
     """Write for each tile the candidate plane whose grey levels in view 2 correlate best with view 1's.
@@ -64,12 +70,7 @@ def try_planes(tiles, side, stride, least, view, x, grey, R, t, camera, coeffici
                     if math.isnan(other):
                         continue
                     value = grey[row, column]
-                    n += 1.0
-                    s_1 += value
-                    s_2 += other
-                    s_11 += value * value
-                    s_22 += other * other
-                    s_12 += value * other
+                    n, s_1, s_2, s_11, s_22, s_12 = added(n, s_1, s_2, s_11, s_22, s_12, value, other)
             if n < share * all_pixels:
                 continue
             v_1, v_2, v_12 = s_11 - s_1 * s_1 / n, s_22 - s_2 * s_2 / n, s_12 - s_1 * s_2 / n

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from harness.compiled import kernel
-from harness.motion._direct_kernels import sampled
+from harness.motion._direct_kernels import added, sampled
 
 
 @kernel
@@ -28,12 +28,7 @@ def correlations(first, end, x, w, scale, grey, R, t, camera, coefficients, shar
                 other = sampled(x[i, j], scale[i, k] * w[i, j], R, t, camera, coefficients)
                 if math.isnan(other):
                     continue
-                n += 1.0
-                s_1 += value
-                s_2 += other
-                s_11 += value * value
-                s_22 += other * other
-                s_12 += value * other
+                n, s_1, s_2, s_11, s_22, s_12 = added(n, s_1, s_2, s_11, s_22, s_12, value, other)
             if n < max(share * x.shape[1], 2.0):
                 continue
             v_1, v_2 = s_11 - s_1 * s_1 / n, s_22 - s_2 * s_2 / n

@@ -290,17 +290,25 @@ def _plain(name: str, value: float) -> float:
     return math.degrees(value) if _is_angle(name) else value
 
 
+def _where(name: str) -> str:
+    """Where an error has that size, if not everywhere."""
+    everywhere = _is_angle(name) or name.startswith(("centre ", "mirror "))
+    return "" if everywhere else " at the rim"
+
+
 def _key(name: str) -> str:
     return f"{name.replace(' ', '_')}_{_unit(name)}"
 
 
 def errors_in_words(cause: Cause) -> str:
-    """The largest errors, at most three, in degrees, pixels or millimetres."""
+    """The largest errors, at most three, in degrees, pixels or millimetres; of the focal length and what else shifts
+    pixels more towards the rim, the shift there.
+    """
     plain = {name: _plain(name, value) for name, value in cause.errors.items()}
     most = max(abs(value) for value in plain.values())
     largest = sorted(plain.items(), key=lambda each: -abs(each[1]))[:3]
     return ", ".join(
-        f"{name} {value:+.2g} {_unit(name).replace('deg', 'degrees')}"
+        f"{name} {value:+.2g} {_unit(name).replace('deg', 'degrees')}{_where(name)}"
         for name, value in largest
         if abs(value) >= _WORTH_SAYING * most
     )

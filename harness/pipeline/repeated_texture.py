@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from harness.geometry.angles import Array
-from harness.geometry.panorama import directions
+from harness.camera.unwrap import sample
+from harness.geometry.angles import Array, normalise
+from harness.geometry.panorama import directions, pixel_that_holds
 from harness.matching.pair import Pair
-from harness.motion.tiles import views
+from harness.motion.tiles import tangents_at, views
 from harness.pipeline import _repeated_texture_kernels as _kernels
 from harness.threads import in_bands
 
@@ -31,6 +32,9 @@ _AS_GOOD = 0.1
 """Another range is as good where the correlation is less by this, at most: smoothness has decided between them."""
 _VALLEY = 0.25
 """Depth of the valley that parts two ranges: smooth texture has one wide peak."""
+_FLAT = np.radians(5.0)
+"""Difference in alpha_2 of another range that needs no valley: stripes along the epipolar curves look alike at all
+ranges."""
 _SHARE = 0.5
 """Least share of a window's samples that both views see."""
 _SAME_SURFACE = 1.3
@@ -54,7 +58,7 @@ def repeated(pair: Pair, limits_m: tuple[float, float], range_m: Array) -> NDArr
     repeats = np.zeros(cells, dtype=bool)
     row, column = _middles(np.isfinite(range_m), half)
     if row.size:
-        repeats[row // half, column // half] = _has_another(pair, limits_m, range_m, half, row, column)
+        repeats[row // half, column // half] = _has_another(pair, limits_m, range_m, row, column)
     beside = 9 * ndimage.uniform_filter(repeats.astype(np.float64), 3, mode=("constant", "wrap")) - repeats
     repeats &= beside > _LEAST_BESIDE - 0.5
     rows, columns = (np.arange(size) // half for size in pair.grid.shape)
@@ -75,23 +79,20 @@ def _has_another(
     pair: Pair,
     limits_m: tuple[float, float],
     range_m: Array,
-    half: int,
     row: NDArray[np.intp],
     column: NDArray[np.intp],
 ) -> NDArray[np.bool_]:
     """Whether windows about these pixels `[n]` look alike at another range as well."""
-    steps = np.unique(np.rint(np.linspace(-half, half, _SAMPLES)).astype(int))
-    down, right = (each.ravel() for each in np.meshgrid(steps, steps, indexing="ij"))
-    rows, columns = row[:, None] + down, (column[:, None] + right) % pair.grid.width_px
-    inside = (rows >= 0) & (rows < pair.grid.height_px)
-    rows = np.where(inside, rows, row[:, None])
-    x = np.ascontiguousarray(directions(pair.grid)[rows, columns])
-    w = _on_planes(pair.motion.baseline_m / range_m[rows, columns], x, pair.motion.baseline_m / range_m[row, column])
-    grey = np.where(inside, pair.panoramas()[0].values[rows, columns], np.nan)
+    x = _windows(directions(pair.grid)[row, column])
+    held_row, held_column, inside = pixel_that_holds(pair.grid, x)
+    w: Array = np.full(held_row.shape, np.nan)
+    w[inside] = pair.motion.baseline_m / range_m[held_row[inside].astype(np.intp), held_column[inside]]
+    w = _on_planes(w, x, pair.motion.baseline_m / range_m[row, column])
+    grey, seen = sample(pair.images[0], pair.sensors[0], x)
+    grey = np.where(seen, grey, np.nan).astype(np.float64)
 
     nearest, farthest = (pair.motion.baseline_m / each for each in limits_m)
-    middle = w[np.arange(len(row)), np.argmin(down**2 + right**2)]
-    scale, shift = _scales(pair.alpha_1[row, column], middle, farthest, nearest)
+    scale, shift = _scales(pair.alpha_1[row, column], w[:, w.shape[1] // 2], farthest, nearest)
     given, correlation = views(pair.images, pair.sensors), np.empty(scale.shape)
     t, R = pair.t_v1 / pair.motion.baseline_m, np.ascontiguousarray(pair.motion.R_v2_from_v1, np.float64)
 
@@ -102,6 +103,14 @@ def _has_another(
 
     in_bands(compare, len(row), 8, pair.available_threads)
     return _as_good(correlation, shift)
+
+
+def _windows(middle: Array) -> Array:
+    """Directions `[n, m, 3]` of square windows about directions `[n, 3]`, wherever these look; row by row."""
+    side = np.tan(np.linspace(-_HALF, _HALF, _SAMPLES))
+    down, right = (each.reshape(-1, 1) for each in np.meshgrid(side, side, indexing="ij"))
+    b_1, b_2 = tangents_at(middle)
+    return normalise(middle[:, None] + right * b_1[:, None] + down * b_2[:, None])
 
 
 def _on_planes(w: Array, x: Array, middle: Array) -> Array:
@@ -152,5 +161,6 @@ def _as_good(correlation: Array, shift: Array) -> NDArray[np.bool_]:
     )
     here = correlation[:, own : own + 1]
     with np.errstate(invalid="ignore"):
-        other = (correlation > np.maximum(here - _AS_GOOD, _LEAST)) & (np.minimum(correlation, here) - valley > _VALLEY)
-        return np.asarray(((np.abs(shift) >= _APART) & other).any(axis=1))
+        as_good = correlation > np.maximum(here - _AS_GOOD, _LEAST)
+        apart = (np.minimum(correlation, here) - valley > _VALLEY) & (np.abs(shift) >= _APART)
+        return np.asarray((as_good & (apart | (np.abs(shift) >= _FLAT))).any(axis=1))

@@ -31,7 +31,7 @@ REASONS = {
     Reason.INCONSISTENT: ("inconsistent with view 2", "#0072B2"),
     Reason.OFF_CURVE: ("off its epipolar curve: it has moved", "#D55E00"),
     Reason.OCCLUDED: ("perhaps hidden from view 2", "#6F7D8C"),
-    Reason.REPEATED: ("texture that repeats: another range fits as well", "#882255"),
+    Reason.REPEATED: ("texture that repeats", "#882255"),
 }
 """The reasons in words, and their colours on the map."""
 _A_LINE = 4
