@@ -158,6 +158,7 @@ def test_texture_that_does_not_repeat_keeps_its_ranges(matcher):
         assert not any("repeats" in line for line in estimate.lines())
 
 
+@pytest.mark.slow
 def test_a_period_that_was_not_searched_is_no_other_range(striped):
     first, second = (harness.render(striped, sensor=SENSOR, position_m=(x, 0, 1), grid=GRID) for x in (0, 0.5))
     near = first.panorama_range_m < 1.8
@@ -170,6 +171,7 @@ def test_a_period_that_was_not_searched_is_no_other_range(striped):
     assert shares[1] == 0
 
 
+@pytest.mark.slow
 def test_limits_that_were_estimated_are_not_trusted(striped):
     """A floor of stripes has hardly any keypoints, and may be nearer than those of the walls."""
     left, right = (harness.render(striped, sensor=SENSOR, position_m=(x, 0, 1), grid=GRID).image for x in (0, 0.5))
