@@ -29,8 +29,7 @@ def test_view_2s_part_of_what_fits_leave(blur_px):
     between = ndimage.map_coordinates(second, places, order=3, mode="mirror")
     level = 3.0 * first.ravel()[:200_000], 4.0 * between
     residual = np.var(level[0] - gain[:, None] * level[1], axis=1)
-    given = TileNoise(3.0, 4.0)
-    given = given.smoothed(blur_px) if blur_px else given
+    given = TileNoise(3.0, 4.0).smoothed(blur_px)
     # 360,000 pixels, of which smoothing by 1 px leaves some 30,000 independent ones: their variance is known to 0.8 %.
     np.testing.assert_allclose(given.in_residuals(gain), residual, rtol=0.03)
     np.testing.assert_allclose(given.of_2_in_residuals(gain), given.of_2**2 / residual, rtol=0.03)

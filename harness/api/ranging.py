@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from harness.api.loading import load_sensor
 from harness.api.motion import MotionEstimate, Status, estimate_motion
 from harness.api.photographs import Image, grid_of, photographs_of, side_of, smaller
-from harness.api.search_limits import in_baselines, in_metres
+from harness.api.search_limits import are_given, in_baselines, in_metres
 from harness.camera.binning import binned_sensor
 from harness.camera.sensor import Sensor
 from harness.display import brief, coloured, grey, html_figure
@@ -156,7 +156,7 @@ def _estimated(
     """The ranges of checked photographs; see `estimate_range`."""
     first, second = photographs
     error, has_metres, search = None, True, ""
-    given = {"d_min_m", "d_max_m"} <= settings.model_fields_set
+    given = are_given(settings)
     if isinstance(motion, MotionEstimate):
         if motion.status == Status.WEAK:
             reasons = "; ".join(motion.reasons)

@@ -14,6 +14,11 @@ from harness.motion.search_limits import LEAST_PAIRS, LEAST_SHARE, limits_of, po
 Image = NDArray[np.float32]
 
 
+def are_given(settings: MatcherSettings) -> bool:
+    """Whether both limits were given."""
+    return {"d_min_m", "d_max_m"} <= settings.model_fields_set
+
+
 def in_baselines(settings: MatcherSettings, motion: MotionEstimate, sensor: Sensor) -> tuple[MatcherSettings, str]:
     """Settings whose limits of the search are those of the scene, in baselines, where they were not given: the defaults
     are metres; and a line that says so, empty where both were given.
@@ -31,7 +36,7 @@ def in_baselines(settings: MatcherSettings, motion: MotionEstimate, sensor: Sens
             "not known; give both, or its length",
             key="matcher",
         )
-    if {"d_min_m", "d_max_m"} <= settings.model_fields_set:
+    if are_given(settings):
         return changed, ""
     return (
         changed,
@@ -55,7 +60,7 @@ def in_metres(
     estimated
         The motion as estimated from the images, with the points of the scene; None if it was given.
     """
-    if {"d_min_m", "d_max_m"} <= settings.model_fields_set:
+    if are_given(settings):
         return settings, ""
     if estimated is not None:
         w = scene_points(estimated, sensors[0])[1]

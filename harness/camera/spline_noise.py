@@ -28,7 +28,18 @@ def noise_through_spline(kernel: tuple[float, ...] = (1.0,)) -> tuple[float, flo
 @lru_cache(maxsize=4)
 def noise_after_blur(blur_px: float) -> tuple[float, float]:
     """`noise_through_spline` of noise that was smoothed by a Gaussian."""
-    one = np.zeros(33)
-    one[16] = 1.0
-    kernel = ndimage.gaussian_filter1d(one, blur_px) if blur_px else one
-    return noise_through_spline(tuple(kernel[16:].tolist()))
+    return noise_through_spline(_gaussian(blur_px))
+
+
+def deviation_left(blur_px: float) -> float:
+    """Standard deviation of white noise that was smoothed by a Gaussian along both axes, as a share of what it was."""
+    middle, *beside = _gaussian(blur_px)
+    return middle**2 + 2 * sum(each**2 for each in beside)
+
+
+def _gaussian(blur_px: float) -> tuple[float, ...]:
+    """Weights of a Gaussian along one axis, from its middle on; a single one without smoothing."""
+    point = np.zeros(33)
+    point[16] = 1.0
+    kernel = ndimage.gaussian_filter1d(point, blur_px) if blur_px else point
+    return tuple(kernel[16:].tolist())

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from harness.camera.image_noise import noise_of
 from harness.camera.sensor import Sensor, pixels_seen
-from harness.camera.spline_noise import noise_after_blur
+from harness.camera.spline_noise import deviation_left, noise_after_blur
 from harness.geometry.angles import Array
 from harness.motion.tiles import Image
 
@@ -38,9 +38,7 @@ class TileNoise(NamedTuple):
 
     def smoothed(self, blur_px: float) -> "TileNoise":
         """That of images which are smoothed by a Gaussian, if it is white."""
-        point = np.zeros(33)
-        point[16] = 1.0
-        left = float(np.sum(ndimage.gaussian_filter1d(point, blur_px) ** 2))
+        left = deviation_left(blur_px)
         return TileNoise(self.of_1 * left, self.of_2 * left, blur_px)
 
     def in_residuals(self, gain: Array) -> Array:

@@ -233,7 +233,9 @@ def estimate(
     matches = without_unlike(pair, matcher, _matched(pair, matcher, sharpness))
     beyond = 1.0 if limits_known else _BEYOND_LIMITS
     limits_m = matcher.d_min_m / beyond, matcher.d_max_m * beyond
-    matches = without(matches, repeated(pair, limits_m, _ranges(pair, matcher, matches)[0]), Reason.REPEATED)
+    matches = without(
+        matches, repeated(pair, limits_m, ranges_of(matches, pair.alpha_1, motion.baseline_m)[0]), Reason.REPEATED
+    )
     geometry = check_geometry(pair, *_ranges(pair, matcher, matches)[::2])
     matches = without(matches, moved(pair, geometry), Reason.OFF_CURVE)
     range_m, reason, matching_m = _ranges(pair, matcher, matches)
